@@ -1,0 +1,1 @@
+"""Head-to-head autonomous racing in Policy Characteristic Space."""

@@ -1,0 +1,23 @@
+"""The errors that bad input raises: one line that names the value and says what would be right."""
+
+__all__ = ["ConfigError", "InputError", "MapError", "UnknownNameError"]
+
+
+class InputError(ValueError):
+    """A value handed to the package is impossible; the message names it and says what would be right."""
+
+
+class MapError(InputError):
+    """A map folder, or a file in it, can't be raced on."""
+
+
+class ConfigError(InputError):
+    """A configuration holds an unknown key or an impossible value."""
+
+
+class UnknownNameError(InputError, KeyError):
+    """A name stands for nothing that is registered; the message lists the names that do."""
+
+    def __str__(self) -> str:
+        """Show the message itself (``KeyError`` would show its repr)."""
+        return str(self.args[0]) if self.args else ""

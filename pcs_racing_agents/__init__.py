@@ -1,0 +1,1 @@
+"""Policies and agents for :mod:`pcs_racing`: motion planners, archives, strategies and tournaments."""
