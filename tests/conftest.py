@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -30,3 +31,25 @@ def real_maps() -> Path:
 def reference() -> Path:
     """Folder of numbers computed by the established simulator (``PCS_RACING_REFERENCE``)."""
     return _folder("PCS_RACING_REFERENCE", REPOSITORY.parent / "shared" / "reference", "reference data")
+
+
+@pytest.fixture(scope="session")
+def oval():
+    """A stadium: two straights of 12 m, two half circles of 4 m radius, 2.2 m wide, driven counterclockwise."""
+    from pcs_racing.track import build_track
+
+    straight, radius, half_width, resolution = 12.0, 4.0, 1.1, 0.05
+    quarter = np.linspace(0.0, np.pi, 40, endpoint=False)
+    along = np.linspace(-straight / 2, straight / 2, 40, endpoint=False)
+    right = np.column_stack([straight / 2 + radius * np.sin(quarter), -radius * np.cos(quarter)])
+    bottom = np.column_stack([along, np.full_like(along, -radius)])
+    xy = np.concatenate([bottom, right, -bottom, -right])
+    origin = (-straight / 2 - radius - 2.0, -radius - 2.0)
+    shape = (round(2 * (radius + 2.0) / resolution), round((straight + 2 * radius + 4.0) / resolution))
+    y, x = np.meshgrid(*((np.arange(n) + 0.5) * resolution for n in shape), indexing="ij")
+    # The stadium's centre line is where the distance to the segment between the two half circles' centres is the radius.
+    away = np.hypot(np.maximum(np.abs(x + origin[0]) - straight / 2, 0.0), y + origin[1])
+    occupied = np.abs(away - radius) > half_width
+    occupied &= np.abs(away - radius) < half_width + 0.3
+    centerline = np.column_stack([xy, np.full((len(xy), 2), half_width)])
+    return build_track("oval", occupied, resolution, origin, centerline, xy)
