@@ -1,7 +1,7 @@
 """Contact of cars with cars and with walls, by their true rectangles, and who is to blame for it.
 
-A car is the rectangle of ``2 half_length x 2 half_width`` centred on its pose. Two cars are in contact when they share a
-positive area, a car and a wall when a piece of the wall lies inside the car; touching alone is no contact. Nothing here
+A car is the rectangle of ``2 half_length x 2 half_width`` centred on its pose. Two cars are in contact when they share
+a positive area, a car and a wall when a piece of the wall lies inside the car; touching alone is none. Nothing here
 looks at a lidar scan.
 """
 
@@ -176,7 +176,7 @@ def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
 
 @njit(cache=True, nogil=True)
 def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
-    """The axis of direction psi, turned to point along (dx, dy), and how deep shapes of this joint reach overlap on it."""
+    """The axis of direction psi, turned to point along (dx, dy), and how deep shapes of this reach overlap on it."""
     ax = np.cos(psi)
     ay = np.sin(psi)
     apart = dx * ax + dy * ay
