@@ -1,0 +1,156 @@
+"""Closed plane curves as arrays of points, the last of which lies one step before the first."""
+
+import numpy as np
+from numba import njit
+
+from pcs_racing.errors import MapError
+
+__all__ = ["checked_curve", "curve_length", "first_crossing", "frame", "resample", "signed_area", "smooth"]
+
+
+def checked_curve(points: np.ndarray, what: str) -> np.ndarray:
+    """Points of a closed curve as an (N, 2) array, without repeated neighbours and without a repeated first point.
+
+    Parameters
+    ----------
+    points : array_like, shape (N, 2) or wider
+        Further columns are ignored.
+    what : str
+        Name of the curve in error messages, for instance "centre line".
+
+    Raises
+    ------
+    MapError
+        If there are fewer than four different points, if one is not finite, or if the gap between the last and the
+        first shows that the curve is open (more than ten times the median step and a tenth of the length).
+    """
+    xy = np.asarray(points, dtype=np.float64)
+    if xy.ndim != 2 or xy.shape[1] < 2:
+        raise MapError(f"the {what} has shape {xy.shape}: rows that begin with x and y are needed")
+    xy = xy[:, :2]
+    if not np.isfinite(xy).all():
+        raise MapError(
+            f"the {what} holds a coordinate that is not finite, in row {int(np.argwhere(~np.isfinite(xy))[0, 0])}"
+        )
+    xy = xy[np.hypot(*(xy - np.roll(xy, 1, axis=0)).T) > 1e-9]
+    if len(xy) < 4:
+        raise MapError(f"the {what} has {len(xy)} different points: a closed curve needs at least 4")
+    steps = np.hypot(*(np.roll(xy, -1, axis=0) - xy).T)
+    if steps[-1] > 10.0 * np.median(steps) and steps[-1] > 0.1 * steps.sum():
+        raise MapError(f"the {what} is open: its last point lies {steps[-1]:.2f} m from its first")
+    return xy
+
+
+def curve_length(xy: np.ndarray) -> float:
+    """Length in m of a closed polyline, shape (N, 2)."""
+    return float(np.hypot(*(np.roll(xy, -1, axis=0) - xy).T).sum())
+
+
+def signed_area(xy: np.ndarray) -> float:
+    """Area in m^2 inside a closed polyline, shape (N, 2); positive if it runs counterclockwise."""
+    x, y = xy.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def _spline(xy: np.ndarray):  # type: ignore[no-untyped-def]
+    from scipy.interpolate import CubicSpline
+
+    closed = np.vstack([xy, xy[:1]])
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
+    return CubicSpline(s, closed, bc_type="periodic"), s
+
+
+def resample(xy: np.ndarray, step: float) -> np.ndarray:
+    """Evenly spaced points on the periodic cubic spline through a closed curve.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2)
+        In m.
+    step : float
+        Largest distance of neighbours along the curve, m.
+
+    Returns
+    -------
+    ndarray, shape (M, 2)
+        The first point is kept; the spacing is length / M <= step.
+    """
+    spline, s = _spline(xy)
+    # The arc length is measured on a fine polyline: 8 chords a step are off by less than 1e-3 of a step.
+    fine = np.linspace(0.0, s[-1], 8 * len(xy) + 1)
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(spline(fine), axis=0).T))])
+    n = max(int(np.ceil(length[-1] / step)), 8)
+    return spline(np.interp(np.arange(n) * (length[-1] / n), length, fine))
+
+
+def frame(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Heading and curvature of the periodic cubic spline through a closed curve, at its points.
+
+    Returns
+    -------
+    psi : ndarray, shape (N,)
+        Heading ``atan2(dy, dx)`` in rad, continuous along the curve.
+    kappa : ndarray, shape (N,)
+        Curvature in 1/m, positive to the left.
+    """
+    spline, s = _spline(xy)
+    (dx, dy), (ddx, ddy) = spline(s[:-1], 1).T, spline(s[:-1], 2).T
+    return np.unwrap(np.arctan2(dy, dx)), (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
+
+
+def smooth(xy: np.ndarray, wavelength: float) -> np.ndarray:
+    """Closed curve without its short waves.
+
+    The points y that minimise ``sum |y - x|^2 + c sum |y''|^2`` around the loop, which Fourier modes solve one by one:
+    a wave is multiplied by ``1 / (1 + (wavelength / its own length)^4)``.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2)
+        Evenly spaced points, m.
+    wavelength : float
+        Waves of this length are halved, m; 0 keeps everything.
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+    """
+    waves_per_metre = np.abs(np.fft.fftfreq(len(xy))) * len(xy) / curve_length(xy)
+    modes = np.fft.fft(xy[:, 0] + 1j * xy[:, 1]) / (1.0 + (wavelength * waves_per_metre) ** 4)
+    z = np.fft.ifft(modes)
+    return np.column_stack([z.real, z.imag])
+
+
+@njit(cache=True, nogil=True)
+def first_crossing(xy):  # type: ignore[no-untyped-def]
+    """First pair of segments of a closed polyline that cross each other.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2), float64
+
+    Returns
+    -------
+    i, j : int
+        The segments from points i and j to the next ones cross; (-1, -1) if the polyline is simple.
+    """
+    n = xy.shape[0]
+    for i in range(n):
+        ax, ay = xy[i]
+        bx, by = xy[(i + 1) % n]
+        low_x, high_x = min(ax, bx), max(ax, bx)
+        low_y, high_y = min(ay, by), max(ay, by)
+        for j in range(i + 2, n):
+            if i == 0 and j == n - 1:
+                continue
+            cx, cy = xy[j]
+            dx, dy = xy[(j + 1) % n]
+            if max(cx, dx) < low_x or min(cx, dx) > high_x or max(cy, dy) < low_y or min(cy, dy) > high_y:
+                continue
+            c_side = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+            d_side = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
+            a_side = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
+            b_side = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
+            if c_side * d_side <= 0.0 and a_side * b_side <= 0.0:
+                return i, j
+    return -1, -1

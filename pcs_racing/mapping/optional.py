@@ -1,0 +1,25 @@
+"""One clear error where an optional library is missing."""
+
+from importlib.util import find_spec
+
+__all__ = ["require"]
+
+
+def require(*modules: str, extra: str = "mapping") -> None:
+    """Raise an error that names the extra to install unless all modules are there; nothing is imported.
+
+    Parameters
+    ----------
+    *modules : str
+        Names of top-level modules.
+    extra : str
+        The extra of this distribution that brings them.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If one of them is not installed.
+    """
+    for name in modules:
+        if find_spec(name) is None:
+            raise ModuleNotFoundError(f'{name} is needed for this: pip install "pcs-racing[{extra}]"', name=name)

@@ -1,0 +1,339 @@
+"""The race line of a circuit: a closed line of little curvature and length that keeps clear of the walls."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from pcs_racing.errors import InputError, MapError
+from pcs_racing.mapping.curves import checked_curve, curve_length, first_crossing, frame, resample, smooth
+from pcs_racing.mapping.grid import checked_grid, distance_field, wall_clearance
+from pcs_racing.mapping.optional import require
+from pcs_racing.mapping.speed import ACCELERATION, BRAKING, LATERAL, TOP_SPEED, speed_profile
+
+__all__ = ["CLEARANCE", "RACELINE_COLUMNS", "minimum_curvature_raceline", "raceline_rows"]
+
+CLEARANCE = 0.305
+"""Default distance in m between line and wall: half the width of a car (0.155 m) and 0.15 m of air."""
+
+RACELINE_COLUMNS = ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2")
+"""Columns of ``raceline_rows``, as in the files of f1tenth_racetracks."""
+
+STEP = 0.25  # spacing of the points that the program moves, m
+REACH = 3.0  # how far along its normal a point may see, m
+TRUST = 0.5  # how far a point may move in one round, m: the program is linearised
+CHATTER = 0.1  # weight of the squared change of curvature along the line, m^2
+
+
+def minimum_curvature_raceline(
+    centerline: np.ndarray,
+    occupied: np.ndarray,
+    resolution: float,
+    origin: np.ndarray | tuple[float, float],
+    *,
+    clearance: float = CLEARANCE,
+    spacing: float = 0.2,
+    length_weight: float = 0.05,
+    rounds: int = 20,
+) -> np.ndarray:
+    """Closed line of least squared curvature on a circuit, at least ``clearance`` away from every wall.
+
+    Iterated linearised minimum curvature (Heilmeier et al. 2020, "Minimum curvature trajectory planning and control for
+    an autonomous race car"): each point of a reference line moves along its normal by a distance that a quadratic
+    program chooses, and the result is the next reference. Unlike there, the room to both sides is measured on the grid
+    in every round, so that normals which cross in a hairpin do no harm. A small weight on the length (Braghin et al.
+    2008, "Race driver model") keeps the line from drifting to the outside of long bends, where it would be rounder but
+    slower.
+
+    Parameters
+    ----------
+    centerline : array_like, shape (M, 2) or wider
+        Any closed line around the circuit, x and y in m in its first columns, in driving direction.
+    occupied : array_like, shape (H, W), bool
+        True where a wall is; row 0 is the bottom.
+    resolution : float
+        Side of a cell in m.
+    origin : array_like, shape (2,)
+        Lower left corner of cell [0, 0] in m.
+    clearance : float
+        Distance in m that the line keeps from the nearest wall cell, measured to the edge of that cell.
+    spacing : float
+        Largest distance of neighbouring points of the result in m.
+    length_weight : float
+        Weight of the length against the integral of the squared curvature, in 1/m^2, at least 0. Bends wider than about
+        ``length_weight ** -0.5`` metres are shortened rather than rounded.
+    rounds : int
+        Most quadratic programs to solve.
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+        Evenly spaced points in m, in the direction of ``centerline`` and beginning beside its first point; the last one
+        lies one step before the first.
+
+    Raises
+    ------
+    InputError
+        If a parameter is impossible.
+    MapError
+        If the line can't keep that clearance somewhere; the message says where.
+    """
+    require("scipy", "clarabel")
+    grid, resolution, corner = checked_grid(occupied, resolution, origin)
+    for name, value, least in (("clearance", clearance, 0.0), ("spacing", spacing, 1e-3), ("rounds", rounds, 1)):
+        if not (math.isfinite(value) and value >= least):
+            raise InputError(f"{name} is {value!r}: it must be a number of at least {least}")
+    if not (math.isfinite(length_weight) and length_weight >= 0.0):
+        raise InputError(f"length_weight is {length_weight!r}: it must be a number of at least 0")
+    start = checked_curve(centerline, "centre line")
+    grid, corner = _crop(grid, resolution, corner, start)
+    # The field runs to the centres of wall cells; half a cell less is their edge, in the worst direction.
+    room = distance_field(grid, resolution) - np.float32(0.5 * resolution)
+
+    line = _reference(start, room, resolution, corner, clearance)
+    # Between the points that it moves, and against the field, the line loses a little: what it lost is asked for anew.
+    slack, trust = 0.01, TRUST
+    shortfall = math.inf
+    for _ in range(rounds):
+        line, moved = _improve(line, room, resolution, corner, clearance + slack, length_weight, trust)
+        if moved > 0.02:
+            trust = max(0.8 * trust, 0.05)
+            continue
+        result = resample(line, spacing)
+        fine = resample(result, 0.25 * resolution)
+        free = wall_clearance(fine, grid, resolution, corner, clearance + 0.1)
+        shortfall = clearance - float(free.min())
+        if shortfall <= 0.0:
+            if first_crossing(result)[0] >= 0:
+                x, y = result[first_crossing(result)[0]]
+                raise MapError(f"the race line crosses itself near ({x:.2f}, {y:.2f}): is the centre line simple?")
+            return result
+        slack += shortfall + 0.002
+    if math.isinf(shortfall):
+        raise MapError(f"no race line was found in {rounds} rounds: the centre line may not follow the circuit")
+    x, y = fine[int(np.argmin(free))]
+    raise MapError(
+        f"no line keeps {clearance:.3f} m from the walls near ({x:.2f}, {y:.2f}): {free.min():.3f} m is the best found "
+        f"in {rounds} rounds"
+    )
+
+
+def raceline_rows(
+    xy: np.ndarray,
+    *,
+    lateral: float = LATERAL,
+    braking: float = BRAKING,
+    acceleration: float = ACCELERATION,
+    top_speed: float = TOP_SPEED,
+) -> np.ndarray:
+    """Rows of a ``NAME_raceline.csv``: the line with its heading, curvature and speed profile.
+
+    Parameters
+    ----------
+    xy : array_like, shape (N, 2)
+        Evenly spaced points of a closed line in m, the last one a step before the first.
+    lateral, braking, acceleration, top_speed : float
+        Limits of the speed profile (m/s^2 and m/s), see ``speed_profile``.
+
+    Returns
+    -------
+    ndarray, shape (N + 1, 7)
+        The columns ``RACELINE_COLUMNS``: arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to
+        the left), speed (m/s) and acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats
+        the first one, at s = length.
+
+    Raises
+    ------
+    MapError
+        If the line is open or not finite.
+    """
+    require("scipy")
+    xy = checked_curve(xy, "race line")
+    psi, kappa = frame(xy)
+    # Chords are shorter than arcs: measure on the spline, whose points resample spreads evenly.
+    length = curve_length(resample(xy, curve_length(xy) / (8 * len(xy))))
+    ds = length / len(xy)
+    v = speed_profile(kappa, ds, lateral=lateral, braking=braking, acceleration=acceleration, top_speed=top_speed)
+    ax = (np.roll(v, -1) ** 2 - v**2) / (2.0 * ds)
+    psi = np.mod(psi + np.pi, 2.0 * np.pi) - np.pi
+    rows = np.column_stack([np.arange(len(xy)) * ds, xy, psi, kappa, v, ax])
+    last = rows[0].copy()
+    last[0] = length
+    return np.vstack([rows, last])
+
+
+def _crop(grid: np.ndarray, resolution: float, corner: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Part of the grid around a line, ``REACH`` to every side, or an error if the line leaves the grid."""
+    height, width = grid.shape
+    cells = np.floor((line - corner) / resolution).astype(int)
+    outside = ((cells < 0) | (cells >= (width, height))).any(axis=1)
+    if outside.any():
+        x, y = line[int(np.argmax(outside))]
+        raise MapError(f"the centre line leaves the map at ({x:.2f}, {y:.2f})")
+    more = math.ceil(REACH / resolution)
+    col, row = np.maximum(cells.min(axis=0) - more, 0)
+    last_col, last_row = cells.max(axis=0) + more + 1
+    return np.ascontiguousarray(grid[row:last_row, col:last_col]), corner + resolution * np.array([col, row])
+
+
+def _reference(
+    start: np.ndarray, room: np.ndarray, resolution: float, corner: np.ndarray, clearance: float
+) -> np.ndarray:
+    """First reference: the centre line, as smooth as it can be without coming near a wall."""
+    even = resample(start, STEP)
+    for wavelength in (4.0, 2.0, 1.0):
+        line = smooth(even, wavelength)
+        if _room_at(line, room, resolution, corner).min() >= 0.5 * clearance:
+            return line
+    return even
+
+
+def _improve(
+    line: np.ndarray,
+    room: np.ndarray,
+    resolution: float,
+    corner: np.ndarray,
+    need: float,
+    length_weight: float,
+    trust: float,
+) -> tuple[np.ndarray, float]:
+    """One round: the moved line, and the longest move in m."""
+    line = resample(line, STEP)
+    ahead = np.roll(line, -1, axis=0) - line
+    step = curve_length(line) / len(line)
+    # Three-point curvature: unlike a spline's it answers to a move just as the program's second differences do, so that
+    # rounds don't overshoot in the shortest waves.
+    angle = np.arctan2(ahead[:, 1], ahead[:, 0])
+    kappa = np.mod(angle - np.roll(angle, 1) + np.pi, 2.0 * np.pi) - np.pi
+    kappa /= step
+    along = ahead + np.roll(ahead, 1, axis=0)
+    along /= np.hypot(*along.T)[:, None]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    low, high = _corridor(line, normal, room, resolution, corner, need)
+    if (low > high).any():
+        x, y = line[int(np.argmax(low > high))]
+        raise MapError(
+            f"the circuit is too narrow near ({x:.2f}, {y:.2f}): a line must have {need:.3f} m to both sides, half the "
+            f"width of a car and some air"
+        )
+    # Towards the centre of its curvature a point stops short of that centre, where neighbours would meet.
+    limit = np.minimum(trust, 0.8 / np.maximum(np.abs(kappa), 1e-9))
+    high = np.maximum(np.minimum(high, np.where(kappa > 0.0, limit, trust)), low)
+    low = np.minimum(np.maximum(low, -np.where(kappa < 0.0, limit, trust)), high)
+    move = _solve(kappa, step, low, high, length_weight)
+    return line + move[:, None] * normal, float(np.abs(move).max())
+
+
+def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray, length_weight: float) -> np.ndarray:
+    """Moves a along the left normals, low <= a <= high, that minimise a quadratic model of the line's cost.
+
+    To first order a move changes the curvature to ``kappa + kappa^2 a + a''`` and the length element to ``1 - kappa a``
+    (plus ``a'^2 / 2``). The cost is the integral of kappa^2, of CHATTER times the squared change of kappa, and of
+    ``length_weight``.
+    """
+    import clarabel
+    from scipy import sparse
+
+    n = len(kappa)
+    one = sparse.identity(n, format="csc")
+    shift = sparse.csc_matrix((np.ones(n), (np.arange(n), (np.arange(n) + 1) % n)), shape=(n, n))
+    slope = (shift - one) / step
+    bend = sparse.diags(kappa**2) + (shift - 2.0 * one + shift.T) / step**2
+    metric = one + CHATTER * (slope.T @ slope)
+    P = 2.0 * bend.T @ metric @ bend + length_weight * slope.T @ slope
+    q = 2.0 * bend.T @ (metric @ kappa) - kappa**3 - length_weight * kappa
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-6
+    solver = clarabel.DefaultSolver(
+        sparse.triu(P, format="csc"),
+        q,
+        sparse.vstack([one, -one], format="csc"),
+        np.concatenate([high, -low]),
+        [clarabel.NonnegativeConeT(2 * n)],
+        settings,
+    )
+    return np.clip(np.asarray(solver.solve().x), low, high)
+
+
+@njit(cache=True, nogil=True)
+def _look_up(room, u, v):  # type: ignore[no-untyped-def]
+    """Bilinear value of the field at column u and row v, counted from cell centres; 0 outside."""
+    rows, cols = room.shape
+    if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
+        return 0.0
+    j = int(u)
+    i = int(v)
+    fu = u - j
+    fv = v - i
+    low = room[i, j] * (1.0 - fu) + room[i, j + 1] * fu
+    high = room[i + 1, j] * (1.0 - fu) + room[i + 1, j + 1] * fu
+    return low * (1.0 - fv) + high * fv
+
+
+@njit(cache=True, nogil=True)
+def _room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
+    out = np.empty(line.shape[0])
+    for k in range(line.shape[0]):
+        u = (line[k, 0] - corner[0]) / resolution - 0.5
+        v = (line[k, 1] - corner[1]) / resolution - 0.5
+        out[k] = _look_up(room, u, v)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _corridor(line, normal, room, resolution, corner, need):  # type: ignore[no-untyped-def]
+    """How far each point may move along its normal, to the right (low) and to the left (high), with ``need`` of room.
+
+    A point that lacks room itself may (and must) move to the nearest place that has it, on this side of the next wall.
+    Where there is none, low = 1 and high = -1.
+    """
+    n = line.shape[0]
+    low = np.empty(n)
+    high = np.empty(n)
+    step = 0.01
+    for k in range(n):
+        u = (line[k, 0] - corner[0]) / resolution - 0.5
+        v = (line[k, 1] - corner[1]) / resolution - 0.5
+        du = normal[k, 0] / resolution
+        dv = normal[k, 1] / resolution
+        base = 0.0
+        found = _look_up(room, u, v) >= need
+        free_left = True
+        free_right = True
+        m = 0
+        while not found and m * step < REACH and (free_left or free_right):
+            m += 1
+            if free_left:
+                r = _look_up(room, u + m * step * du, v + m * step * dv)
+                free_left = r > 0.0
+                if r >= need:
+                    base = m * step
+                    found = True
+            if free_right and not found:
+                r = _look_up(room, u - m * step * du, v - m * step * dv)
+                free_right = r > 0.0
+                if r >= need:
+                    base = -m * step
+                    found = True
+        if not found:
+            low[k] = 1.0
+            high[k] = -1.0
+            continue
+        for side in (1.0, -1.0):
+            a = 0.0
+            r = _look_up(room, u + base * du, v + base * dv)
+            while a < REACH:
+                # No wall is nearer than r, so room can't run out within r - need.
+                ahead = max(step, 0.9 * (r - need))
+                x = base + side * (a + ahead)
+                r = _look_up(room, u + x * du, v + x * dv)
+                if r < need:
+                    break
+                a += ahead
+            if side > 0.0:
+                high[k] = base + a
+            else:
+                low[k] = base - a
+    return low, high
