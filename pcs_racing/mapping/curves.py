@@ -4,8 +4,9 @@ import numpy as np
 from numba import njit
 
 from pcs_racing.errors import MapError
+from pcs_racing.splines import sample_closed
 
-__all__ = ["checked_curve", "curve_length", "first_crossing", "frame", "resample", "signed_area", "smooth"]
+__all__ = ["checked_curve", "curve_length", "first_crossing", "resample", "signed_area", "smooth"]
 
 
 def checked_curve(points: np.ndarray, what: str) -> np.ndarray:
@@ -52,14 +53,6 @@ def signed_area(xy: np.ndarray) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def _spline(xy: np.ndarray):  # type: ignore[no-untyped-def]
-    from scipy.interpolate import CubicSpline
-
-    closed = np.vstack([xy, xy[:1]])
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
-    return CubicSpline(s, closed, bc_type="periodic"), s
-
-
 def resample(xy: np.ndarray, step: float) -> np.ndarray:
     """Evenly spaced points on the periodic cubic spline through a closed curve.
 
@@ -68,34 +61,14 @@ def resample(xy: np.ndarray, step: float) -> np.ndarray:
     xy : ndarray, shape (N, 2)
         In m.
     step : float
-        Largest distance of neighbours along the curve, m.
+        Wanted distance of neighbours along the curve in m; the nearest one that divides the length is used.
 
     Returns
     -------
     ndarray, shape (M, 2)
-        The first point is kept; the spacing is length / M <= step.
+        The first point is kept.
     """
-    spline, s = _spline(xy)
-    # The arc length is measured on a fine polyline: 8 chords a step are off by less than 1e-3 of a step.
-    fine = np.linspace(0.0, s[-1], 8 * len(xy) + 1)
-    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(spline(fine), axis=0).T))])
-    n = max(int(np.ceil(length[-1] / step)), 8)
-    return spline(np.interp(np.arange(n) * (length[-1] / n), length, fine))
-
-
-def frame(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Heading and curvature of the periodic cubic spline through a closed curve, at its points.
-
-    Returns
-    -------
-    psi : ndarray, shape (N,)
-        Heading ``atan2(dy, dx)`` in rad, continuous along the curve.
-    kappa : ndarray, shape (N,)
-        Curvature in 1/m, positive to the left.
-    """
-    spline, s = _spline(xy)
-    (dx, dy), (ddx, ddy) = spline(s[:-1], 1).T, spline(s[:-1], 2).T
-    return np.unwrap(np.arctan2(dy, dx)), (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
+    return sample_closed(xy, step).xy
 
 
 def smooth(xy: np.ndarray, wavelength: float) -> np.ndarray:

@@ -6,10 +6,12 @@ import numpy as np
 from numba import njit
 
 from pcs_racing.errors import InputError, MapError
-from pcs_racing.mapping.curves import checked_curve, curve_length, first_crossing, frame, resample, smooth
-from pcs_racing.mapping.grid import checked_grid, distance_field, wall_clearance
+from pcs_racing.grid import distance_to_walls
+from pcs_racing.mapping.clearance import checked_grid, wall_clearance
+from pcs_racing.mapping.curves import checked_curve, curve_length, first_crossing, resample, smooth
 from pcs_racing.mapping.optional import require
 from pcs_racing.mapping.speed import ACCELERATION, BRAKING, LATERAL, TOP_SPEED, speed_profile
+from pcs_racing.splines import sample_closed
 
 __all__ = ["CLEARANCE", "RACELINE_COLUMNS", "minimum_curvature_raceline", "raceline_rows"]
 
@@ -22,6 +24,7 @@ RACELINE_COLUMNS = ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax
 STEP = 0.25  # spacing of the points that the program moves, m
 REACH = 3.0  # how far along its normal a point may see, m
 TRUST = 0.5  # how far a point may move in one round, m: the program is linearised
+SETTLED = 0.05  # moves below this are the walls' pixels, m
 CHATTER = 0.1  # weight of the squared change of curvature along the line, m^2
 
 
@@ -87,17 +90,16 @@ def minimum_curvature_raceline(
         raise InputError(f"length_weight is {length_weight!r}: it must be a number of at least 0")
     start = checked_curve(centerline, "centre line")
     grid, corner = _crop(grid, resolution, corner, start)
-    # The field runs to the centres of wall cells; half a cell less is their edge, in the worst direction.
-    room = distance_field(grid, resolution) - np.float32(0.5 * resolution)
+    room = distance_to_walls(~grid, resolution)
 
     line = _reference(start, room, resolution, corner, clearance)
     # Between the points that it moves, and against the field, the line loses a little: what it lost is asked for anew.
-    slack, trust = 0.01, TRUST
+    slack, trust = 0.005, TRUST
     shortfall = math.inf
     for _ in range(rounds):
         line, moved = _improve(line, room, resolution, corner, clearance + slack, length_weight, trust)
-        if moved > 0.02:
-            trust = max(0.8 * trust, 0.05)
+        trust = max(0.8 * trust, 0.02)
+        if moved > SETTLED:
             continue
         result = resample(line, spacing)
         fine = resample(result, 0.25 * resolution)
@@ -108,7 +110,7 @@ def minimum_curvature_raceline(
                 x, y = result[first_crossing(result)[0]]
                 raise MapError(f"the race line crosses itself near ({x:.2f}, {y:.2f}): is the centre line simple?")
             return result
-        slack += shortfall + 0.002
+        slack += shortfall + 0.001
     if math.isinf(shortfall):
         raise MapError(f"no race line was found in {rounds} rounds: the centre line may not follow the circuit")
     x, y = fine[int(np.argmin(free))]
@@ -121,6 +123,7 @@ def minimum_curvature_raceline(
 def raceline_rows(
     xy: np.ndarray,
     *,
+    spacing: float = 0.2,
     lateral: float = LATERAL,
     braking: float = BRAKING,
     acceleration: float = ACCELERATION,
@@ -131,7 +134,9 @@ def raceline_rows(
     Parameters
     ----------
     xy : array_like, shape (N, 2)
-        Evenly spaced points of a closed line in m, the last one a step before the first.
+        Points of a closed line in m, the last one a step before the first.
+    spacing : float
+        Wanted distance of the rows along the line in m.
     lateral, braking, acceleration, top_speed : float
         Limits of the speed profile (m/s^2 and m/s), see ``speed_profile``.
 
@@ -147,25 +152,21 @@ def raceline_rows(
     MapError
         If the line is open or not finite.
     """
-    require("scipy")
-    xy = checked_curve(xy, "race line")
-    psi, kappa = frame(xy)
-    # Chords are shorter than arcs: measure on the spline, whose points resample spreads evenly.
-    length = curve_length(resample(xy, curve_length(xy) / (8 * len(xy))))
-    ds = length / len(xy)
-    v = speed_profile(kappa, ds, lateral=lateral, braking=braking, acceleration=acceleration, top_speed=top_speed)
+    line = sample_closed(checked_curve(xy, "race line"), spacing)
+    ds = line.length / len(line.xy)
+    v = speed_profile(line.kappa, ds, lateral=lateral, braking=braking, acceleration=acceleration, top_speed=top_speed)
     ax = (np.roll(v, -1) ** 2 - v**2) / (2.0 * ds)
-    psi = np.mod(psi + np.pi, 2.0 * np.pi) - np.pi
-    rows = np.column_stack([np.arange(len(xy)) * ds, xy, psi, kappa, v, ax])
+    psi = np.mod(line.psi + np.pi, 2.0 * np.pi) - np.pi
+    rows = np.column_stack([np.arange(len(v)) * ds, line.xy, psi, line.kappa, v, ax])
     last = rows[0].copy()
-    last[0] = length
+    last[0] = line.length
     return np.vstack([rows, last])
 
 
 def _crop(grid: np.ndarray, resolution: float, corner: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Part of the grid around a line, ``REACH`` to every side, or an error if the line leaves the grid."""
     height, width = grid.shape
-    cells = np.floor((line - corner) / resolution).astype(int)
+    cells = np.floor((line - corner) / resolution).astype(int)  # column, row
     outside = ((cells < 0) | (cells >= (width, height))).any(axis=1)
     if outside.any():
         x, y = line[int(np.argmax(outside))]
@@ -173,7 +174,9 @@ def _crop(grid: np.ndarray, resolution: float, corner: np.ndarray, line: np.ndar
     more = math.ceil(REACH / resolution)
     col, row = np.maximum(cells.min(axis=0) - more, 0)
     last_col, last_row = cells.max(axis=0) + more + 1
-    return np.ascontiguousarray(grid[row:last_row, col:last_col]), corner + resolution * np.array([col, row])
+    # A rim of walls, one cell wide, closes the part: outside the map there is no track.
+    part = np.pad(grid[row:last_row, col:last_col], 1, constant_values=True)
+    return part, corner + resolution * (np.array([col, row]) - 1)
 
 
 def _reference(
