@@ -73,8 +73,8 @@ def centerline_from_grid(
     to_outside = distance_to_walls(region | hole, resolution)
     line = _zero_contour(to_outside - to_hole) * resolution + corner
     line = resample(smooth(resample(line, 0.1), SMOOTHING), SPACING)
-    first = _straightest(line) if seed is None else int(np.argmin(np.hypot(*(line - seed).T)))
-    line = _directed(np.roll(line, -first, axis=0), direction)
+    first = straightest(line) if seed is None else int(np.argmin(np.hypot(*(line - seed).T)))
+    line = directed(np.roll(line, -first, axis=0), direction)
     cells = ((line - corner) / resolution - 0.5).T[::-1]
     inner, outer = (ndimage.map_coordinates(field, cells, order=1) for field in (to_hole, to_outside))
     left, right = (inner, outer) if signed_area(line) > 0.0 else (outer, inner)
@@ -173,7 +173,7 @@ def _zero_contour(values: np.ndarray) -> np.ndarray:
     return max(closed, key=len)[:-1, ::-1] + 0.5
 
 
-def _straightest(line: np.ndarray) -> int:
+def straightest(line: np.ndarray) -> int:
     """Index of the point in the middle of the straightest stretch."""
     ahead = np.roll(line, -1, axis=0) - line
     angle = np.arctan2(ahead[:, 1], ahead[:, 0])
@@ -184,7 +184,7 @@ def _straightest(line: np.ndarray) -> int:
     return int(np.argmin(blame))
 
 
-def _directed(line: np.ndarray, direction: str | float | None) -> np.ndarray:
+def directed(line: np.ndarray, direction: str | float | None) -> np.ndarray:
     """The line, reversed about its first point if it runs against the direction."""
     if direction is None or isinstance(direction, str):
         against = (signed_area(line) < 0.0) != (direction == "clockwise")
