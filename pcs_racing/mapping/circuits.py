@@ -254,7 +254,8 @@ def _draft(
     samples = sample_closed(line, 0.3)
     if not shortest <= samples.length <= longest:
         return None, "of the wrong length"
-    if np.abs(samples.kappa).max() > 1.0 / least:
+    # Judged as a reader sees it, who knows only the points.
+    if np.abs(sample_closed(samples.xy, 0.1).kappa).max() > 1.0 / least:
         return None, "too tight"
     if not _apart(samples.xy, samples.length / len(samples.xy), width + 2.0 * WALL + 0.2):
         return None, "too close to itself"

@@ -61,13 +61,13 @@ def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8
     )
     road = np.ma.masked_equal(arrays.distance > 0.0, False)
     axes.imshow(road, cmap=ListedColormap(["#e4e6ea"]), origin="lower", extent=extent, interpolation="nearest")
-    axes.add_collection(LineCollection(list(arrays.walls.reshape(-1, 2, 2)), colors="#30343b", linewidths=1.0))
+    axes.add_collection(LineCollection(list(arrays.walls.reshape(-1, 2, 2)), colors="#30343b", linewidths=1.2))
 
     segments = np.stack([xy, np.roll(xy, -1, axis=0)], axis=1)
-    speeds = LineCollection(list(segments), cmap="turbo_r", linewidths=1.8, capstyle="round")
+    speeds = LineCollection(list(segments), cmap="turbo", linewidths=1.8, capstyle="round")
     speeds.set_array(line[:, SPEED])
     axes.add_collection(speeds)
-    figure.colorbar(speeds, ax=axes, label="speed (m/s)", shrink=0.8)
+    figure.colorbar(speeds, ax=axes, label="speed (m/s)", shrink=0.6, aspect=30)
 
     along = np.array([np.cos(line[0, PSI]), np.sin(line[0, PSI])])
     left = np.array([-along[1], along[0]])

@@ -24,6 +24,7 @@ RACELINE_COLUMNS = ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax
 STEP = 0.25  # spacing of the points that the program moves, m
 REACH = 3.0  # how far along its normal a point may see, m
 TRUST = 0.5  # how far a point may move in one round, m: the program is linearised
+RESERVE = 5e-4  # m
 SETTLED = 0.05  # moves below this are the walls' pixels, m
 CHATTER = 0.1  # weight of the squared change of curvature along the line, m^2
 
@@ -104,7 +105,8 @@ def minimum_curvature_raceline(
         result = resample(line, spacing)
         fine = resample(result, 0.25 * resolution)
         free = wall_clearance(fine, grid, resolution, corner, clearance + 0.1)
-        shortfall = clearance - float(free.min())
+        # Between two fine points the wall can be nearer by about (spacing / 2)^2 / (2 clearance): less than RESERVE.
+        shortfall = clearance + RESERVE - float(free.min())
         if shortfall <= 0.0:
             if first_crossing(result)[0] >= 0:
                 x, y = result[first_crossing(result)[0]]
