@@ -37,7 +37,7 @@ def minimum_curvature_raceline(
     *,
     clearance: float = CLEARANCE,
     spacing: float = 0.2,
-    length_weight: float = 0.05,
+    length_weight: float = 0.08,
     rounds: int = 20,
 ) -> np.ndarray:
     """Closed line of least squared curvature on a circuit, at least ``clearance`` away from every wall.
