@@ -33,8 +33,8 @@ circuit      | centre line             | race line                         | shi
              | mean    worst    time   | time    length clearance lap      | clearance lap   | clearance"""
 ROW = (
     "{circuit:12} | {centre_mean_m:.4f} m {centre_worst_m:.3f} m {centre_s:.2f} s | {race_s:.2f} s "
-    "{race_length_m:7.1f} m {race_clearance_m:.3f} m {race_lap_s:.2f} s | {shipped_clearance_m:.3f} m {shipped_lap_s:.2f} s | "
-    "{equal_clearance_lap_s:.2f} s"
+    "{race_length_m:7.1f} m {race_clearance_m:.3f} m {race_lap_s:.2f} s | "
+    "{shipped_clearance_m:.3f} m {shipped_lap_s:.2f} s | {equal_clearance_lap_s:.2f} s"
 )
 
 
