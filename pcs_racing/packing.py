@@ -17,6 +17,7 @@ from pcs_racing.errors import InputError
 __all__ = [
     "COARSE",
     "FINE",
+    "join_segments",
     "pack",
     "pack_costs",
     "pack_paths",
@@ -138,31 +139,35 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
     return values
 
 
-def pack_segments(segments: np.ndarray) -> dict[str, Any]:
-    """Write segments of shape (S, 4), joined end to start into polylines (which may change their order)."""
-    segments = np.rint(segments * COARSE) / COARSE + 0.0
-    following: dict[tuple[float, float], list[int]] = {}
-    for i in range(len(segments) - 1, -1, -1):
-        following.setdefault((segments[i, 0], segments[i, 1]), []).append(i)
-    free = [True] * len(segments)
-    points: list[tuple[float, float]] = []
-    counts: list[int] = []
-    for first in range(len(segments)):
+def join_segments(segments: np.ndarray) -> list[np.ndarray]:
+    """Join segments (S, 4) end to start into polylines (n, 2), rounded to 1 cm; a loop ends with its first point."""
+    ends = [tuple(row) for row in (np.rint(segments * COARSE) / COARSE + 0.0).tolist()]
+    following: dict[tuple[float, ...], list[int]] = {}
+    for i in range(len(ends) - 1, -1, -1):
+        following.setdefault(ends[i][:2], []).append(i)
+    free = [True] * len(ends)
+    polylines = []
+    for first in range(len(ends)):
         if not free[first]:
             continue
-        points.append((segments[first, 0], segments[first, 1]))
-        counts.append(1)
+        points = [ends[first][:2]]
         ahead = [first]
         while ahead:
             i = ahead[-1]
             free[i] = False
-            end = (segments[i, 2], segments[i, 3])
-            points.append(end)
-            counts[-1] += 1
-            ahead = following.get(end, [])
+            points.append(ends[i][2:])
+            ahead = following.get(ends[i][2:], [])
             while ahead and not free[ahead[-1]]:
                 ahead.pop()
-    return {"points": pack(np.array(points).reshape(-1, 2), COARSE, [0]), "counts": pack(np.array(counts), 1)}
+        polylines.append(np.array(points))
+    return polylines
+
+
+def pack_segments(segments: np.ndarray) -> dict[str, Any]:
+    """Write segments of shape (S, 4) as polylines (which may change their order)."""
+    polylines = join_segments(segments)
+    counts = np.array([len(points) for points in polylines])
+    return {"points": pack(np.vstack([np.empty((0, 2)), *polylines]), COARSE, [0]), "counts": pack(counts, 1)}
 
 
 def unpack_segments(packed: object, name: str) -> np.ndarray:

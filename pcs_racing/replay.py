@@ -43,7 +43,7 @@ _LARGEST_FILE = 500_000_000
 _DATA = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.DOTALL)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class ReplayEvent:
     """Something that happened at one moment of a race.
 
@@ -151,6 +151,8 @@ class Replay:
         self._set_array("progress", ("T", 2), sizes)
         self._set_array("walls", ("S", 4), sizes)
         self._set_array("line", ("N", 2), sizes)
+        if len(self.line) < 3:
+            raise InputError(f"line must have at least three points, got shape {self.line.shape}")
         self._set_array("line_speed", ("N",), sizes)
         self._set_array("half_sizes", (2, 2), sizes)
         if not np.all((np.asarray(self.half_sizes) > 0.0) & (np.asarray(self.half_sizes) < 100.0)):
