@@ -1,0 +1,52 @@
+"""How this package compiles its hot paths, and the line that says so when the first time takes a while."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+
+__all__ = ["announce_compilation", "compiled"]
+
+
+def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function with numba: cached on disk, without the GIL, and with IEEE division.
+
+    Division by zero then gives infinity as in numpy. A check for it would keep the compiler from using vector instructions.
+
+    Parameters
+    ----------
+    function : callable, optional
+        What to compile; without it, a decorator is returned.
+    **options
+        Further options of :func:`numba.njit`.
+    """
+    decorate = njit(cache=True, nogil=True, error_model="numpy", **options)
+    return decorate if function is None else decorate(function)
+
+
+_announced: set[str] = set()
+
+
+@contextmanager
+def announce_compilation(dispatcher: Any, what: str, seconds: int) -> Iterator[None]:
+    """Print a line to stderr if a compiled function is neither in memory nor in numba's cache on disk.
+
+    Parameters
+    ----------
+    dispatcher : numba dispatcher
+        The function about to be called.
+    what : str
+        What is being compiled, for the reader.
+    seconds : int
+        About how long it takes.
+    """
+    if what not in _announced and not dispatcher.signatures:
+        _announced.add(what)
+        name = f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__qualname__}-"
+        cache = Path(dispatcher.stats.cache_path)
+        if not (cache.is_dir() and any(entry.name.startswith(name) for entry in cache.glob("*.nbc"))):
+            print(f"pcs-racing: compiling {what} (about {seconds} s, once; it is cached on disk)", file=sys.stderr, flush=True)
+    yield

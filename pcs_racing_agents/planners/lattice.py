@@ -1,0 +1,440 @@
+"""The lattice planner of the paper: spirals to a lattice of goals, each at several speeds, chosen by a weighted cost.
+
+Ten times a second the planner lays a lattice of goals around the race line ahead (two distances, eight positions across the
+track), joins each to the car by a cubic spiral, and drives each spiral at four speeds: 64 candidates. A candidate that leaves
+the track or meets the predicted opponent is rejected; of the others the one with the smallest weighted sum of costs wins. The
+weights, on a log scale, and a few traits (pace, late braking, side margin) are the parameters of the policy.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing import frenet as _frenet
+from pcs_racing import planner as _view
+from pcs_racing.compilation import compiled
+from pcs_racing.frenet import angle_between, to_cartesian, wrap_s
+from pcs_racing.planner import PATH_POINTS, Parameter, Planner
+from pcs_racing_agents.planners import spiral
+from pcs_racing_agents.planners.spiral import SEGMENTS, sample_spirals, sine_cosine, solve_spirals, spiral_curvature
+
+__all__ = ["LATTICE"]
+
+ACROSS = 8
+DISTANCES = 2
+GOALS = spiral.SPIRALS
+assert GOALS == ACROSS * DISTANCES
+SPEEDS = 4
+CANDIDATES = GOALS * SPEEDS
+
+HORIZON_STEPS = 10
+HORIZON_STEP = 0.15  # s
+REJECT_STEPS = 7  # overlaps within about a second reject a candidate, later ones cost
+REJECTED = 1e6  # costs from here on mean that a candidate was rejected
+FAR = 1.5
+BODY_AIR = 0.06  # m to keep from a wall
+GRIP = 6.0  # m/s^2, lateral acceleration that a candidate may ask for at speed scale 1
+SIGHT = 12.0  # m within which the opponent is predicted
+CLOSE = 4.0  # m along the track within which a predicted opponent costs
+
+_SPEED_FACTORS = (1.0, 0.94, 0.84, 0.65)
+
+_WEIGHTS = (
+    ("length", -1.0, "length of the spiral: 2.5 m over its length"),
+    ("max_curvature", -1.0, "largest curvature, 1/m"),
+    ("mean_curvature", -1.0, "mean curvature, 1/m"),
+    ("curvature_rate", -1.5, "largest change of curvature in time, 1/(m s)"),
+    ("lateral_acceleration", -1.0, "largest lateral acceleration, in 10 m/s^2"),
+    ("braking", -1.5, "change of speed along the candidate, in 10 m/s^2"),
+    ("similarity", 0.0, "squared distance to the previous plan, m^2"),
+    ("progress", 0.5, "time per metre of progress, relative to the fastest profile"),
+    ("deviation", 0.0, "mean distance from the race line, m"),
+    ("walls", -0.5, "nearness to walls: mean of 0.1 / (air + 0.1 m)"),
+    ("proximity", -0.5, "nearness to the predicted opponent: discounted mean of 0.3 / (distance^2 + 0.3 m^2)"),
+    ("overtaking", 0.0, "how far behind the predicted opponent the candidate ends, in 5 m"),
+    ("blocking", -0.5, "distance from the line of an opponent that closes from behind, m"),
+)
+(
+    LENGTH,
+    MAX_CURVATURE,
+    MEAN_CURVATURE,
+    CURVATURE_RATE,
+    LATERAL,
+    BRAKING,
+    SIMILARITY,
+    PROGRESS,
+    DEVIATION,
+    WALLS,
+    PROXIMITY,
+    OVERTAKING,
+    BLOCKING,
+) = range(len(_WEIGHTS))
+PACE, LATE_BRAKING, SIDE_MARGIN = range(len(_WEIGHTS), len(_WEIGHTS) + 3)
+
+PARAMETERS = (
+    *(Parameter(name, -2.0, 1.0, default, f"log10 weight of {what}") for name, default, what in _WEIGHTS),
+    Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
+    Parameter("late_braking", 0.0, 0.15, 0.03, "by how long the braking point is put off, s"),
+    Parameter("side_margin", 0.05, 0.35, 0.15, "air to keep beside the opponent, m"),
+)
+
+# Memory: the previous plan as a cubic in d over arc length.
+_M_VALID, _M_S, _M_D, _M_SLOPE, _M_LENGTH, _M_GOAL = range(6)
+MEMORY = 6
+
+# Rows of the scratch after the spirals' own block, each GOALS wide: position across the track, nearness to walls, least air
+# beside a wall, cost whatever the speed; trouble, proximity and cost at the speed under study; then all costs.
+_GOAL_D, _PER_LENGTH, _WALL_COST, _MIN_AIR, _BASE, _TROUBLE, _PROXIMITY, _COST, _ALL_COSTS = (
+    spiral.BLOCK + GOALS * k for k in range(9)
+)
+# Predictions: own arc lengths and speeds at each speed profile, the opponent's arc length and position across the track.
+_OWN_S = _ALL_COSTS + SPEEDS * GOALS
+_OWN_V = _OWN_S + SPEEDS * HORIZON_STEPS
+_OPP_S = _OWN_V + SPEEDS * HORIZON_STEPS
+_OPP_D = _OPP_S + HORIZON_STEPS
+SCRATCH = _OPP_D + HORIZON_STEPS
+
+_PATH_BASIS = np.array([spiral.heading_basis(j / (PATH_POINTS - 1)) for j in range(1, PATH_POINTS)])
+
+
+@compiled(inline="always")
+def _near(v):  # type: ignore[no-untyped-def]
+    """Distance of the near goals in m; the far ones are ``FAR`` times as far."""
+    return 1.5 + 0.16 * v
+
+
+@compiled(inline="always")
+def _speed_at(track, s):  # type: ignore[no-untyped-def]
+    """Speed of the profile at an arc length in (-length, 2 length)."""
+    n = track.line.shape[0]
+    i = int(s / track.ds + n) - n
+    if i < 0:
+        i += n
+    elif i >= n:
+        i -= n
+    return track.line[i, _frenet.SPEED]
+
+
+@compiled(inline="always")
+def _target_speed(track, s, v, late_braking):  # type: ignore[no-untyped-def]
+    """Speed of the profile, the braking point put off, the acceleration out of corners not."""
+    return max(_speed_at(track, s), _speed_at(track, s - v * late_braking))
+
+
+@compiled(inline="always")
+def _power_of_ten(x):  # type: ignore[no-untyped-def]
+    """10**x for x in [-2, 1] to a relative 1e-9, cheaper than the library's power."""
+    t = x * (2.302585092994046 / 16.0)
+    t = 1.0 + t * (1.0 + t * (1 / 2 + t * (1 / 6 + t * (1 / 24 + t * (1 / 120 + t * (1 / 720 + t / 5040))))))
+    t *= t
+    t *= t
+    t *= t
+    return t * t
+
+
+@compiled(inline="always")
+def _hermite(u, d0, slope0, d1):  # type: ignore[no-untyped-def]
+    """Cubic from d0 with slope0 (per unit of u) to d1 with slope 0; constant from u = 1 on."""
+    u = min(max(u, 0.0), 1.0)
+    q = 1.0 - u
+    return d1 + q * q * ((1.0 + 2.0 * u) * (d0 - d1) + u * slope0)
+
+
+@compiled
+def _lay_goals(track, view, distance, first, course, scratch):  # type: ignore[no-untyped-def]
+    """Put one row of goals across the track, ``distance`` ahead, in the frame of the car's velocity."""
+    s = view[_view.OWN_S] + distance
+    sample = track.line[int(wrap_s(track, s) / track.ds) % track.line.shape[0]]
+    keep = 0.5 * view[_view.OWN_WIDTH] + BODY_AIR
+    right = -max(sample[_frenet.RIGHT] - keep, 0.0)
+    left = max(sample[_frenet.LEFT] - keep, 0.0)
+    step = (left - right) / (ACROSS - 1)
+    on_line = int(-right / step + 0.5) if step > 1e-9 else 0
+    c = np.cos(course)
+    sn = np.sin(course)
+    # The same for the whole row: where the line is, and which way across the track.
+    x, y, psi = to_cartesian(track, s, 0.0)
+    heading = angle_between(psi, course)
+    dx = x - view[_view.OWN_X]
+    dy = y - view[_view.OWN_Y]
+    line_x = dx * c + dy * sn
+    line_y = -dx * sn + dy * c
+    across_x = -np.sin(heading)
+    across_y = np.cos(heading)
+    for k in range(ACROSS):
+        g = first + k
+        d = 0.0 if k == on_line else right + k * step
+        scratch[spiral.GOAL_X + g] = line_x + d * across_x
+        scratch[spiral.GOAL_Y + g] = line_y + d * across_y
+        scratch[spiral.GOAL_HEADING + g] = heading
+        scratch[spiral.GOAL_KAPPA + g] = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * d, 0.25)
+        scratch[_GOAL_D + g] = d
+
+
+@compiled
+def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
+    """Air beside each spiral's points, from the distance field."""
+    height, width = track.distance.shape
+    per_cell = 1.0 / track.cell
+    for g in range(GOALS):
+        nearest = 1e9
+        total = 0.0
+        for j in range(1, SEGMENTS + 1):
+            col = int((scratch[spiral.POINT_X + j * GOALS + g] - track.origin_x) * per_cell)
+            row = int((scratch[spiral.POINT_Y + j * GOALS + g] - track.origin_y) * per_cell)
+            air = -half_width
+            if 0 <= col < width and 0 <= row < height:
+                air += track.distance[row, col]
+            nearest = min(nearest, air)
+            total += 0.1 / (max(air, 0.0) + 0.1)
+        scratch[_WALL_COST + g] = total / SEGMENTS
+        scratch[_MIN_AIR + g] = nearest
+        scratch[_PER_LENGTH + g] = 1.0 / scratch[spiral.LENGTH + g]
+
+
+@compiled
+def _predict(track, s, v, target_scale, late_braking, scratch, f):  # type: ignore[no-untyped-def]
+    """Drive along the race line from (s, v) towards the scaled profile; keeps arc lengths (unwrapped) and speeds."""
+    for k in range(HORIZON_STEPS):
+        target = target_scale * _target_speed(track, s, v, late_braking)
+        v += min(max(target - v, -6.0 * HORIZON_STEP), 3.5 * HORIZON_STEP)
+        s += v * HORIZON_STEP
+        scratch[_OWN_S + f * HORIZON_STEPS + k] = s
+        scratch[_OWN_V + f * HORIZON_STEPS + k] = v
+
+
+@compiled(fastmath=spiral.FAST)
+def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side):  # type: ignore[no-untyped-def]
+    """Trouble (overlap within a second) and proximity of all spirals at one speed with the predicted opponent."""
+    for g in range(GOALS):
+        scratch[_TROUBLE + g] = 0.0
+        scratch[_PROXIMITY + g] = 0.0
+    fade = 1.0
+    for k in range(HORIZON_STEPS):
+        driven = scratch[_OWN_S + f * HORIZON_STEPS + k] - s0
+        gap = abs(scratch[_OWN_S + f * HORIZON_STEPS + k] - scratch[_OPP_S + k])
+        opp_d = scratch[_OPP_D + k]
+        long_air = max(gap - long_reach, 0.0)
+        hard = fade * (REJECTED if k < REJECT_STEPS else 10.0)
+        if gap >= long_reach:
+            hard = 0.0
+        if gap > CLOSE:
+            fade *= 0.85
+            continue
+        for g in range(GOALS):
+            share = driven * scratch[_PER_LENGTH + g]
+            across = abs(_hermite(share, d0, slope0 * scratch[spiral.LENGTH + g], scratch[_GOAL_D + g]) - opp_d)
+            deep = max(side_reach - across, 0.0)
+            scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
+            side_air = max(across - soft_side, 0.0)
+            scratch[_PROXIMITY + g] += fade * 0.3 / (long_air * long_air + side_air * side_air + 0.3)
+        fade *= 0.85
+
+
+@compiled(fastmath=spiral.FAST)
+def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend, opponent_d):  # type: ignore[no-untyped-def]
+    """Sum up what a spiral costs whatever the speed, rejections by walls included, into the base row."""
+    w_length = 2.5 * _power_of_ten(theta[LENGTH])
+    w_max = _power_of_ten(theta[MAX_CURVATURE])
+    w_mean = _power_of_ten(theta[MEAN_CURVATURE])
+    w_similarity = _power_of_ten(theta[SIMILARITY]) if remembered else 0.0
+    w_deviation = 0.5 * _power_of_ten(theta[DEVIATION])
+    w_walls = _power_of_ten(theta[WALLS])
+    before = max(memory[_M_LENGTH], 0.1)
+    before_d = memory[_M_D]
+    before_slope = memory[_M_SLOPE] * before
+    before_goal = memory[_M_GOAL]
+    for g in range(GOALS):
+        length = scratch[spiral.LENGTH + g]
+        goal = scratch[_GOAL_D + g]
+        middle = _hermite(0.5, d0, slope * length, goal)
+        change = goal - _hermite((since + length) / before, before_d, before_slope, before_goal)
+        middle_change = middle - _hermite((since + 0.5 * length) / before, before_d, before_slope, before_goal)
+        tight = max(0.02 - scratch[_MIN_AIR + g], 0.0)
+        scratch[_BASE + g] = (
+            w_length / length
+            + w_max * scratch[spiral.MAX_KAPPA + g]
+            + w_mean * scratch[spiral.MEAN_KAPPA + g]
+            + w_walls * scratch[_WALL_COST + g]
+            + w_deviation * (abs(middle) + abs(goal))
+            + w_similarity * (change * change + middle_change * middle_change)
+            + defend * abs(goal - opponent_d)
+            + REJECTED * (1.0 + 3.0 * tight) * (1.0 if tight > 0.0 else 0.0)
+            + 100.0 * REJECTED * scratch[spiral.BROKEN + g]
+        )
+
+
+@compiled
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Choose a candidate and write its path."""
+    v = max(view[_view.OWN_V], 0.5)
+    s0 = view[_view.OWN_S]
+    d0 = view[_view.OWN_D]
+    course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
+    here = track.line[int(s0 / track.ds) % track.line.shape[0]]
+    slope = np.tan(min(max(angle_between(course, here[_frenet.PSI]), -1.2), 1.2))
+    scale = view[_view.SPEED_LOW] + theta[PACE] * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
+    # The yaw rate lags the steering; half of each is where the car is about to be.
+    kappa0 = 0.5 * (view[_view.OWN_PSI_DOT] / v + np.tan(view[_view.OWN_DELTA]) / view[_view.WHEELBASE])
+    kappa0 = min(max(kappa0, -1.2), 1.2)
+    late = theta[LATE_BRAKING]
+
+    near = _near(v)
+    _lay_goals(track, view, near, 0, course, scratch)
+    _lay_goals(track, view, FAR * near, ACROSS, course, scratch)
+    solve_spirals(scratch, kappa0)
+    sample_spirals(scratch, kappa0, view[_view.OWN_X], view[_view.OWN_Y], course)
+    _measure_track(track, scratch, 0.5 * view[_view.OWN_WIDTH])
+    # The opponent carries on: its share of the profile along the track, its sideways motion for half a second.
+    gap = view[_view.GAP]
+    laps = np.floor((gap + 0.5 * track.length) / track.length)
+    gap -= laps * track.length  # what matters to a driver is where the other car stands, not how often it came round
+    meets = abs(gap) < SIGHT
+    follow = 0.65
+    if meets:
+        opp_v = view[_view.OPP_V]
+        carried = opp_v / max(_speed_at(track, view[_view.OPP_S]), 0.5)
+        s = s0 + gap
+        for k in range(HORIZON_STEPS):
+            s += min(max(carried * _speed_at(track, s), opp_v - 6.0 * HORIZON_STEP * (k + 1)), opp_v + 3.0) * HORIZON_STEP
+            scratch[_OPP_S + k] = s
+            t = min((k + 1) * HORIZON_STEP, 0.5)
+            scratch[_OPP_D + k] = view[_view.OPP_D] + t * view[_view.OPP_D_DOT]
+        if gap > 0.0:
+            wanted = opp_v + 1.2 * (gap - 1.1)
+            follow = min(max(wanted / max(scale * _speed_at(track, s0), 0.5), 0.0), 0.65)
+    for f in range(SPEEDS):
+        factor = _SPEED_FACTORS[f] if f < SPEEDS - 1 else follow
+        _predict(track, s0, v, scale * factor, late, scratch, f)
+    long_reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.12
+    body = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
+    defend = 0.0
+    if meets and -4.0 < gap < 0.0:
+        closing = view[_view.OPP_V] - view[_view.OWN_V]
+        if closing > -0.5:
+            defend = _power_of_ten(theta[BLOCKING]) * (1.0 + gap / 4.0) * min(closing + 0.5, 2.0)
+    remembered = memory[_M_VALID] > 0.5
+    since = 0.0
+    if remembered:
+        since = s0 - memory[_M_S]
+        if since < -0.5 * track.length:
+            since += track.length
+
+    _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend, view[_view.OPP_D])
+    best_goal = 0
+    best_speed = 0
+    best = 1e30
+    if not meets:
+        for g in range(GOALS):
+            scratch[_TROUBLE + g] = 0.0
+            scratch[_PROXIMITY + g] = 0.0
+    w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + HORIZON_STEPS - 1] - s0)
+    w_braking = _power_of_ten(theta[BRAKING]) / (3.0 * HORIZON_STEP * 10.0)
+    w_overtaking = _power_of_ten(theta[OVERTAKING]) / 5.0
+    w_lateral = 0.1 * _power_of_ten(theta[LATERAL])
+    w_rate = 0.1 * _power_of_ten(theta[CURVATURE_RATE])
+    w_proximity = _power_of_ten(theta[PROXIMITY]) / 6.0
+    for f in range(SPEEDS):
+        driven = max(scratch[_OWN_S + (f + 1) * HORIZON_STEPS - 1] - s0, 0.1)
+        fast = max(v, scratch[_OWN_V + f * HORIZON_STEPS + 4])
+        speed_cost = w_progress / driven + w_braking * abs(scratch[_OWN_V + f * HORIZON_STEPS + 2] - v)
+        if meets:
+            behind = min(max(scratch[_OPP_S + HORIZON_STEPS - 1] - s0 - driven, 0.0), 10.0)
+            speed_cost += w_overtaking * behind
+        at_speed = w_lateral * fast * fast
+        in_time = w_rate * fast
+        if meets:
+            _meet_opponent(scratch, f, d0, slope, s0, long_reach, body + theta[SIDE_MARGIN], body)
+        for g in range(GOALS):
+            scratch[_COST + g] = (
+                speed_cost
+                + scratch[_BASE + g]
+                + at_speed * scratch[spiral.MAX_KAPPA + g]
+                + in_time * scratch[spiral.KAPPA_RATE + g]
+                + w_proximity * scratch[_PROXIMITY + g]
+                + scratch[_TROUBLE + g]
+            )
+        for g in range(GOALS):
+            cost = scratch[_COST + g]
+            scratch[_ALL_COSTS + f * GOALS + g] = cost
+            if cost < best:
+                best = cost
+                best_goal = g
+                best_speed = f
+    memory[_M_VALID] = 1.0
+    memory[_M_S] = s0
+    memory[_M_D] = d0
+    memory[_M_SLOPE] = slope
+    memory[_M_LENGTH] = scratch[spiral.LENGTH + best_goal]
+    memory[_M_GOAL] = scratch[_GOAL_D + best_goal]
+    factor = _SPEED_FACTORS[best_speed] if best_speed < SPEEDS - 1 else follow
+    _write_path(track, view, scratch, best_goal, kappa0, course, scale, factor, late, path)
+
+
+@compiled
+def _write_path(track, view, scratch, g, kappa0, course, scale, factor, late, path):  # type: ignore[no-untyped-def]
+    """Sample the chosen spiral, with a speed at each point that its curvature allows."""
+    c0 = np.cos(course)
+    s0 = np.sin(course)
+    length = scratch[spiral.LENGTH + g]
+    h = length / (PATH_POINTS - 1)
+    x = 0.0
+    y = 0.0
+    c = 1.0
+    s = 0.0
+    kappa = kappa0
+    distance = _near(max(view[_view.OWN_V], 0.5))
+    if g >= ACROSS:
+        distance *= FAR
+    grip = GRIP * scale * scale
+    for j in range(PATH_POINTS):
+        if j > 0:
+            a, b0, b3, d = _PATH_BASIS[j - 1, 0], _PATH_BASIS[j - 1, 1], _PATH_BASIS[j - 1, 2], _PATH_BASIS[j - 1, 3]
+            u = j / (PATH_POINTS - 1)
+            new = spiral_curvature(u, length, scratch[spiral.W + g], scratch[spiral.GOAL_HEADING + g], kappa0, scratch[spiral.GOAL_KAPPA + g])
+            heading = a * scratch[spiral.GOAL_HEADING + g] + length * (b0 * kappa0 + b3 * scratch[spiral.GOAL_KAPPA + g]) + d * scratch[spiral.W + g]
+            sn, cn = sine_cosine(heading)
+            x += 0.5 * h * (c + cn) + h * h / 12.0 * (-s * kappa + sn * new)
+            y += 0.5 * h * (s + sn) + h * h / 12.0 * (c * kappa - cn * new)
+            c = cn
+            s = sn
+            kappa = new
+        at = view[_view.OWN_S] + distance * j / (PATH_POINTS - 1)
+        speed = scale * factor * _target_speed(track, at, view[_view.OWN_V], late)
+        path[j, _view.PATH_X] = view[_view.OWN_X] + x * c0 - y * s0
+        path[j, _view.PATH_Y] = view[_view.OWN_Y] + x * s0 + y * c0
+        path[j, _view.PATH_SPEED] = min(speed, np.sqrt(grip / max(abs(kappa), 1e-6)))
+        path[j, _view.PATH_KAPPA] = kappa
+
+
+def candidates(
+    track: _frenet.TrackArrays, theta: NDArray[np.float64], view: NDArray[np.float64], memory: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """All candidates that ``plan`` would choose from, for pictures.
+
+    Returns
+    -------
+    points : ndarray, shape (64, 9, 2)
+        Points of each candidate in m (the four speeds of one spiral share them).
+    costs : ndarray, shape (64,)
+        Weighted cost; infinite where the candidate is rejected.
+    """
+    scratch = np.zeros(SCRATCH)
+    plan(track, theta, view, memory.copy(), scratch, np.zeros((PATH_POINTS, 4)))
+    shape = (SEGMENTS + 1, GOALS)
+    x = scratch[spiral.POINT_X : spiral.POINT_X + shape[0] * GOALS].reshape(shape)
+    y = scratch[spiral.POINT_Y : spiral.POINT_Y + shape[0] * GOALS].reshape(shape)
+    points = np.stack([x.T, y.T], axis=-1)
+    costs = scratch[_ALL_COSTS : _ALL_COSTS + CANDIDATES].copy()
+    costs[costs >= 0.02 * REJECTED] = np.inf
+    return np.tile(points, (SPEEDS, 1, 1)), costs
+
+
+LATTICE = Planner(
+    name="lattice",
+    parameters=PARAMETERS,
+    plan=plan,
+    memory_size=MEMORY,
+    scratch_size=SCRATCH,
+    candidates=candidates,
+)
+"""The lattice planner of the paper."""
