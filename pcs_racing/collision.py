@@ -6,8 +6,8 @@ looks at a lidar scan.
 """
 
 import numpy as np
-from numba import njit
 
+from pcs_racing.compilation import compiled
 from pcs_racing.frenet import wall_distance, wrap_s
 
 __all__ = ["EQUAL_SHARES", "car_hits_wall", "contact_fault", "rectangles_overlap"]
@@ -24,7 +24,7 @@ FIELD_ERROR = 2.0
 _SAME_AXIS = 1e-3
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def rectangles_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, half_length1, half_width1):  # type: ignore[no-untyped-def]
     """Whether two rectangles share a positive area, by their four separating axes.
 
@@ -61,7 +61,7 @@ def rectangles_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     return abs(dy * c1 - dx * s1) < half_width1 + half_length0 * s + half_width0 * c
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ignore[no-untyped-def]
     """Whether a segment, given in the rectangle's own frame, passes through its inside."""
     if max(ax, bx) <= -half_length or min(ax, bx) >= half_length:
@@ -74,7 +74,7 @@ def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ign
     return abs(ax * ey - ay * ex) < half_length * abs(ey) + half_width * abs(ex)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore[no-untyped-def]
     """Whether a car's rectangle reaches into a wall; everything outside the map is wall.
 
@@ -121,7 +121,7 @@ def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore
     return False
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _clip(polygon, count, a, b, limit, out):  # type: ignore[no-untyped-def]
     """Keep the part of a convex polygon where a x + b y <= limit (Sutherland and Hodgman 1974); returns its size."""
     kept = 0
@@ -141,7 +141,7 @@ def _clip(polygon, count, a, b, limit, out):  # type: ignore[no-untyped-def]
     return kept
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, half_length1, half_width1):  # type: ignore[no-untyped-def]
     """Centroid of the area two rectangles share, relative to (x0, y0); half way between their centres if none."""
     polygon = np.empty((8, 2))
@@ -174,7 +174,7 @@ def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     return polygon[0, 0] + mx / area, polygon[0, 1] + my / area
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
     """The axis of direction psi, turned to point along (dx, dy), and how deep shapes of this reach overlap on it."""
     ax = np.cos(psi)
@@ -185,7 +185,7 @@ def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
     return ax, ay, reach - apart
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def contact_fault(state0, state1, half_length0, half_width0, half_length1, half_width1):  # type: ignore[no-untyped-def]
     """Who ran into whom when two cars touch.
 

@@ -8,14 +8,14 @@ so that nothing has to be tested for being visible.
 """
 
 import numpy as np
-from numba import njit
 
+from pcs_racing.compilation import compiled
 from pcs_racing.frenet import wrap_s
 
 __all__ = ["minimum_ittc", "segment_ittc"]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untyped-def]
     """The smaller of ``best`` and the least time to collision with the points of a segment.
 
@@ -65,7 +65,7 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
     return best
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon):  # type: ignore[no-untyped-def]
     """Least instantaneous time to collision of a lidar with the walls and, if asked, with the opponent.
 
