@@ -3,11 +3,10 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from pcs_racing.errors import InputError, MapError
 from pcs_racing.grid import distance_to_walls
-from pcs_racing.mapping.clearance import checked_grid, wall_clearance
+from pcs_racing.mapping.clearance import checked_grid, corridor, room_at, wall_clearance
 from pcs_racing.mapping.curves import checked_curve, curve_length, first_crossing, resample, smooth
 from pcs_racing.mapping.optional import require
 from pcs_racing.mapping.speed import ACCELERATION, BRAKING, LATERAL, TOP_SPEED, speed_profile
@@ -188,7 +187,7 @@ def _reference(
     even = resample(start, STEP)
     for wavelength in (4.0, 2.0, 1.0):
         line = smooth(even, wavelength)
-        if _room_at(line, room, resolution, corner).min() >= 0.5 * clearance:
+        if room_at(line, room, resolution, corner).min() >= 0.5 * clearance:
             return line
     return even
 
@@ -214,7 +213,7 @@ def _improve(
     along = ahead + np.roll(ahead, 1, axis=0)
     along /= np.hypot(*along.T)[:, None]
     normal = np.column_stack([-along[:, 1], along[:, 0]])
-    low, high = _corridor(line, normal, room, resolution, corner, need)
+    low, high = corridor(line, normal, room, resolution, corner, need, REACH)
     if (low > high).any():
         x, y = line[int(np.argmax(low > high))]
         raise MapError(
@@ -260,85 +259,3 @@ def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray, le
         settings,
     )
     return np.clip(np.asarray(solver.solve().x), low, high)
-
-
-@njit(cache=True, nogil=True)
-def _look_up(room, u, v):  # type: ignore[no-untyped-def]
-    """Bilinear value of the field at column u and row v, counted from cell centres; 0 outside."""
-    rows, cols = room.shape
-    if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
-        return 0.0
-    j = int(u)
-    i = int(v)
-    fu = u - j
-    fv = v - i
-    low = room[i, j] * (1.0 - fu) + room[i, j + 1] * fu
-    high = room[i + 1, j] * (1.0 - fu) + room[i + 1, j + 1] * fu
-    return low * (1.0 - fv) + high * fv
-
-
-@njit(cache=True, nogil=True)
-def _room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
-    out = np.empty(line.shape[0])
-    for k in range(line.shape[0]):
-        u = (line[k, 0] - corner[0]) / resolution - 0.5
-        v = (line[k, 1] - corner[1]) / resolution - 0.5
-        out[k] = _look_up(room, u, v)
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _corridor(line, normal, room, resolution, corner, need):  # type: ignore[no-untyped-def]
-    """How far each point may move along its normal, to the right (low) and to the left (high), with ``need`` of room.
-
-    A point that lacks room itself may (and must) move to the nearest place that has it, on this side of the next wall.
-    Where there is none, low = 1 and high = -1.
-    """
-    n = line.shape[0]
-    low = np.empty(n)
-    high = np.empty(n)
-    step = 0.01
-    for k in range(n):
-        u = (line[k, 0] - corner[0]) / resolution - 0.5
-        v = (line[k, 1] - corner[1]) / resolution - 0.5
-        du = normal[k, 0] / resolution
-        dv = normal[k, 1] / resolution
-        base = 0.0
-        found = _look_up(room, u, v) >= need
-        free_left = True
-        free_right = True
-        m = 0
-        while not found and m * step < REACH and (free_left or free_right):
-            m += 1
-            if free_left:
-                r = _look_up(room, u + m * step * du, v + m * step * dv)
-                free_left = r > 0.0
-                if r >= need:
-                    base = m * step
-                    found = True
-            if free_right and not found:
-                r = _look_up(room, u - m * step * du, v - m * step * dv)
-                free_right = r > 0.0
-                if r >= need:
-                    base = -m * step
-                    found = True
-        if not found:
-            low[k] = 1.0
-            high[k] = -1.0
-            continue
-        for side in (1.0, -1.0):
-            a = 0.0
-            r = _look_up(room, u + base * du, v + base * dv)
-            while a < REACH:
-                # No wall is nearer than r, so room can't run out within r - need.
-                ahead = max(step, 0.9 * (r - need))
-                x = base + side * (a + ahead)
-                r = _look_up(room, u + x * du, v + x * dv)
-                if r < need:
-                    break
-                a += ahead
-            if side > 0.0:
-                high[k] = base + a
-            else:
-                low[k] = base - a
-    return low, high
