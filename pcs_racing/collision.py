@@ -10,10 +10,11 @@ import numpy as np
 from pcs_racing.compilation import compiled
 from pcs_racing.frenet import wall_distance, wrap_s
 
-__all__ = ["EQUAL_SHARES", "car_hits_wall", "contact_fault", "rectangles_overlap"]
+__all__ = ["EQUAL_SHARES", "EQUAL_SPEEDS", "car_hits_wall", "contact_fault", "rectangles_overlap"]
 
-# Two closing speeds this close to each other (as a share of the larger) put both cars at fault.
+# Two closing speeds this close to each other (as a share of the larger, or in m/s) put both cars at fault.
 EQUAL_SHARES = 0.05
+EQUAL_SPEEDS = 1e-3
 
 # The distance field may be wrong by this many cells: half a diagonal from the interpolation, as much from measuring to
 # cells, and half a cell from the simplification of the walls.
@@ -192,8 +193,8 @@ def contact_fault(state0, state1, half_length0, half_width0, half_length1, half_
     The contact direction is the axis of least penetration of the two rectangles, from the first car to the second. Each
     car's share is the speed with which its own body moves into the other one: the velocity of its material point in the
     middle of the overlap, along that direction, nothing if it moves away. The car with the larger share is at fault;
-    both are when the shares lie within ``EQUAL_SHARES`` of each other. So the follower is at fault for a rear-end
-    contact, however hard the leader braked, and of two cars side by side the one that moved over.
+    both are when the shares lie within ``EQUAL_SHARES`` or ``EQUAL_SPEEDS`` of each other. So the follower is at fault
+    for a rear-end contact, however hard the leader braked, and of two parallel cars the one that moved over.
 
     Parameters
     ----------
@@ -225,11 +226,13 @@ def contact_fault(state0, state1, half_length0, half_width0, half_length1, half_
         if axes[i, 2] <= least + _SAME_AXIS:
             nx += axes[i, 0]
             ny += axes[i, 1]
-    # Only the direction's sign and the ratio of the shares matter, so it needs no normalising.
+    norm = np.sqrt(nx * nx + ny * ny)
+    nx /= norm
+    ny /= norm
     mx, my = _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, half_length1, half_width1)
     share0 = (v0 * np.cos(psi0 + beta0) - rate0 * my) * nx + (v0 * np.sin(psi0 + beta0) + rate0 * mx) * ny
     share1 = (v1 * np.cos(psi1 + beta1) - rate1 * (my - dy)) * nx + (v1 * np.sin(psi1 + beta1) + rate1 * (mx - dx)) * ny
     share0 = max(share0, 0.0)
     share1 = max(-share1, 0.0)
-    equal = abs(share0 - share1) <= EQUAL_SHARES * max(share0, share1)
-    return share0 > share1 or equal, share1 > share0 or equal
+    margin = max(EQUAL_SHARES * max(share0, share1), EQUAL_SPEEDS)
+    return not share1 - share0 > margin, not share0 - share1 > margin

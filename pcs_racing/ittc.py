@@ -1,10 +1,10 @@
 """The smallest instantaneous time to collision around a car, exact over all directions and without a scan.
 
 A beam that hits a point p (relative to the lidar) which approaches with the relative velocity v has the range |p|, the
-range rate -(v . p) / |p| and so the instantaneous time to collision |p|^2 / (v . p). The points of equal time t form the
-circle through the lidar with the diameter |v| t along v, and the minimum over infinitely many beams is the smallest such
-circle that touches a wall or the opponent. What a nearer thing of the same velocity hides lies farther out on its beam,
-so that nothing has to be tested for being visible.
+range rate -(v . p) / |p| and so the instantaneous time to collision |p|^2 / (v . p). The points of equal time t form
+the circle through the lidar with the diameter |v| t along v, and the minimum over infinitely many beams is the smallest
+such circle that touches a wall or the opponent. What a nearer thing of the same velocity hides lies farther out on its
+beam, so that nothing has to be tested for being visible.
 """
 
 import numpy as np
@@ -69,8 +69,7 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
 def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon):  # type: ignore[no-untyped-def]
     """Least instantaneous time to collision of a lidar with the walls and, if asked, with the opponent.
 
-    Walls hidden by the opponent count too. Rotation of either car is left out, as it is in the range rate of a beam that
-    keeps its direction.
+    Walls hidden by the opponent count too. Rotation of either car is left out: a beam is taken to keep its direction.
 
     Parameters
     ----------
@@ -104,7 +103,7 @@ def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, 
         speed = np.sqrt(rvx * rvx + rvy * rvy)
         dx = ox - x
         dy = oy - y
-        # No point of the opponent is nearer than its centre's distance less half its circumference's quarter.
+        # No point of the opponent is nearer than this.
         gap = np.sqrt(dx * dx + dy * dy) - half_length - half_width
         if speed > 0.0 and gap < best * speed:
             c = np.cos(opsi)
