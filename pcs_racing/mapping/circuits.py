@@ -119,7 +119,7 @@ def generate_circuit(
         if not low <= value <= high:
             raise InputError(f"{name} is {value!r}: it must lie between {low} and {high} m")
     shortest, longest = (float(value) for value in length_range)
-    if not 10.0 * width <= shortest <= longest <= 1000.0:
+    if not 10.0 * width <= shortest < longest <= 1000.0:
         raise InputError(
             f"length_range is {length_range!r}: two lengths are needed, ascending, from 10 widths to 1000 m"
         )

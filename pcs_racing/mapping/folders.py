@@ -16,7 +16,7 @@ from pcs_racing.mapping.centerline import centerline_from_grid
 from pcs_racing.mapping.circuits import generate_circuit
 from pcs_racing.mapping.pictures import show_track
 from pcs_racing.mapping.raceline import CLEARANCE, minimum_curvature_raceline, raceline_rows
-from pcs_racing.maps import MapFolder, read_map
+from pcs_racing.maps import MapFolder, read_map, write_map
 from pcs_racing.track import Track, build_track
 
 __all__ = ["generate_map", "import_map", "regenerate"]
@@ -174,46 +174,6 @@ def _save(folder: Path, name: str | None, made: tuple[Any, ...], picture: bool) 
     if picture:
         show_track(track, folder / f"{name}.png")
     return track
-
-
-def write_map(found: MapFolder) -> None:
-    """Stand-in until pcs_racing.maps writes folders."""
-    import yaml
-    from PIL import Image
-
-    folder, name = found.folder, found.name
-    folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.where(found.occupied[::-1], 0, 255).astype(np.uint8)).save(
-        folder / f"{name}_map.png", optimize=True
-    )
-    head = {
-        "image": f"{name}_map.png",
-        "resolution": float(found.resolution),
-        "origin": [*map(float, found.origin), 0.0],
-        "negate": 0,
-        "occupied_thresh": 0.45,
-        "free_thresh": 0.196,
-    }
-    (folder / f"{name}_map.yaml").write_text(yaml.safe_dump(head, sort_keys=False, default_flow_style=None))
-    (folder / f"{name}_track.yaml").write_text(
-        yaml.safe_dump({"name": name} | found.info, sort_keys=False, default_flow_style=None)
-    )
-    assert found.centerline is not None
-    assert found.raceline is not None
-    np.savetxt(
-        folder / f"{name}_centerline.csv",
-        found.centerline,
-        delimiter=", ",
-        fmt="%.6f",
-        header="x_m, y_m, w_tr_right_m, w_tr_left_m",
-    )
-    np.savetxt(
-        folder / f"{name}_raceline.csv",
-        found.raceline,
-        delimiter="; ",
-        fmt="%.7f",
-        header="s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2",
-    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -12,13 +12,10 @@ from pcs_racing.mapping.optional import require
 from pcs_racing.mapping.speed import ACCELERATION, BRAKING, LATERAL, TOP_SPEED, speed_profile
 from pcs_racing.splines import sample_closed
 
-__all__ = ["CLEARANCE", "RACELINE_COLUMNS", "minimum_curvature_raceline", "raceline_rows"]
+__all__ = ["CLEARANCE", "minimum_curvature_raceline", "raceline_rows"]
 
 CLEARANCE = 0.305
 """Default distance in m between line and wall: half the width of a car (0.155 m) and 0.15 m of air."""
-
-RACELINE_COLUMNS = ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2")
-"""Columns of ``raceline_rows``, as in the files of f1tenth_racetracks."""
 
 STEP = 0.25  # spacing of the points that the program moves, m
 REACH = 3.0  # how far along its normal a point may see, m
@@ -144,7 +141,7 @@ def raceline_rows(
     Returns
     -------
     ndarray, shape (N + 1, 7)
-        The columns ``RACELINE_COLUMNS``: arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to
+        The columns of a race line file: arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to
         the left), speed (m/s) and acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats
         the first one, at s = length.
 
