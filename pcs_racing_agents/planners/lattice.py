@@ -31,6 +31,7 @@ HORIZON_STEP = 0.15  # s
 REJECT_STEPS = 7  # overlaps within about a second reject a candidate, later ones cost
 REJECTED = 1e6  # costs from here on mean that a candidate was rejected
 FAR = 1.5
+RETURN_TIME = 1.2  # s
 BODY_AIR = 0.06  # m to keep from a wall
 GRIP = 6.0  # m/s^2, lateral acceleration that a candidate may ask for at speed scale 1
 SIGHT = 12.0  # m within which the opponent is predicted
@@ -89,7 +90,9 @@ _GOAL_D, _PER_LENGTH, _WALL_COST, _MIN_AIR, _BASE, _TROUBLE, _PROXIMITY, _COST, 
 # Predictions: own arc lengths and speeds at each speed profile, the opponent's arc length and position across the track.
 _OWN_S = _ALL_COSTS + SPEEDS * GOALS
 _OWN_V = _OWN_S + SPEEDS * HORIZON_STEPS
-_OPP_S = _OWN_V + SPEEDS * HORIZON_STEPS
+_OWN_LOW = _OWN_V + SPEEDS * HORIZON_STEPS
+_OWN_HIGH = _OWN_LOW + SPEEDS * HORIZON_STEPS
+_OPP_S = _OWN_HIGH + SPEEDS * HORIZON_STEPS
 _OPP_D = _OPP_S + HORIZON_STEPS
 SCRATCH = _OPP_D + HORIZON_STEPS
 
@@ -103,15 +106,21 @@ def _near(v):  # type: ignore[no-untyped-def]
 
 
 @compiled(inline="always")
-def _speed_at(track, s):  # type: ignore[no-untyped-def]
-    """Speed of the profile at an arc length in (-length, 2 length)."""
+def _sample_at(track, s):  # type: ignore[no-untyped-def]
+    """Index of the line's sample at an arc length in (-length, 2 length)."""
     n = track.line.shape[0]
     i = int(s / track.ds + n) - n
     if i < 0:
         i += n
     elif i >= n:
         i -= n
-    return track.line[i, _frenet.SPEED]
+    return i
+
+
+@compiled(inline="always")
+def _speed_at(track, s):  # type: ignore[no-untyped-def]
+    """Speed of the profile at an arc length in (-length, 2 length)."""
+    return track.line[_sample_at(track, s), _frenet.SPEED]
 
 
 @compiled(inline="always")
@@ -192,18 +201,25 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _predict(track, s, v, target_scale, late_braking, scratch, f):  # type: ignore[no-untyped-def]
-    """Drive along the race line from (s, v) towards the scaled profile; keeps arc lengths (unwrapped) and speeds."""
+def _predict(track, s, v, target_scale, late_braking, keep, scratch, f):  # type: ignore[no-untyped-def]
+    """Drive along the race line from (s, v) towards the scaled profile.
+
+    Keeps arc lengths (unwrapped), speeds, and how far right and left the track lets the car be by then.
+    """
+    first = f * HORIZON_STEPS
     for k in range(HORIZON_STEPS):
         target = target_scale * _target_speed(track, s, v, late_braking)
         v += min(max(target - v, -6.0 * HORIZON_STEP), 3.5 * HORIZON_STEP)
         s += v * HORIZON_STEP
-        scratch[_OWN_S + f * HORIZON_STEPS + k] = s
-        scratch[_OWN_V + f * HORIZON_STEPS + k] = v
+        i = _sample_at(track, s)
+        scratch[_OWN_S + first + k] = s
+        scratch[_OWN_V + first + k] = v
+        scratch[_OWN_LOW + first + k] = min(keep - track.line[i, _frenet.RIGHT], 0.0)
+        scratch[_OWN_HIGH + first + k] = max(track.line[i, _frenet.LEFT] - keep, 0.0)
 
 
 @compiled(fastmath=spiral.FAST)
-def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side):  # type: ignore[no-untyped-def]
+def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side, gives_way):  # type: ignore[no-untyped-def]
     """Trouble (overlap within a second) and proximity of all spirals at one speed with the predicted opponent."""
     for g in range(GOALS):
         scratch[_TROUBLE + g] = 0.0
@@ -213,6 +229,9 @@ def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side
         driven = scratch[_OWN_S + f * HORIZON_STEPS + k] - s0
         gap = abs(scratch[_OWN_S + f * HORIZON_STEPS + k] - scratch[_OPP_S + k])
         opp_d = scratch[_OPP_D + k]
+        # A driver who must give way foresees where the track will push it sideways; one who has the right of way does not.
+        low = scratch[_OWN_LOW + f * HORIZON_STEPS + k] if gives_way else -100.0
+        high = scratch[_OWN_HIGH + f * HORIZON_STEPS + k] if gives_way else 100.0
         long_air = max(gap - long_reach, 0.0)
         hard = fade * (REJECTED if k < REJECT_STEPS else 10.0)
         if gap >= long_reach:
@@ -222,7 +241,8 @@ def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side
             continue
         for g in range(GOALS):
             share = driven * scratch[_PER_LENGTH + g]
-            across = abs(_hermite(share, d0, slope0 * scratch[spiral.LENGTH + g], scratch[_GOAL_D + g]) - opp_d)
+            d = _hermite(share, d0, slope0 * scratch[spiral.LENGTH + g], scratch[_GOAL_D + g])
+            across = abs(min(max(d, low), high) - opp_d)
             deep = max(side_reach - across, 0.0)
             scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
             side_air = max(across - soft_side, 0.0)
@@ -284,12 +304,14 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     solve_spirals(scratch, kappa0)
     sample_spirals(scratch, kappa0, view[_view.OWN_X], view[_view.OWN_Y], course)
     _measure_track(track, scratch, 0.5 * view[_view.OWN_WIDTH])
-    # The opponent carries on: its share of the profile along the track, its sideways motion for half a second.
+    # The opponent carries on along the track with its share of the profile.
     gap = view[_view.GAP]
     laps = np.floor((gap + 0.5 * track.length) / track.length)
     gap -= laps * track.length  # what matters to a driver is where the other car stands, not how often it came round
     meets = abs(gap) < SIGHT
     follow = 0.65
+    # Right of way: the car ahead; level, the one nearer to the race line.
+    gives_way = gap + 0.5 * (abs(d0) - abs(view[_view.OPP_D])) > 0.0
     if meets:
         opp_v = view[_view.OPP_V]
         carried = opp_v / max(_speed_at(track, view[_view.OPP_S]), 0.5)
@@ -297,16 +319,25 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         for k in range(HORIZON_STEPS):
             s += min(max(carried * _speed_at(track, s), opp_v - 6.0 * HORIZON_STEP * (k + 1)), opp_v + 3.0) * HORIZON_STEP
             scratch[_OPP_S + k] = s
-            t = min((k + 1) * HORIZON_STEP, 0.5)
-            scratch[_OPP_D + k] = view[_view.OPP_D] + t * view[_view.OPP_D_DOT]
+            t = (k + 1) * HORIZON_STEP
+            d = view[_view.OPP_D]
+            if gives_way:
+                # A driver with the right of way finishes its move and then comes back to the race line.
+                d = (d + min(t, 0.25) * view[_view.OPP_D_DOT]) * max(1.0 - t / RETURN_TIME, 0.0)
+            row = _sample_at(track, s)
+            low = min(0.5 * view[_view.OPP_WIDTH] - track.line[row, _frenet.RIGHT], 0.0)
+            high = max(track.line[row, _frenet.LEFT] - 0.5 * view[_view.OPP_WIDTH], 0.0)
+            scratch[_OPP_D + k] = min(max(d, low), high)
         if gap > 0.0:
             wanted = opp_v + 1.2 * (gap - 1.1)
             follow = min(max(wanted / max(scale * _speed_at(track, s0), 0.5), 0.0), 0.65)
+    keep = 0.5 * view[_view.OWN_WIDTH] + BODY_AIR
     for f in range(SPEEDS):
         factor = _SPEED_FACTORS[f] if f < SPEEDS - 1 else follow
-        _predict(track, s0, v, scale * factor, late, scratch, f)
+        _predict(track, s0, v, scale * factor, late, keep, scratch, f)
     long_reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.12
     body = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
+    margin = theta[SIDE_MARGIN] if gives_way else 0.5 * theta[SIDE_MARGIN]
     defend = 0.0
     if meets and -4.0 < gap < 0.0:
         closing = view[_view.OPP_V] - view[_view.OWN_V]
@@ -343,7 +374,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         at_speed = w_lateral * fast * fast
         in_time = w_rate * fast
         if meets:
-            _meet_opponent(scratch, f, d0, slope, s0, long_reach, body + theta[SIDE_MARGIN], body)
+            _meet_opponent(scratch, f, d0, slope, s0, long_reach, body + margin, body, gives_way)
         for g in range(GOALS):
             scratch[_COST + g] = (
                 speed_cost
