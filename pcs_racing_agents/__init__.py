@@ -1,1 +1,11 @@
 """Policies and agents for :mod:`pcs_racing`: motion planners, archives, strategies and tournaments."""
+
+from pcs_racing.registry import register_planner
+
+PLANNERS = {
+    "lattice": "pcs_racing_agents.planners.lattice:LATTICE",
+}
+"""Planners of this package: name and place. An installation declares the same as entry points."""
+
+for _name, _place in PLANNERS.items():
+    register_planner(_place, name=_name)

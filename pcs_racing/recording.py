@@ -1,0 +1,199 @@
+"""Recording a race: the compiled loop of :func:`pcs_racing.run_races`, stopped often enough to watch.
+
+A recorded race is the race: it ends in exactly the state that ``run_races`` gives for it.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing import frenet as _frenet
+from pcs_racing.errors import InputError
+from pcs_racing.planner import COMMAND_SLOTS, PATH_SPEED, PATH_Y, VIEW_SIZE, Policy
+from pcs_racing.race import RaceResult, RaceSetup, advance, draw_starts, pad_parameters, race_seeds, start_races
+from pcs_racing.race_config import PAPER, RaceConfig
+from pcs_racing.race_kernel import CONTROL_EVERY, DT, PLAN_EVERY, fill_view
+from pcs_racing.race_state import ITTC, ITTC_SAMPLES, WALL_CRASH, RaceState
+from pcs_racing.replay import Replay, ReplayEvent
+from pcs_racing.track import Track
+from pcs_racing.vehicle import F1TENTH, VehicleParams
+
+__all__ = ["record_race"]
+
+FRAME_EVERY = 4  # steps: 25 frames a second; the loop can be stopped after every second step
+CANDIDATES_EVERY = 5  # plans whose candidates are kept: two a second
+
+Floats = NDArray[np.float64]
+
+
+def record_race(
+    track: Track,
+    ego: Policy,
+    opponent: Policy,
+    config: RaceConfig = PAPER,
+    *,
+    seed: int = 0,
+    index: int = 0,
+    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH),
+    candidates: bool = True,
+) -> Replay:
+    """Drive one race and keep what is needed to watch it.
+
+    Parameters
+    ----------
+    track : Track
+    ego, opponent : Policy
+        Drivers of car 0 and car 1.
+    config : RaceConfig
+        The rules.
+    seed, index : int
+        The race number ``index`` of ``run_races(..., seed=seed)``: same start, same noise, same end to the last bit.
+    vehicles : tuple of two VehicleParams
+        The cars.
+    candidates : bool
+        Whether to keep, twice a second, the paths that each planner chose from (if it can tell).
+
+    Returns
+    -------
+    Replay
+        With 25 frames a second; it ends with the race, which may be a crash.
+
+    Raises
+    ------
+    InputError
+        If the index or the start is impossible.
+    """
+    if isinstance(index, bool) or not isinstance(index, int | np.integer) or index < 0:
+        raise InputError(f"index is {index!r}; it must be a whole number from 0")
+    setup = RaceSetup(track, config, (ego.planner, opponent.planner), vehicles)
+    start = draw_starts(track, config, int(index) + 1, seed).take([index])
+    state = start_races(setup, start, race_seeds(seed, int(index) + 1)[index:])
+    log = _drive(setup, state, pad_parameters([ego, opponent], setup.theta_size)[None], candidates)
+    line = track.line
+    return Replay(
+        title=f"{ego.name} against {opponent.name}",
+        track_name=track.name,
+        car_names=(ego.name, opponent.name),
+        walls=track.arrays.walls,
+        line=line[:, [_frenet.X, _frenet.Y]],
+        line_speed=line[:, _frenet.SPEED],
+        frame_dt=FRAME_EVERY * DT,
+        plan_dt=PLAN_EVERY * DT,
+        half_sizes=np.array([[0.5 * car.length, 0.5 * car.width] for car in vehicles]),
+        outcome=_outcome(RaceResult(config, state, start), (ego.name, opponent.name)),
+        cars=np.array(log.cars),
+        progress=np.array(log.progress),
+        ittc=np.array(log.ittc),
+        events=tuple(log.events),
+        **_plans(log),
+    )
+
+
+@dataclass(frozen=True)
+class _Log:
+    """What piles up while a race is driven."""
+
+    cars: list[Floats] = field(default_factory=list)
+    progress: list[Floats] = field(default_factory=list)
+    ittc: list[Floats] = field(default_factory=list)
+    paths: list[Floats] = field(default_factory=list)
+    choices: dict[int, list[tuple[Floats, Floats] | None]] = field(default_factory=dict)
+    events: list[ReplayEvent] = field(default_factory=list)
+
+
+def _drive(setup: RaceSetup, state: RaceState, theta: Floats, candidates: bool) -> _Log:
+    """Drive a race to its end, in place, and write down what can be seen on the way."""
+    log = _Log()
+    ittc = np.full(2, setup.config.ittc_horizon)
+    while True:
+        tick = int(state.tick[0])
+        over = tick >= setup.config.ticks or bool(state.crashed[0])
+        if over or tick % FRAME_EVERY == 0:
+            log.cars.append(state.cars[0].copy())
+            log.progress.append(state.progress[0].copy())
+            log.ittc.append(ittc)
+        if over:
+            return log
+        plans = tick % PLAN_EVERY == 0
+        if plans and candidates and len(log.paths) % CANDIDATES_EVERY == 0:
+            # Asked before the step: afterwards the planner's memory already holds this plan.
+            log.choices[len(log.paths)] = [_choices(setup, state, theta, car) for car in range(2)]
+        sums, overtakes = state.sums[0].copy(), state.overtakes[0].copy()
+        advance(setup, state, theta, CONTROL_EVERY, threads=1)
+        if plans:
+            log.paths.append(_followed(state.path[0]))
+        added = state.sums[0] - sums
+        if added[0, ITTC_SAMPLES] > 0.0:
+            ittc = added[:, ITTC] / added[:, ITTC_SAMPLES]
+        log.events.extend(_happened(state, overtakes))
+
+
+def _choices(setup: RaceSetup, state: RaceState, theta: Floats, car: int) -> tuple[Floats, Floats] | None:
+    """Paths that a driver is about to choose from, and their costs."""
+    planner = setup.planners[car]
+    if planner.candidates is None:
+        return None
+    view = np.zeros(VIEW_SIZE)
+    vehicles = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
+    fill_view(setup.track.arrays, state, 0, car, vehicles, setup.settings, view)
+    first = COMMAND_SLOTS if planner.drive is not None else 0
+    memory = state.memory[0, car, first : first + planner.memory_size].copy()
+    return planner.candidates(setup.track.arrays, theta[0, car, : len(planner.parameters)].copy(), view, memory)
+
+
+def _plans(log: _Log) -> dict[str, Any]:
+    """Plans and candidates as arrays; what no driver told is left out."""
+    paths = np.array(log.paths)
+    if np.isnan(paths).all():
+        return {}
+    known = [choice for pair in log.choices.values() for choice in pair if choice is not None]
+    if not known:
+        return {"paths": paths}
+    shape = (len(log.choices), 2, max(len(costs) for _, costs in known))
+    places = np.full((*shape, max(points.shape[1] for points, _ in known), 2), np.nan)
+    prices = np.full(shape, np.inf)
+    for row, pair in enumerate(log.choices.values()):
+        for car, choice in enumerate(pair):
+            if choice is not None:
+                points, costs = choice
+                places[row, car, : len(costs), : points.shape[1]] = points
+                prices[row, car, : len(costs)] = costs
+    return {"paths": paths, "candidate_steps": np.array(list(log.choices)), "candidates": places, "costs": prices}
+
+
+def _followed(path: Floats) -> Floats:
+    """The plans of both cars as points x, y, speed, time; NaN for a driver that plans nothing."""
+    out = np.array(path)
+    step = np.hypot(*np.moveaxis(np.diff(path[..., : PATH_Y + 1], axis=1), -1, 0))
+    speed = np.maximum(0.5 * (path[:, 1:, PATH_SPEED] + path[:, :-1, PATH_SPEED]), 0.1)
+    out[:, 0, 3] = 0.0
+    out[:, 1:, 3] = np.cumsum(step / speed, axis=1)
+    out[~path.any(axis=(1, 2))] = np.nan
+    return out
+
+
+def _happened(state: RaceState, overtakes_before: NDArray[np.int64]) -> list[ReplayEvent]:
+    """Events of the last control period."""
+    time = float(state.tick[0]) * DT
+    events = [
+        ReplayEvent(time, car, "overtake", "overtakes")
+        for car in range(2)
+        if state.overtakes[0, car] > overtakes_before[car]
+    ]
+    for car in range(2):
+        if state.fault[0, car]:
+            into = "the wall" if state.crash[0, car] == WALL_CRASH else "the other car"
+            events.append(ReplayEvent(time, car, "crash", f"crashes into {into}"))
+    return events
+
+
+def _outcome(result: RaceResult, names: tuple[str, str]) -> str:
+    """How a race ended, in words."""
+    winner, lead, time = int(result.winner[0]), float(result.lead[0]), float(result.time[0])
+    prize = f"{names[winner]} wins" if winner >= 0 else "nobody wins"
+    if result.crashed[0]:
+        guilty = " and ".join(names[car] for car in range(2) if result.own_crash[0, car])
+        return f"crash after {time:.1f} s, fault of {guilty or 'nobody'}: {prize}"
+    return f"{prize} by {abs(lead):.1f} m after {time:.0f} s" if winner >= 0 else f"a tie after {time:.0f} s"
