@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pcs_racing.errors import MapError
 from pcs_racing.mapping.centerline import centerline_from_grid
 from pcs_racing.mapping.circuits import generate_circuit
+from pcs_racing.mapping.curves import signed_area
 from pcs_racing.mapping.pictures import show_track
 from pcs_racing.mapping.raceline import CLEARANCE, minimum_curvature_raceline, raceline_rows
 from pcs_racing.maps import MapFolder, read_map, write_map
@@ -121,10 +120,11 @@ def import_map(
     if target.resolve() == Path(source).resolve():
         raise MapError(f"destination {target} is the source itself: choose another folder")
     found = read_map(Path(source))
-    if seed_point is None and direction is None and found.centerline is not None:
+    if found.centerline is not None:
         # The shipped line tells where the circuit begins and which way round it goes.
-        first, second = found.centerline[0, :2], found.centerline[1, :2]
-        seed_point, direction = first.tolist(), float(np.arctan2(*(second - first)[::-1]))
+        line = found.centerline[:, :2]
+        seed_point = line[0].tolist() if seed_point is None else seed_point
+        direction = ("counterclockwise", "clockwise")[signed_area(line) < 0.0] if direction is None else direction
     center = centerline_from_grid(
         found.occupied, found.resolution, found.origin, seed_point=seed_point, direction=direction
     )

@@ -10,7 +10,7 @@ from PIL import Image
 from pcs_racing.errors import InputError, MapError
 from pcs_racing.mapping.circuits import generate_circuit
 from pcs_racing.mapping.clearance import wall_clearance
-from pcs_racing.mapping.curves import resample
+from pcs_racing.mapping.curves import resample, signed_area
 from pcs_racing.mapping.folders import generate_map, import_map, regenerate
 from pcs_racing.mapping.raceline import raceline_rows
 from pcs_racing.maps import read_map
@@ -80,6 +80,10 @@ def test_an_import_follows_the_direction_and_start_of_the_shipped_line(tmp_path)
     shipped = read_map(clockwise).centerline
     np.testing.assert_allclose(track.centerline[0, :2], shipped[0, :2], atol=0.2)
     assert (track.centerline[1, :2] - track.centerline[0, :2]) @ (shipped[1, :2] - shipped[0, :2]) > 0.0
+    elsewhere = shipped[len(shipped) // 3, :2]
+    moved = import_map(clockwise, tmp_path / "Moved", seed_point=elsewhere, picture=False).centerline
+    np.testing.assert_allclose(moved[0, :2], elsewhere, atol=0.2)
+    assert signed_area(moved[:, :2]) < 0.0
     back = import_map(clockwise, tmp_path / "Back", direction="counterclockwise", picture=False)
     ahead = back.centerline[1, :2] - back.centerline[0, :2]
     nearest = np.argmin(np.hypot(*(shipped[:, :2] - back.centerline[0, :2]).T))
