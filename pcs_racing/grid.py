@@ -1,4 +1,4 @@
-"""The drivable region of an occupancy grid: flood fill, distance to the walls, exact rays, nearest line samples.
+"""Compiled tools for occupancy grids: flood fill, distance to the walls, exact rays, nearest points.
 
 Grids are indexed ``[row, column]`` with row 0 at the bottom, so that cell ``[i, j]`` covers
 ``origin + resolution * ([j, j + 1], [i, i + 1])``.
@@ -7,12 +7,13 @@ Grids are indexed ``[row, column]`` with row 0 at the bottom, so that cell ``[i,
 import heapq
 
 import numpy as np
-from numba import njit
 
-__all__ = ["cast", "distance_to_walls", "flood", "label_cells"]
+from pcs_racing.compilation import compiled
+
+__all__ = ["cast", "distance_to_walls", "flood", "lookup_grid", "spread_labels", "way_out"]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
     """Cells that can be reached from the seeds over free cells, in steps to one of four neighbours.
 
@@ -68,12 +69,12 @@ def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
     return reached, (bottom_row, top_row, left, right)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
     """Exact distance from the centre of each drivable cell to the nearest cell that is not drivable.
 
-    The distance is to the nearest point of that cell's square, so it is exact at the centres (the smallest value is half a
-    cell) and 0 on every other cell. Two passes after Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled
+    The distance is to the nearest point of that cell's square, so the smallest is half a cell; it is 0 on every other
+    cell. Two passes after Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled
     Functions" (2012), with the parabolas rooted at cell faces instead of cell centres.
 
     Parameters
@@ -132,7 +133,7 @@ def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
     """Follow a ray cell by cell to the first face of a cell that is not drivable (Amanatides and Woo, 1987).
 
@@ -184,33 +185,32 @@ def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
             next_y += step_y
 
 
-@njit(cache=True, nogil=True)
-def label_cells(drivable, x, y):  # type: ignore[no-untyped-def]
-    """Nearest line sample of each drivable cell, found without going through walls.
+@compiled
+def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
+    """Spread the numbers of points from some cells of a region to all of it, the nearest point first.
 
-    A sample spreads from its own cell to neighbouring drivable cells, nearest first, so a cell beside a thin wall gets a
-    sample of its own side of the wall even if the line on the other side is nearer.
+    A number goes from a cell to its four neighbours in the region, so a cell beside a thin wall gets a point on its own
+    side of the wall even if one on the other side is nearer.
 
     Parameters
     ----------
-    drivable : ndarray of bool, shape (H, W)
+    mask : ndarray of bool, shape (H, W)
+        The region.
+    label : ndarray, shape (H, W), int32
+        Number of a point, or -1. Filled in place, except in cells outside the region or out of reach.
     x, y : ndarray, shape (N,)
-        Line samples in cells from the grid's lower left corner.
-
-    Returns
-    -------
-    ndarray, shape (H, W), int32
-        Index of a sample; -1 on cells that are not drivable or can't be reached.
+        The points, in cells from the grid's lower left corner.
     """
-    height, width = drivable.shape
-    label = np.full((height, width), -1, dtype=np.int32)
+    height, width = mask.shape
     queue = [(0.0, np.int64(0), np.int64(0))]
     queue.pop()
-    for k in range(x.shape[0]):
-        i = int(np.floor(y[k]))
-        j = int(np.floor(x[k]))
-        if 0 <= i < height and 0 <= j < width and drivable[i, j]:
-            heapq.heappush(queue, ((x[k] - j - 0.5) ** 2 + (y[k] - i - 0.5) ** 2, np.int64(i * width + j), np.int64(k)))
+    for i in range(height):
+        for j in range(width):
+            k = np.int64(label[i, j])
+            if k >= 0:
+                near = (x[k] - j - 0.5) ** 2 + (y[k] - i - 0.5) ** 2
+                heapq.heappush(queue, (near, np.int64(i * width + j), k))
+                label[i, j] = -1
     while len(queue) > 0:
         _, at, k = heapq.heappop(queue)
         i, j = divmod(at, width)
@@ -220,7 +220,95 @@ def label_cells(drivable, x, y):  # type: ignore[no-untyped-def]
         for side in range(4):
             ni = i + (side == 2) - (side == 0)
             nj = j + (side == 1) - (side == 3)
-            if 0 <= ni < height and 0 <= nj < width and drivable[ni, nj] and label[ni, nj] < 0:
+            if 0 <= ni < height and 0 <= nj < width and mask[ni, nj] and label[ni, nj] < 0:
                 near = (x[k] - nj - 0.5) ** 2 + (y[k] - ni - 0.5) ** 2
-                heapq.heappush(queue, (near, ni * width + nj, k))
-    return label
+                heapq.heappush(queue, (near, np.int64(ni * width + nj), k))
+
+
+@compiled
+def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
+    """Nearest of some points for blocks of cells, found without going through walls.
+
+    Parameters
+    ----------
+    drivable : ndarray of bool, shape (H, W)
+    x, y : ndarray, shape (N,)
+        The points, in cells from the grid's lower left corner, all on drivable cells.
+    block : int
+        Cells along the side of a block.
+
+    Returns
+    -------
+    ndarray, shape (ceil(H / block), ceil(W / block)), int32
+        Number of a point for each block: that of the drivable cell nearest to its centre, or, in blocks that have none,
+        what spreads to them from other blocks.
+    """
+    height, width = drivable.shape
+    label = np.full((height, width), -1, dtype=np.int32)
+    for k in range(x.shape[0]):
+        label[int(np.floor(y[k])), int(np.floor(x[k]))] = k
+    spread_labels(drivable, label, x, y)
+    rows = (height + block - 1) // block
+    cols = (width + block - 1) // block
+    out = np.full((rows, cols), -1, dtype=np.int32)
+    for a in range(rows):
+        for b in range(cols):
+            best = np.inf
+            for i in range(a * block, min((a + 1) * block, height)):
+                for j in range(b * block, min((b + 1) * block, width)):
+                    away = (i + 0.5 - (a + 0.5) * block) ** 2 + (j + 0.5 - (b + 0.5) * block) ** 2
+                    if label[i, j] >= 0 and away < best:
+                        best = away
+                        out[a, b] = label[i, j]
+    spread_labels(np.ones((rows, cols), dtype=np.bool_), out, x / block, y / block)
+    return out
+
+
+@compiled
+def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
+    """Shortest way over free cells from the seeds to the border of the grid, else to the farthest cell within reach.
+
+    Parameters
+    ----------
+    occupied : ndarray of bool, shape (H, W)
+    rows, cols : ndarray of int, shape (N,)
+        Free cells to start from.
+
+    Returns
+    -------
+    ndarray, shape (K, 2)
+        Rows and columns of the cells on the way, its end first.
+    """
+    height, width = occupied.shape
+    parent = np.full((height, width), -2, dtype=np.int64)
+    queue = np.empty(height * width, dtype=np.int64)
+    size = 0
+    for k in range(rows.shape[0]):
+        if parent[rows[k], cols[k]] == -2:
+            parent[rows[k], cols[k]] = -1
+            queue[size] = rows[k] * width + cols[k]
+            size += 1
+    at = 0
+    here = queue[0]
+    while at < size:
+        here = queue[at]
+        at += 1
+        i, j = divmod(here, width)
+        if i == 0 or j == 0 or i == height - 1 or j == width - 1:
+            break
+        for side in range(4):
+            ni = i + (side == 2) - (side == 0)
+            nj = j + (side == 1) - (side == 3)
+            if parent[ni, nj] == -2 and not occupied[ni, nj]:
+                parent[ni, nj] = here
+                queue[size] = ni * width + nj
+                size += 1
+    way = [here]
+    while parent[here // width, here % width] >= 0:
+        here = parent[here // width, here % width]
+        way.append(here)
+    out = np.empty((len(way), 2), dtype=np.int64)
+    for k in range(len(way)):
+        out[k, 0] = way[k] // width
+        out[k, 1] = way[k] % width
+    return out

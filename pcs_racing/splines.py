@@ -1,16 +1,18 @@
 """Closed cubic splines, sampled at equal arc length; numpy and numba only.
 
-The periodic cubic spline through chord-length knots is textbook material (de Boor, *A Practical Guide to Splines*, 1978,
-chapter IV); its cyclic tridiagonal system is solved with the Sherman-Morrison correction of *Numerical Recipes*, 2.7.
+The periodic cubic spline through chord-length knots is textbook material (de Boor, *A Practical Guide to Splines*,
+1978, chapter IV); its cyclic tridiagonal system is solved with the Sherman-Morrison correction of *Numerical Recipes*,
+2.7.
 """
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LineSamples", "clean_closed", "sample_closed", "solve_cyclic"]
+from pcs_racing.compilation import compiled
 
-from typing import NamedTuple
+__all__ = ["LineSamples", "clean_closed", "sample_closed", "solve_cyclic"]
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +46,7 @@ class LineSamples(NamedTuple):
     kappa: Floats
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def solve_cyclic(lower, diagonal, upper, right):  # type: ignore[no-untyped-def]
     """Solve a cyclic tridiagonal system for several right-hand sides.
 
@@ -139,7 +141,7 @@ def sample_closed(points: ArrayLike, ds: float) -> LineSamples:
 
     start = np.concatenate([[0.0], np.cumsum(arc(np.arange(len(xy)), h))])
     length = float(start[-1])
-    count = max(int(round(length / ds)), 8)
+    count = max(round(length / ds), 8)
     s = np.arange(count) * (length / count)
     k = np.minimum(np.searchsorted(start, s, side="right") - 1, len(xy) - 1)
     t = h[k] * (s - start[k]) / (start[k + 1] - start[k])

@@ -1,110 +1,125 @@
 """The Track: everything about a circuit that never changes while cars race on it."""
 
 import hashlib
+import json
+import logging
+import os
+import threading
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing import frenet
-from pcs_racing.errors import MapError
-from pcs_racing.frenet import LINE_COLUMNS, TrackArrays
-from pcs_racing.grid import cast, distance_to_walls, flood, label_cells
-from pcs_racing.splines import LineSamples, sample_closed
-from pcs_racing.walls import seen_lists, simplify, trace_outlines
+from pcs_racing.compilation import compiled
+from pcs_racing.errors import MapError, UnknownNameError
+from pcs_racing.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
+from pcs_racing.grid import distance_to_walls
+from pcs_racing.mapping.clearance import wall_clearance
+from pcs_racing.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
+from pcs_racing.splines import sample_closed
+from pcs_racing.track_building import LINE_SPACING, build_arrays, check_centerline, check_grid, check_line
+from pcs_racing.track_cache import cache_key, load_cached, store
 
 __all__ = ["Track", "build_track", "load_track"]
 
 Floats = NDArray[np.float64]
 
-LINE_SPACING = 0.1
-SEEN_STRETCH = 0.8
-LOOKUP_CELL = 0.5
-MARGIN_CELLS = 3
-SIMPLIFY_CELLS = 0.5
+CLEARANCE = 0.305
+"""What a race line keeps from the walls, in m: half the width of a car (0.155) and 0.15 of air."""
+TOLERANCE = 0.02
+"""By how much a given race line may fall short of that, in m: about what a cell's corner adds."""
+
+_log = logging.getLogger("pcs_racing")
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A circuit: race line, walls, distance field."""
+    """A circuit: race line, walls, distance field.
+
+    Immutable and shared: any number of races, environments and threads use one Track at the same time.
+
+    Attributes
+    ----------
+    name : str
+    arrays : TrackArrays
+        What compiled kernels see. Its arrays are technically writeable, so that all tracks have the same compiled type;
+        nobody writes to them.
+    centerline : ndarray, shape (M, 4)
+        x, y, width to the right, width to the left, in m; as given, read-only.
+    speed_range : dict
+        For each race preset the calibrated range of the speed scale on this circuit; may be empty.
+    folder : Path or None
+        The map folder it came from.
+    content_hash : str
+        SHA-256 of the drivable region and the lines, in hexadecimal: equal for equal tracks, whatever files they came
+        from.
+    """
 
     name: str
-    arrays: TrackArrays
-    centerline: Floats
+    arrays: TrackArrays = field(repr=False)
+    centerline: Floats = field(repr=False)
     speed_range: dict[str, tuple[float, float]] = field(default_factory=dict)
     folder: Path | None = None
     content_hash: str = ""
 
     @property
     def length(self) -> float:
-        """Length of the race line in m."""
+        """Length of the closed race line in m."""
         return self.arrays.length
 
     @property
     def line(self) -> Floats:
-        """Samples of the race line, see `TrackArrays.line`; read-only."""
-        view = self.arrays.line.view()
-        view.flags.writeable = False
-        return view
+        """Samples of the race line, shape (N, 9), see `TrackArrays`; read-only."""
+        return _read_only(self.arrays.line)
 
     def to_frenet(self, points: ArrayLike) -> Floats:
-        """Frenet coordinates (s, d) of points (..., 2)."""
-        xy = np.asarray(points, dtype=np.float64)
-        return _to_frenet(self.arrays, np.ascontiguousarray(xy.reshape(-1, 2))).reshape(xy.shape)
+        """Frenet coordinates (s, d) in m of points (x, y), shape (..., 2) both; see `frenet.locate`."""
+        return self._each(_to_frenet, points, 2)
 
     def to_cartesian(self, sd: ArrayLike) -> Floats:
-        """Points and line headings (x, y, psi) of Frenet coordinates (..., 2)."""
-        at = np.asarray(sd, dtype=np.float64)
-        return _to_cartesian(self.arrays, np.ascontiguousarray(at.reshape(-1, 2))).reshape(*at.shape[:-1], 3)
+        """Points and headings of the line (x, y, psi), shape (..., 3), of Frenet coordinates (s, d), shape (..., 2)."""
+        return self._each(_to_cartesian, sd, 3)
 
     def wall_distance(self, points: ArrayLike) -> Floats:
-        """Distance in m from points (..., 2) to the nearest wall."""
-        xy = np.asarray(points, dtype=np.float64)
-        return _wall_distance(self.arrays, np.ascontiguousarray(xy.reshape(-1, 2))).reshape(xy.shape[:-1])
+        """Distance in m to the nearest wall, shape (...,), of points (x, y), shape (..., 2); 0 off the track."""
+        return self._each(_wall_distance, points, 1)[..., 0]
 
+    def _each(self, function: Any, values: ArrayLike, columns: int) -> Floats:
+        pairs = np.ascontiguousarray(values, dtype=np.float64)
+        if pairs.shape[-1:] != (2,):
+            raise ValueError(f"pairs of coordinates of shape (..., 2) are needed, got shape {pairs.shape}")
+        out = np.empty((*pairs.shape[:-1], columns))
+        function(self.arrays, pairs.reshape(-1, 2), out.reshape(-1, columns))
+        return out
 
-@njit(cache=True, nogil=True)
-def _to_frenet(track, xy):  # type: ignore[no-untyped-def]
-    out = np.empty((xy.shape[0], 2))
-    for k in range(xy.shape[0]):
-        out[k, 0], out[k, 1] = frenet.locate(track, xy[k, 0], xy[k, 1])
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _to_cartesian(track, sd):  # type: ignore[no-untyped-def]
-    out = np.empty((sd.shape[0], 3))
-    for k in range(sd.shape[0]):
-        out[k, 0], out[k, 1], out[k, 2] = frenet.to_cartesian(track, sd[k, 0], sd[k, 1])
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _wall_distance(track, xy):  # type: ignore[no-untyped-def]
-    out = np.empty(xy.shape[0])
-    for k in range(xy.shape[0]):
-        out[k] = frenet.wall_distance(track, xy[k, 0], xy[k, 1])
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _free_widths(drivable, x, y, tangent):  # type: ignore[no-untyped-def]
-    """Free width in cells to the right and to the left of each line sample, along the line's normal."""
-    out = np.empty((x.shape[0], 2))
-    for k in range(x.shape[0]):
-        c, s = tangent[k]
-        out[k, 0] = cast(drivable, x[k], y[k], s, -c, 1e9)[0]
-        out[k, 1] = cast(drivable, x[k], y[k], -s, c, 1e9)[0]
-    return out
+    def summary(self) -> str:
+        """Describe the circuit in a few lines."""
+        line = self.arrays.line
+        width = line[:, RIGHT] + line[:, LEFT]
+        turn = "left" if line[-1, frenet.PSI] > line[0, frenet.PSI] else "right"
+        ranges = ", ".join(f"{preset} {low:g}-{high:g}" for preset, (low, high) in sorted(self.speed_range.items()))
+        return "\n".join(
+            [
+                f"{self.name}: {self.length:.1f} m, {turn}-hand",
+                f"  width {width.min():.2f}-{width.max():.2f} m (mean {width.mean():.2f}), cells of {self.arrays.cell:g} m, "
+                f"{len(self.arrays.walls)} wall segments",
+                f"  race line: tightest radius {1.0 / np.abs(line[:, KAPPA]).max():.2f} m, at least "
+                f"{self.wall_distance(line[:, :2]).min():.2f} m from the walls",
+                f"  lap at speed scale 1: {(self.arrays.ds / line[:, SPEED]).sum():.1f} s, {line[:, SPEED].min():.1f}-"
+                f"{line[:, SPEED].max():.1f} m/s",
+                f"  speed range: {ranges or 'not calibrated'}",
+            ]
+        )
 
 
 def build_track(
     name: str,
-    occupied: NDArray[np.bool_],
+    occupied: ArrayLike,
     resolution: float,
-    origin: tuple[float, float],
+    origin: ArrayLike,
     centerline: ArrayLike,
     raceline_xy: ArrayLike,
     *,
@@ -116,146 +131,230 @@ def build_track(
     Parameters
     ----------
     name : str
-    occupied : ndarray of bool, shape (H, W)
-        Occupancy grid, row 0 at the bottom.
+    occupied : array_like of bool, shape (H, W)
+        Occupancy grid, True where a wall is; row 0 is the bottom.
     resolution : float
-        Side of a cell in m.
-    origin : tuple of float
+        Side of a cell in m, in (0, 1].
+    origin : array_like, shape (2,)
         Lower left corner of cell [0, 0] in m.
     centerline : array_like, shape (M, 4)
         x, y, width to the right, width to the left, in m.
     raceline_xy : array_like, shape (K, 2)
-        Points of the closed race line in m, in driving order.
+        Points of the closed race line in m, in driving order; it is the reference of all Frenet coordinates.
     speed_range : dict, optional
-        Calibrated range of the speed scale for each race preset.
+        For each race preset the calibrated range of the speed scale.
     folder : Path, optional
         Where the map came from.
 
     Returns
     -------
     Track
+
+    Raises
+    ------
+    MapError
+        If a value is impossible or the lines and the grid don't fit together.
     """
-    from pcs_racing.mapping.speed import speed_profile
-
-    grid = np.ascontiguousarray(occupied, dtype=np.bool_)
-    samples = sample_closed(raceline_xy, LINE_SPACING)
-    drivable, row0, col0 = _drivable_region(name, grid, resolution, origin, samples)
-    origin_x = origin[0] + col0 * resolution
-    origin_y = origin[1] + row0 * resolution
-    x = (samples.xy[:, 0] - origin_x) / resolution
-    y = (samples.xy[:, 1] - origin_y) / resolution
-    width = _free_widths(drivable, x, y, samples.tangent) * resolution
-    ds = samples.length / len(x)
-    line = np.empty((len(x), len(LINE_COLUMNS)))
-    line[:, 0:2] = samples.xy
-    line[:, 2:4] = samples.tangent
-    line[:, 4] = samples.psi
-    line[:, 5] = samples.kappa
-    line[:, 6] = speed_profile(samples.kappa, ds)
-    line[:, 7:9] = width
-
-    outlines = trace_outlines(drivable)
-    segments, owner, start = simplify(outlines, SIMPLIFY_CELLS)
-    stretches = max(int(round(samples.length / SEEN_STRETCH)), 1)
-    sections = _viewpoints(line, stretches, (origin_x, origin_y), resolution)
-    seen_start, seen = seen_lists(drivable, outlines, segments, owner, start, sections, 720, 60.0 / resolution)
-    lookup = _lookup(drivable, x, y, LOOKUP_CELL / resolution)
-    center = np.array(centerline, dtype=np.float64)
-    center.flags.writeable = False
+    what = f"track {name}"
+    grid, resolution, corner = check_grid(occupied, resolution, origin, what)
+    center = check_centerline(centerline, f"{what}: the centre line")
+    arrays, drivable = build_arrays(grid, resolution, corner, check_line(raceline_xy, f"{what}: the race line"), what)
+    _check_centre(arrays, center, f"{what}: the centre line")
     digest = hashlib.sha256(np.packbits(drivable).tobytes())
-    for part in (np.array([*drivable.shape, resolution, origin_x, origin_y]), line, center):
-        digest.update(np.ascontiguousarray(part).tobytes())
-    arrays = TrackArrays(
-        length=samples.length,
-        ds=ds,
-        line=line,
-        distance=distance_to_walls(drivable, resolution),
-        origin_x=origin_x,
-        origin_y=origin_y,
-        cell=float(resolution),
-        walls=segments * resolution + np.array([origin_x, origin_y, origin_x, origin_y]),
-        seen_start=seen_start,
-        seen=seen,
-        seen_stretch=samples.length / stretches,
-        lookup=lookup,
-        lookup_cell=LOOKUP_CELL,
-    )
-    return Track(name, arrays, center, dict(speed_range or {}), folder, digest.hexdigest())
+    for part in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
+        digest.update(part.tobytes())
+    return Track(name, arrays, _read_only(center), dict(speed_range or {}), folder, digest.hexdigest())
 
 
-def _drivable_region(
-    name: str, occupied: NDArray[np.bool_], resolution: float, origin: tuple[float, float], samples: LineSamples
-) -> tuple[NDArray[np.bool_], int, int]:
-    """Flood the grid from the line; return the region cropped to its box plus a margin, and where the crop begins."""
-    cells = np.floor((samples.xy - np.asarray(origin)) / resolution).astype(np.int64)
-    height, width = occupied.shape
-    inside = (cells >= 0).all(axis=1) & (cells[:, 0] < width) & (cells[:, 1] < height)
-    if not inside.all():
-        raise MapError(f"track {name}: the race line leaves the map at {samples.xy[~inside][0]}")
-    hit = occupied[cells[:, 1], cells[:, 0]]
-    if hit.any():
-        raise MapError(f"track {name}: the race line runs through a wall at {samples.xy[hit][0]}")
-    reached, (bottom, top, left, right) = flood(occupied, cells[:, 1].copy(), cells[:, 0].copy())
-    if bottom == 0 or left == 0 or top == height - 1 or right == width - 1:
-        raise MapError(f"track {name}: the walls have a gap, the track can be left to the picture's border")
-    m = MARGIN_CELLS
-    drivable = np.zeros((top - bottom + 1 + 2 * m, right - left + 1 + 2 * m), dtype=np.bool_)
-    drivable[m:-m, m:-m] = reached[bottom : top + 1, left : right + 1]
-    return drivable, bottom - m, left - m
+def load_track(name_or_path: str | os.PathLike[str]) -> Track:
+    """Load a track by the name of a shipped circuit or from a map folder.
+
+    Missing lines are made (this needs ``pip install "pcs-racing[mapping]"``), and so is the race line if the one in the
+    folder leaves a car less than 0.15 m of air to the walls; the logger ``pcs_racing`` then says so. That and the
+    processing of the walls take a second or so; the result is kept on disk (see `pcs_racing.track_cache`), and in memory
+    for as long as the process lives. A map whose files have changed is loaded anew.
+
+    Parameters
+    ----------
+    name_or_path : str or path-like
+        Name of a shipped circuit (case does not matter), a map folder, or a map's yaml file. See `pcs_racing.maps` for
+        what a folder holds.
+
+    Returns
+    -------
+    Track
+        The same object for the same map.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is neither a folder nor a shipped circuit of that name.
+    MapError
+        If the folder, or a file in it, can't be raced on.
+    """
+    files = find_map(_resolve(name_or_path))
+    with _lock:
+        kept = _loaded.get(files.yaml)
+        if kept is None or kept.files != files or kept.stamp != _stamp(kept.paths):
+            contents = read_bytes(files)
+            paths = tuple(files.folder / name for name in contents)
+            kept = _Loaded(files, paths, _stamp(paths), _load(files, contents))
+            _loaded[files.yaml] = kept
+        return kept.track
 
 
-def _viewpoints(line: Floats, stretches: int, corner: tuple[float, float], resolution: float) -> Floats:
-    """Points across the track at the beginning and the middle of each stretch, in cells."""
-    index = np.round(np.arange(2 * stretches) * (len(line) / (2 * stretches))).astype(int) % len(line)
-    at = line[index]
-    across = np.array([-0.97, -0.5, 0.0, 0.5, 0.97])
-    d = np.where(across < 0, across * at[:, 7:8], across * at[:, 8:9])
-    points = np.stack([at[:, 0:1] - d * at[:, 3:4], at[:, 1:2] + d * at[:, 2:3]], axis=2)
-    return np.ascontiguousarray((points - np.asarray(corner)) / resolution)
+class _Loaded(NamedTuple):
+    files: MapFiles
+    paths: tuple[Path, ...]
+    stamp: tuple[tuple[int, int], ...] | None
+    track: Track
 
 
-def _lookup(drivable: NDArray[np.bool_], x: Floats, y: Floats, coarse: float) -> NDArray[np.int32]:
-    label = label_cells(drivable, x, y)
-    return _coarse_labels(label, x, y, coarse)
+_lock = threading.Lock()
+_loaded: dict[Path, _Loaded] = {}
 
 
-@njit(cache=True, nogil=True)
-def _coarse_labels(label, x, y, coarse):  # type: ignore[no-untyped-def]
-    """Label of the labelled cell nearest to the centre of each coarse cell, else the nearest sample of all."""
-    height, width = label.shape
-    rows = int(np.ceil(height / coarse))
-    cols = int(np.ceil(width / coarse))
-    out = np.empty((rows, cols), dtype=np.int32)
-    for a in range(rows):
-        for b in range(cols):
-            cy = (a + 0.5) * coarse
-            cx = (b + 0.5) * coarse
-            best = np.inf
-            found = -1
-            for i in range(int(a * coarse), min(int((a + 1) * coarse) + 1, height)):
-                for j in range(int(b * coarse), min(int((b + 1) * coarse) + 1, width)):
-                    if label[i, j] >= 0:
-                        away = (i + 0.5 - cy) ** 2 + (j + 0.5 - cx) ** 2
-                        if away < best:
-                            best = away
-                            found = label[i, j]
-            if found < 0:
-                for k in range(x.shape[0]):
-                    away = (x[k] - cx) ** 2 + (y[k] - cy) ** 2
-                    if away < best:
-                        best = away
-                        found = k
-            out[a, b] = found
-    return out
+def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
+    path = Path(name_or_path)
+    if isinstance(name_or_path, str) and path.name == name_or_path:
+        try:
+            return find_shipped(name_or_path)
+        except UnknownNameError:
+            if not path.exists():
+                raise
+    return path.resolve()
 
 
-def load_track(name_or_path: str | Path) -> Track:
-    """Load a track from a map folder."""
-    from pcs_racing.maps import read_map
+def _stamp(paths: tuple[Path, ...]) -> tuple[tuple[int, int], ...] | None:
+    """What changes when a file does; None if one is gone."""
+    try:
+        return tuple((status.st_mtime_ns, status.st_size) for status in map(os.stat, paths))
+    except OSError:
+        return None
 
-    folder = Path(name_or_path)
-    data = read_map(folder)
-    assert data.centerline is not None and data.raceline is not None
-    return build_track(
-        data.name, data.occupied, data.resolution, data.origin, data.centerline, data.raceline[:, 1:3], folder=folder
-    )
+
+def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
+    """Take a track from the cache on disk, or build it and put it there."""
+    key = cache_key(contents)
+    found = load_cached(key)
+    restored = None if found is None else _restore(files, found)
+    if restored is not None:
+        track, note = restored
+    else:
+        content = parse_map(files, contents)
+        center, race, note = _lines(files, content)
+        speed_range = content.info.get("speed_range", {})
+        track = build_track(
+            content.name,
+            content.occupied,
+            content.resolution,
+            content.origin,
+            center,
+            race,
+            speed_range={preset: (float(low), float(high)) for preset, (low, high) in speed_range.items()},
+            folder=content.folder,
+        )
+        store(key, _flatten(track, note))
+    if note:
+        _log.warning("track %s: %s", track.name, note)
+    return track
+
+
+def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
+    """Centre line and race line of a map, made where they are missing or unfit; and a word on what was made."""
+    from pcs_racing.mapping.centerline import centerline_from_grid
+    from pcs_racing.mapping.raceline import minimum_curvature_raceline
+
+    occupied, resolution, origin = check_grid(content.occupied, content.resolution, content.origin, str(files.yaml))
+    center = race = None
+    reasons = []
+    if content.raceline is None:
+        reasons.append("it has no race line")
+    else:
+        race = check_line(content.raceline[:, 1:3], str(files.raceline))
+        points = sample_closed(race, LINE_SPACING).xy
+        air = float(wall_clearance(points, occupied, resolution, np.asarray(origin), 1.0).min())
+        if air == 0.0:
+            raise MapError(f"{files.raceline} leads through a wall or off the map: it must stay on the track")
+        if air < CLEARANCE - TOLERANCE:
+            reasons.append(f"its race line comes within {air:.2f} m of a wall ({CLEARANCE} m are needed)")
+    if content.centerline is None:
+        reasons.append("it has no centre line")
+    else:
+        center = check_centerline(content.centerline, str(files.centerline))
+    note = " and ".join(reasons)
+    try:
+        if center is None:
+            heading = None if race is None else float(np.arctan2(*(race[1] - race[0])[::-1]))
+            seed = None if race is None else race[0]
+            center = centerline_from_grid(occupied, resolution, origin, seed_point=seed, direction=heading)
+        if race is None or air < CLEARANCE - TOLERANCE:
+            race = minimum_curvature_raceline(center, occupied, resolution, origin, clearance=CLEARANCE)
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(f"track {files.name} must be completed: {note}; {error}", name=error.name) from error
+    except MapError as error:
+        raise MapError(f"{files.yaml}: {error}") from error
+    return center, race, f"{note}; it was made from the picture" if note else ""
+
+
+def _flatten(track: Track, note: str) -> dict[str, Any]:
+    """Everything of a track as arrays; the distance field as the region it follows from."""
+    values = {name: np.asarray(value) for name, value in track.arrays._asdict().items() if name != "distance"}
+    return values | {
+        "drivable": np.packbits(track.arrays.distance > 0.0, axis=1),
+        "columns": np.asarray(track.arrays.distance.shape[1]),
+        "centerline": track.centerline,
+        "text": np.array(json.dumps([note, track.content_hash, track.speed_range])),
+    }
+
+
+def _restore(files: MapFiles, found: dict[str, NDArray[Any]]) -> tuple[Track, str] | None:
+    """Undo `_flatten`; None if something is missing."""
+    try:
+        drivable = np.unpackbits(found["drivable"], axis=1, count=int(found["columns"])).view(np.bool_)
+        note, content_hash, speeds = json.loads(str(found["text"]))
+        center = _read_only(found["centerline"])
+        values: dict[str, Any] = {name: found[name] for name in TrackArrays._fields if name != "distance"}
+    except (KeyError, ValueError):
+        return None
+    for name, value in values.items():
+        if value.ndim == 0:
+            values[name] = float(value)
+    arrays = TrackArrays(distance=distance_to_walls(drivable, values["cell"]), **values)
+    speed_range = {preset: (low, high) for preset, (low, high) in speeds.items()}
+    return Track(files.name, arrays, center, speed_range, files.folder, content_hash), note
+
+
+def _check_centre(arrays: TrackArrays, center: Floats, what: str) -> None:
+    """Raise an error unless the points of a centre line lie on the track."""
+    cols, rows = np.floor((center[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell).astype(np.int64).T
+    height, width = arrays.distance.shape
+    on = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
+    on[on] = arrays.distance[rows[on], cols[on]] > 0.0
+    if not on.all():
+        x, y = center[np.argmin(on), :2]
+        raise MapError(f"{what} leaves the track at ({x:.2f}, {y:.2f}): it must stay between the walls")
+
+
+def _read_only(values: Floats) -> Floats:
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
+@compiled
+def _to_frenet(track, points, out):  # type: ignore[no-untyped-def]
+    for k in range(points.shape[0]):
+        out[k, 0], out[k, 1] = frenet.locate(track, points[k, 0], points[k, 1])
+
+
+@compiled
+def _to_cartesian(track, sd, out):  # type: ignore[no-untyped-def]
+    for k in range(sd.shape[0]):
+        out[k, 0], out[k, 1], out[k, 2] = frenet.to_cartesian(track, sd[k, 0], sd[k, 1])
+
+
+@compiled
+def _wall_distance(track, points, out):  # type: ignore[no-untyped-def]
+    for k in range(points.shape[0]):
+        out[k, 0] = frenet.wall_distance(track, points[k, 0], points[k, 1])

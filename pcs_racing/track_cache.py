@@ -1,0 +1,94 @@
+"""Results of slow work on maps, kept on disk from one run to the next.
+
+The folder is ``$PCS_RACING_CACHE``, else ``~/.cache/pcs_racing``; it may be deleted at any time. A file that is damaged
+or can't be written is as good as none.
+"""
+
+import contextlib
+import hashlib
+import os
+import tempfile
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["cache_folder", "cache_key", "load_cached", "store"]
+
+# Files whose code decides what is cached: a change in any of them makes all that is cached out of date.
+_CODE = (
+    "frenet.py",
+    "grid.py",
+    "map_files.py",
+    "maps.py",
+    "splines.py",
+    "track.py",
+    "track_building.py",
+    "walls.py",
+    "mapping/centerline.py",
+    "mapping/clearance.py",
+    "mapping/curves.py",
+    "mapping/raceline.py",
+    "mapping/speed.py",
+)
+
+
+def cache_folder() -> Path | None:
+    """Folder of cached results; None if there is no home to put it in."""
+    named = os.environ.get("PCS_RACING_CACHE")
+    if named:
+        return Path(named)
+    try:
+        return Path.home() / ".cache" / "pcs_racing"
+    except RuntimeError:
+        return None
+
+
+@lru_cache(maxsize=1)
+def _code() -> bytes:
+    here = Path(__file__).parent
+    digest = hashlib.sha256()
+    for name in _CODE:
+        digest.update((here / name).read_bytes())
+    return digest.digest()
+
+
+def cache_key(parts: Mapping[str, bytes]) -> str:
+    """Hash of named inputs and of the code that works on them."""
+    digest = hashlib.sha256(_code())
+    for name in sorted(parts):
+        digest.update(f"{name}\0{len(parts[name])}\0".encode())
+        digest.update(parts[name])
+    return digest.hexdigest()
+
+
+def load_cached(key: str) -> dict[str, NDArray[Any]] | None:
+    """Arrays stored under a key; None if there are none, or they are damaged."""
+    folder = cache_folder()
+    if folder is None:
+        return None
+    try:
+        with np.load(folder / f"track-{key[:40]}.npz", allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except Exception:  # a damaged file can fail in a dozen ways, and all of them mean the same
+        return None
+
+
+def store(key: str, arrays: Mapping[str, Any]) -> None:
+    """Store arrays under a key, all or nothing."""
+    folder = cache_folder()
+    if folder is None:
+        return
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=folder, suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(file, **arrays)
+            os.replace(temporary, folder / f"track-{key[:40]}.npz")
+        except BaseException:
+            os.unlink(temporary)
+            raise
