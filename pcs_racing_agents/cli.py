@@ -1,0 +1,77 @@
+"""The command line, ``pcs-racing``: reads arguments, hands over to a command, and prints errors as one line."""
+
+import argparse
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+
+from pcs_racing.errors import InputError
+from pcs_racing_agents.commands import policies, race, tournament, track
+
+__all__ = ["main"]
+
+FAILED = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        What follows ``pcs-racing``; the process's own arguments by default.
+
+    Returns
+    -------
+    int
+        0, or 2 after an error that the user can mend, which is told in one line on stderr.
+    """
+    logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
+    chosen = _parser().parse_args(arguments)
+    try:
+        chosen.run(chosen)
+        sys.stdout.flush()
+    except (InputError, ModuleNotFoundError) as error:
+        return _fail(error)
+    except BrokenPipeError:
+        # The reader (a pager, head) has gone: nothing is left to say, not even at the interpreter's end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        return _fail(error)
+    except KeyboardInterrupt:
+        print("pcs-racing: interrupted", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _fail(error: Exception) -> int:
+    print(f"pcs-racing: error: {' '.join(str(error).split())}", file=sys.stderr)
+    return FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="pcs-racing",
+        description="Head-to-head autonomous racing in Policy Characteristic Space.",
+        epilog="'pcs-racing COMMAND --help' shows the options of a command, and an example.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for group in (race, tournament, track, policies):
+        group.add(commands)
+    return parser
+
+
+def _version() -> str:
+    try:
+        return version("pcs-racing")
+    except PackageNotFoundError:  # a checkout that is not installed
+        return "(not installed)"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""What several commands share: the options that describe a race, and checks of where they may write."""
+
+import argparse
+from pathlib import Path
+from typing import Any, Protocol
+
+from pcs_racing.errors import InputError
+from pcs_racing.race_config import PRESETS, RaceConfig, load_race_config
+
+__all__ = ["POLICY_HELP", "TRACK_HELP", "Commands", "add_command", "add_rules", "output_file", "output_folder", "rules"]
+
+TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
+POLICY_HELP = "planner, planner:variant or planner:parameter=value,... (see 'pcs-racing policies')"
+
+
+class Commands(Protocol):
+    """What ``ArgumentParser.add_subparsers`` returns."""
+
+    def add_parser(self, name: str, **options: Any) -> argparse.ArgumentParser:
+        """Add a command."""
+
+
+def add_command(commands: Commands, name: str, summary: str, *examples: str) -> argparse.ArgumentParser:
+    """Add a command with a sentence of help and its examples."""
+    return commands.add_parser(
+        name,
+        help=summary,
+        description=f"{summary[0].upper()}{summary[1:]}.",
+        epilog="\n  ".join(["examples:" if len(examples) > 1 else "example:", *examples]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+
+
+def add_rules(parser: argparse.ArgumentParser) -> None:
+    """Add the options that :func:`rules` reads, and the seed."""
+    presets = ", ".join(PRESETS)
+    parser.add_argument(
+        "--preset", default="paper", help=f"rules of the race: {presets} or a YAML file (default: paper)"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="length of a race in s (default: the preset's, 40)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="root of starts and noise (default: 0)")
+
+
+def rules(arguments: argparse.Namespace) -> RaceConfig:
+    """Return the race configuration that the options ask for."""
+    changes = {} if arguments.duration is None else {"duration": arguments.duration}
+    return load_race_config(arguments.preset, **changes)
+
+
+def output_file(path: Path, *endings: str) -> Path:
+    """Return a path after checking that it can be written, before any work is done for it.
+
+    Raises
+    ------
+    InputError
+        If its ending is none of these, its folder does not exist, or it is a folder.
+    """
+    if path.suffix not in endings:
+        raise InputError(f"can't write {path}: its name must end in {' or '.join(endings)}")
+    if not path.parent.is_dir():
+        raise InputError(f"can't write {path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise InputError(f"can't write {path}: it is a folder")
+    return path
+
+
+def output_folder(path: Path) -> Path:
+    """Return a folder that exists from now on.
+
+    Raises
+    ------
+    InputError
+        If it can't be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"can't make the folder {path}: {error.strerror}") from None
+    return path

@@ -1,0 +1,66 @@
+"""``pcs-racing race``: one race, told in a few lines and kept as a replay."""
+
+import argparse
+from pathlib import Path
+
+from pcs_racing.recording import record_race
+from pcs_racing.registry import parse_policy
+from pcs_racing.replay import Replay, save_replay
+from pcs_racing.track import load_track
+from pcs_racing_agents.commands.options import (
+    POLICY_HELP,
+    TRACK_HELP,
+    Commands,
+    add_command,
+    add_rules,
+    output_file,
+    rules,
+)
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "race",
+        "drive one race between two policies",
+        "pcs-racing race --track Tarnfjord --ego lattice:pace=0.6 --opponent lattice --seed 3 --replay race.html",
+        'pcs-racing race --track "my maps/Spielberg" --ego lattice --opponent lattice --preset contest',
+    )
+    parser.add_argument("--track", required=True, help=TRACK_HELP)
+    parser.add_argument("--ego", required=True, metavar="POLICY", help=f"driver of car 0: {POLICY_HELP}")
+    parser.add_argument("--opponent", required=True, metavar="POLICY", help="driver of car 1")
+    add_rules(parser)
+    parser.add_argument("--index", type=int, default=0, metavar="K", help="which race of the seed (default: 0)")
+    parser.add_argument(
+        "--replay", type=Path, metavar="FILE", help="write a page that plays the race (.html, or .json)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Drive the race and tell what happened."""
+    config = rules(arguments)
+    ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
+    target = output_file(arguments.replay, ".html", ".json") if arguments.replay else None
+    track = load_track(arguments.track)
+    replay = record_race(
+        track, ego, opponent, config, seed=arguments.seed, index=arguments.index, candidates=target is not None
+    )
+    print(
+        f"{track.name}, {track.length:.1f} m a lap, preset {config.name}, seed {arguments.seed}, race {arguments.index}"
+    )
+    print(_story(replay))
+    if target is not None:
+        print(f"replay: {save_replay(replay, target)}")
+
+
+def _story(replay: Replay) -> str:
+    lines = [
+        f"car {car}: {name}, {replay.progress[-1, car] - replay.progress[0, car]:.1f} m driven"
+        for car, name in enumerate(replay.car_names)
+    ]
+    lines += [f"{event.time:5.1f} s  car {event.car} {event.text}" for event in replay.events]
+    return "\n".join([*lines, replay.outcome])

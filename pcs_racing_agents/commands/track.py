@@ -1,0 +1,134 @@
+"""``pcs-racing track``: list, show, import and generate circuits."""
+
+import argparse
+from importlib.util import find_spec
+from pathlib import Path
+
+from pcs_racing.maps import list_tracks
+from pcs_racing.track import Track, load_track
+from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command, output_file
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the group and its commands."""
+    group = add_command(
+        commands,
+        "track",
+        "list, show, import and generate circuits",
+        "pcs-racing track show Tarnfjord --out tarnfjord.png",
+    )
+    tracks: Commands = group.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    parser = add_command(tracks, "list", "list the circuits that come with the package", "pcs-racing track list")
+    parser.set_defaults(run=run_list)
+
+    parser = add_command(
+        tracks, "show", "say what a circuit is like, and draw it", "pcs-racing track show Tarnfjord --out tarnfjord.png"
+    )
+    parser.add_argument("track", help=TRACK_HELP)
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="picture to write (.png, .svg or .pdf; needs matplotlib)"
+    )
+    parser.set_defaults(run=run_show)
+
+    parser = add_command(
+        tracks,
+        "import",
+        "complete a map: centre line from its picture, race line from the centre line",
+        "pcs-racing track import downloads/hall --out maps/hall --seed-point 1.5 0.2 --direction clockwise",
+    )
+    parser.add_argument("source", help="map folder; a ROS yaml file and its picture are enough")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="map folder to write")
+    parser.add_argument("--name", help="name of the circuit (default: the folder's)")
+    parser.add_argument(
+        "--seed-point", type=float, nargs=2, metavar=("X", "Y"), help="a point on the track, m (default: found)"
+    )
+    parser.add_argument(
+        "--direction", type=_direction, help="counterclockwise (default), clockwise, or the heading at the start in rad"
+    )
+    parser.set_defaults(run=run_import)
+
+    parser = add_command(
+        tracks,
+        "generate",
+        "make a new circuit from a seed",
+        "pcs-racing track generate --seed 7 --style voronoi --out maps/Sevenhills",
+    )
+    parser.add_argument("--seed", type=int, required=True, metavar="N", help="the same seed gives the same circuit")
+    parser.add_argument(
+        "--style",
+        default="hull",
+        help="hull (flowing), voronoi (many braking zones) or hairpin (long straights) (default: hull)",
+    )
+    parser.add_argument("--width", type=float, default=2.2, metavar="M", help="width of the track in m (default: 2.2)")
+    parser.add_argument("--name", help="name of the circuit (default: the folder's)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="map folder to write")
+    parser.set_defaults(run=run_generate)
+
+
+def run_list(arguments: argparse.Namespace) -> None:
+    """Print a line for each shipped circuit."""
+    for name in list_tracks():
+        print(f"{name:14} {load_track(name).length:6.1f} m")
+
+
+def run_show(arguments: argparse.Namespace) -> None:
+    """Print a track's summary; draw it."""
+    target = output_file(arguments.out, ".png", ".svg", ".pdf") if arguments.out else None
+    track = load_track(arguments.track)
+    print(track.summary())
+    if target is not None:
+        from pcs_racing.mapping.pictures import show_track
+
+        show_track(track, target)
+        print(f"picture: {target}")
+
+
+def run_import(arguments: argparse.Namespace) -> None:
+    """Complete a map folder."""
+    from pcs_racing.mapping.folders import import_map
+
+    track = import_map(
+        arguments.source,
+        arguments.out,
+        seed_point=arguments.seed_point,
+        direction=arguments.direction,
+        name=arguments.name,
+        picture=_can_draw(),
+    )
+    _tell(track, arguments.out)
+
+
+def run_generate(arguments: argparse.Namespace) -> None:
+    """Generate a circuit."""
+    from pcs_racing.mapping.folders import generate_map
+
+    track = generate_map(
+        arguments.out,
+        arguments.seed,
+        arguments.style,
+        name=arguments.name,
+        width=arguments.width,
+        picture=_can_draw(),
+    )
+    _tell(track, arguments.out)
+
+
+def _direction(text: str) -> str | float:
+    """A heading if it is a number, else the word for the mapping tools to judge."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _can_draw() -> bool:
+    return find_spec("matplotlib") is not None
+
+
+def _tell(track: Track, folder: Path) -> None:
+    print(f"{track.summary()}\nwritten: {folder}")
+    if not _can_draw():
+        print('without a picture: pip install "pcs-racing[plots]" draws one')
