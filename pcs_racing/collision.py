@@ -76,6 +76,29 @@ def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ign
 
 
 @compiled
+def _wall_in_rectangle(walls, seen_start, seen, distance, middle, stretch, x, y, psi, half_length, half_width):  # type: ignore[no-untyped-def]
+    """Whether a wall that can be seen from a stretch passes through the inside of a rectangle."""
+    c = np.cos(psi)
+    s = np.sin(psi)
+    dx = x - middle[stretch, 0]
+    dy = y - middle[stretch, 1]
+    reach = np.sqrt(dx * dx + dy * dy) + np.sqrt(half_length * half_length + half_width * half_width)
+    for k in range(seen_start[stretch], seen_start[stretch + 1]):
+        if distance[k] >= reach:
+            break
+        i = np.uint32(seen[k])
+        ax = walls[i, 0] - x
+        ay = walls[i, 1] - y
+        bx = walls[i, 2] - x
+        by = walls[i, 3] - y
+        if _segment_in_rectangle(
+            ax * c + ay * s, ay * c - ax * s, bx * c + by * s, by * c - bx * s, half_length, half_width
+        ):
+            return True
+    return False
+
+
+@compiled
 def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore[no-untyped-def]
     """Whether a car's rectangle reaches into a wall; everything outside the map is wall.
 
@@ -104,22 +127,20 @@ def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore
         return False
     if clearance <= max(half_width - error, 0.0):
         return True
-    c = np.cos(psi)
-    sn = np.sin(psi)
-    stretch = int(wrap_s(track, s) / track.seen_stretch) % (track.seen_start.shape[0] - 1)
-    for k in range(track.seen_start[stretch], track.seen_start[stretch + 1]):
-        wall = track.walls[track.seen[k]]
-        ax = wall[0] - x
-        ay = wall[1] - y
-        bx = wall[2] - x
-        by = wall[3] - y
-        if max(ax, bx) <= -radius or min(ax, bx) >= radius or max(ay, by) <= -radius or min(ay, by) >= radius:
-            continue
-        if _segment_in_rectangle(
-            ax * c + ay * sn, ay * c - ax * sn, bx * c + by * sn, by * c - bx * sn, half_length, half_width
-        ):
-            return True
-    return False
+    stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
+    return _wall_in_rectangle(
+        track.walls,
+        track.seen_start,
+        track.seen,
+        track.seen_distance,
+        track.seen_middle,
+        stretch,
+        x,
+        y,
+        psi,
+        half_length,
+        half_width,
+    )
 
 
 @compiled

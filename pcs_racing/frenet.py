@@ -64,6 +64,10 @@ class TrackArrays(NamedTuple):
     seen : ndarray, int32
         For each stretch of ``seen_stretch`` metres, the wall segments that can be seen from anywhere on it (across the
         whole width of the track), near ones first.
+    seen_distance : ndarray, shape of ``seen``, float32
+        Distance in m, rounded down, of each listed segment from ``seen_middle`` of its stretch; rises along a list.
+    seen_middle : ndarray, shape (M, 2), float64
+        A point of each stretch, in m, about half way along it and half way between the walls.
     seen_stretch : float
         Length of such a stretch in m (``length / M``).
     lookup : ndarray, shape (h, w), int32
@@ -82,6 +86,8 @@ class TrackArrays(NamedTuple):
     walls: np.ndarray
     seen_start: np.ndarray
     seen: np.ndarray
+    seen_distance: np.ndarray
+    seen_middle: np.ndarray
     seen_stretch: float
     lookup: np.ndarray
     lookup_cell: float

@@ -14,6 +14,9 @@ from pcs_racing.frenet import wrap_s
 
 __all__ = ["minimum_ittc", "segment_ittc"]
 
+# A segment may end this far, in m, before the point that was computed on it.
+_ROUNDING = 1e-9
+
 
 @compiled(inline="always")
 def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untyped-def]
@@ -34,6 +37,8 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
     -------
     float
     """
+    if max(vx * ax + vy * ay, vx * bx + vy * by) <= 0.0:
+        return best
     ex = bx - ax
     ey = by - ay
     length = np.sqrt(ex * ex + ey * ey)
@@ -52,7 +57,7 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
             return best
         time = 2.0 * h / closing
         foot = (0.5 * time * (vx + speed * nx) - ax) * ux + (0.5 * time * (vy + speed * ny) - ay) * uy
-        if 0.0 <= foot <= length:
+        if -_ROUNDING <= foot <= length + _ROUNDING:
             return time
         # Along the line the time has a single minimum, so the end nearer to it is the best point of the segment.
         if foot > length:
@@ -63,6 +68,43 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
     if square < best * approach:
         return square / approach
     return best
+
+
+@compiled
+def _walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
+    """The smaller of ``best`` and the least time to collision with the walls that can be seen from a stretch."""
+    speed = np.sqrt(vx * vx + vy * vy)
+    if speed == 0.0:
+        return best
+    dx = x - middle[stretch, 0]
+    dy = y - middle[stretch, 1]
+    off = np.sqrt(dx * dx + dy * dy)
+    for k in range(seen_start[stretch], seen_start[stretch + 1]):
+        # The circle of the best time reaches |v| t far from the lidar; this and all later segments lie outside it.
+        if distance[k] - off >= best * speed:
+            break
+        i = np.uint32(seen[k])
+        best = segment_ittc(walls[i, 0] - x, walls[i, 1] - y, walls[i, 2] - x, walls[i, 3] - y, vx, vy, speed, best)
+    return best
+
+
+@compiled
+def _rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: ignore[no-untyped-def]
+    """The smaller of ``best`` and the least time to collision with a rectangle centred at (x, y) from the lidar."""
+    speed = np.sqrt(vx * vx + vy * vy)
+    nearest = np.sqrt(x * x + y * y) - half_length - half_width  # no point of it is nearer
+    if speed == 0.0 or nearest >= best * speed:
+        return best
+    c = np.cos(psi)
+    s = np.sin(psi)
+    lx = half_length * c
+    ly = half_length * s
+    wx = -half_width * s
+    wy = half_width * c
+    best = segment_ittc(x + lx - wx, y + ly - wy, x + lx + wx, y + ly + wy, vx, vy, speed, best)
+    best = segment_ittc(x + lx + wx, y + ly + wy, x - lx + wx, y - ly + wy, vx, vy, speed, best)
+    best = segment_ittc(x - lx + wx, y - ly + wy, x - lx - wx, y - ly - wy, vx, vy, speed, best)
+    return segment_ittc(x - lx - wx, y - ly - wy, x + lx - wx, y + ly - wy, vx, vy, speed, best)
 
 
 @compiled
@@ -94,33 +136,22 @@ def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, 
     Returns
     -------
     float
-        Time in [0, horizon], s; 0 on a wall.
+        Time in [0, horizon], s.
     """
-    best = horizon
+    stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
+    best = _walls_ittc(
+        track.walls,
+        track.seen_start,
+        track.seen,
+        track.seen_distance,
+        track.seen_middle,
+        stretch,
+        x,
+        y,
+        vx,
+        vy,
+        horizon,
+    )
     if use_opponent:
-        rvx = vx - ovx
-        rvy = vy - ovy
-        speed = np.sqrt(rvx * rvx + rvy * rvy)
-        dx = ox - x
-        dy = oy - y
-        # No point of the opponent is nearer than this.
-        gap = np.sqrt(dx * dx + dy * dy) - half_length - half_width
-        if speed > 0.0 and gap < best * speed:
-            c = np.cos(opsi)
-            sn = np.sin(opsi)
-            lx = half_length * c
-            ly = half_length * sn
-            wx = -half_width * sn
-            wy = half_width * c
-            best = segment_ittc(dx + lx - wx, dy + ly - wy, dx + lx + wx, dy + ly + wy, rvx, rvy, speed, best)
-            best = segment_ittc(dx + lx + wx, dy + ly + wy, dx - lx + wx, dy - ly + wy, rvx, rvy, speed, best)
-            best = segment_ittc(dx - lx + wx, dy - ly + wy, dx - lx - wx, dy - ly - wy, rvx, rvy, speed, best)
-            best = segment_ittc(dx - lx - wx, dy - ly - wy, dx + lx - wx, dy + ly - wy, rvx, rvy, speed, best)
-    speed = np.sqrt(vx * vx + vy * vy)
-    if speed == 0.0:
-        return best
-    stretch = int(wrap_s(track, s) / track.seen_stretch) % (track.seen_start.shape[0] - 1)
-    for k in range(track.seen_start[stretch], track.seen_start[stretch + 1]):
-        wall = track.walls[track.seen[k]]
-        best = segment_ittc(wall[0] - x, wall[1] - y, wall[2] - x, wall[3] - y, vx, vy, speed, best)
+        best = _rectangle_ittc(ox - x, oy - y, opsi, half_length, half_width, vx - ovx, vy - ovy, best)
     return best

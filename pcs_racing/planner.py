@@ -126,6 +126,8 @@ _TRACK = types.NamedTuple(
         _MATRIX,  # walls
         types.Array(types.int32, 1, "C"),  # seen_start
         types.Array(types.int32, 1, "C"),  # seen
+        types.Array(types.float32, 1, "C"),  # seen_distance
+        _MATRIX,  # seen_middle
         types.float64,  # seen_stretch
         types.Array(types.int32, 2, "C"),  # lookup
         types.float64,  # lookup_cell
@@ -351,7 +353,9 @@ class Planner:
         bounds = self.bounds
         return rng.uniform(bounds[:, 0], bounds[:, 1])
 
-    def policy(self, parameters: ArrayLike | Mapping[str, float] | str | None = None, name: str | None = None) -> "Policy":
+    def policy(
+        self, parameters: ArrayLike | Mapping[str, float] | str | None = None, name: str | None = None
+    ) -> "Policy":
         """Make a policy from a vector, from named values over the defaults, or from the name of a variant.
 
         Raises

@@ -224,7 +224,9 @@ def build_arrays(
     segments, owner, start = simplify(outlines, max(SIMPLIFY_CELLS, SIMPLIFY / resolution), INSET)
     stretches = max(round(samples.length / SEEN_STRETCH), 1)
     sections = (_viewpoints(line, stretches) - corner) / resolution
-    seen_start, seen = seen_lists(drivable, outlines, segments, owner, start, sections, SEEN_RAYS, SEEN_DEPTH)
+    seen_start, seen, seen_distance = seen_lists(
+        drivable, outlines, segments, owner, start, sections, SEEN_RAYS, SEEN_DEPTH
+    )
     block = max(round(LOOKUP_CELL / resolution), 1)
     arrays = TrackArrays(
         length=samples.length,
@@ -237,6 +239,8 @@ def build_arrays(
         walls=segments * resolution + np.tile(corner, 2),
         seen_start=seen_start,
         seen=seen,
+        seen_distance=np.nextafter((seen_distance * resolution).astype(np.float32), np.float32(-1.0)),
+        seen_middle=sections[1::2].mean(axis=1) * resolution + corner,
         seen_stretch=samples.length / stretches,
         lookup=lookup_grid(drivable, x, y, block),
         lookup_cell=block * resolution,

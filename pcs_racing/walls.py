@@ -306,12 +306,15 @@ def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth
     seen_start : ndarray, shape (M + 1,), int32
     seen : ndarray, int32
         Segments of stretch m: ``seen[seen_start[m]:seen_start[m + 1]]``, those near its middle first.
+    distance : ndarray, shape of ``seen``
+        Distance in cells of each of them from the mean of the viewpoints in the middle of its stretch.
     """
     number, faces = _cell_faces(outlines, drivable.shape)
     count = segments.shape[0]
     stretches = sections.shape[0] // 2
     seen_start = np.zeros(stretches + 1, dtype=np.int32)
     seen = np.empty(64 * stretches, dtype=np.int32)
+    distance = np.empty(seen.shape[0])
     size = 0
     marks = np.zeros((3, count), dtype=np.bool_)
     chosen = np.empty(count, dtype=np.bool_)
@@ -342,7 +345,12 @@ def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth
             larger = np.empty(2 * (size + found.shape[0]), dtype=np.int32)
             larger[:size] = seen[:size]
             seen = larger
-        seen[size : size + found.shape[0]] = found[np.argsort(away, kind="mergesort")]
+            longer = np.empty(larger.shape[0])
+            longer[:size] = distance[:size]
+            distance = longer
+        order = np.argsort(away, kind="mergesort")
+        seen[size : size + found.shape[0]] = found[order]
+        distance[size : size + found.shape[0]] = np.sqrt(away[order])
         size += found.shape[0]
         seen_start[m + 1] = size
-    return seen_start, seen[:size].copy()
+    return seen_start, seen[:size].copy(), distance[:size].copy()
