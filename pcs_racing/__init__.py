@@ -1,1 +1,64 @@
-"""Head-to-head autonomous racing in Policy Characteristic Space."""
+"""Head-to-head autonomous racing in Policy Characteristic Space.
+
+Examples
+--------
+>>> import pcs_racing
+>>> track = pcs_racing.load_track("Tarnfjord")
+>>> calm, bold = (pcs_racing.parse_policy(f"lattice:pace={pace}") for pace in (0.3, 0.8))
+>>> result = pcs_racing.run_races(track, [calm] * 10, bold, pcs_racing.PAPER, seed=1)
+>>> result.winner.shape
+(10,)
+"""
+
+from pcs_racing.errors import ConfigError, InputError, MapError, UnknownNameError
+from pcs_racing.lidar import Lidar
+from pcs_racing.maps import list_tracks
+from pcs_racing.planner import Parameter, Planner, Policy
+from pcs_racing.race import RaceResult, RaceSetup, Starts, advance, draw_starts, run_races, start_races
+from pcs_racing.race_config import CONTEST, PAPER, RaceConfig, load_race_config
+from pcs_racing.race_state import RaceState, load_state, save_state
+from pcs_racing.recording import record_race
+from pcs_racing.registry import get_planner, parse_policy, planner_names, register_planner
+from pcs_racing.replay import Replay, read_replay, save_replay
+from pcs_racing.track import Track, build_track, load_track
+from pcs_racing.vehicle import F1TENTH, VehicleParams, simulate
+
+__all__ = [
+    "CONTEST",
+    "F1TENTH",
+    "PAPER",
+    "ConfigError",
+    "InputError",
+    "Lidar",
+    "MapError",
+    "Parameter",
+    "Planner",
+    "Policy",
+    "RaceConfig",
+    "RaceResult",
+    "RaceSetup",
+    "RaceState",
+    "Replay",
+    "Starts",
+    "Track",
+    "UnknownNameError",
+    "VehicleParams",
+    "advance",
+    "build_track",
+    "draw_starts",
+    "get_planner",
+    "list_tracks",
+    "load_race_config",
+    "load_state",
+    "load_track",
+    "parse_policy",
+    "planner_names",
+    "read_replay",
+    "record_race",
+    "register_planner",
+    "run_races",
+    "save_replay",
+    "save_state",
+    "simulate",
+    "start_races",
+]

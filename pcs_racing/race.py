@@ -132,7 +132,7 @@ def start_lines(track: Track, config: RaceConfig, seed: int | np.random.SeedSequ
     # One line from each of as many equal parts of the good places: random, yet never two in one spot.
     edges = np.linspace(0.0, len(places), config.start_lines + 1)
     chosen = rng.uniform(edges[:-1], edges[1:]).astype(np.intp)
-    return places[np.minimum(chosen, len(places) - 1)] * track.arrays.ds
+    return places[np.minimum(chosen, len(places) - 1)].astype(np.float64) * track.arrays.ds
 
 
 def draw_starts(track: Track, config: RaceConfig, races: int, seed: int) -> Starts:
@@ -148,7 +148,8 @@ def draw_starts(track: Track, config: RaceConfig, races: int, seed: int) -> Star
 def race_seeds(seed: int, races: int) -> NDArray[np.uint64]:
     """Noise key of each race: a function of the root seed and the race's index alone, shape (B,)."""
     return np.array(
-        [np.random.SeedSequence(seed, spawn_key=(1, i)).generate_state(1, np.uint64)[0] for i in range(races)], np.uint64
+        [np.random.SeedSequence(seed, spawn_key=(1, i)).generate_state(1, np.uint64)[0] for i in range(races)],
+        np.uint64,
     )
 
 
@@ -171,7 +172,8 @@ def start_races(setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64]) -> 
     if outside.any():
         i = int(np.flatnonzero(outside)[0])
         raise InputError(
-            f"race {i}: the start line {starts.s[i]} m is not on track {track.name!r}; it must lie in [0, {arrays.length:.2f})"
+            f"race {i}: the start line {starts.s[i]} m is not on track {track.name!r}; it must lie in "
+            f"[0, {arrays.length:.2f})"
         )
     if not np.isin(starts.side, (0, 1)).all():
         raise InputError(f"start sides must be 0 or 1; found {starts.side[~np.isin(starts.side, (0, 1))][0]}")
@@ -199,8 +201,8 @@ def start_races(setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64]) -> 
     if state.crashed.any():
         i = int(np.flatnonzero(state.crashed)[0])
         raise InputError(
-            f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand in a wall or in the other "
-            f"car; choose another line or a smaller start_spacing than {config.start_spacing:g} m"
+            f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand in a wall or in the "
+            f"other car; choose another line or a smaller start_spacing than {config.start_spacing:g} m"
         )
     return state
 
@@ -254,8 +256,9 @@ def _advance_compiled(
             f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64 of shape "
             f"{(races, 2, setup.theta_size)}"
         )
-    plan0, control0 = setup.planners[0].pointers()
-    plan1, control1 = setup.planners[1].pointers()
+    with announce_compilation(advance_races, "the planners and the race kernel", 30):
+        plan0, control0 = setup.planners[0].pointers()
+        plan1, control1 = setup.planners[1].pointers()
     vehicles = _vehicle_rows(setup, races)
     settings = setup.settings
     size = max(1, *(planner.scratch_size for planner in setup.planners))
@@ -279,14 +282,13 @@ def _advance_compiled(
         )
 
     workers = min(threads or default_threads(), races)
-    with announce_compilation(advance_races, "the race kernel", 30):
-        if workers <= 1:
-            part(0, races)
-            return
-        part(0, 0)  # compiles before the threads need it
-        edges = np.linspace(0, races, min(races, 4 * workers) + 1).astype(int)
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(part, edges[:-1], edges[1:]))
+    if workers <= 1:
+        part(0, races)
+        return
+    part(0, 0)  # compiles before the threads need it
+    edges = np.linspace(0, races, min(races, 4 * workers) + 1).astype(int)
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(part, edges[:-1], edges[1:]))
 
 
 def _ask_python_drivers(setup: RaceSetup, state: RaceState, theta: NDArray[np.float64]) -> None:
@@ -301,12 +303,12 @@ def _ask_python_drivers(setup: RaceSetup, state: RaceState, theta: NDArray[np.fl
             fill_view(setup.track.arrays, state, race, car, vehicles, setup.settings, view)
             memory = state.memory[race, car]
             own = memory[COMMAND_SLOTS : COMMAND_SLOTS + planner.memory_size]
-            command = planner.drive(setup.track, theta[race, car, : len(planner.parameters)], view.copy(), own)
-            command = np.asarray(command, dtype=np.float64)
+            answer = planner.drive(setup.track, theta[race, car, : len(planner.parameters)], view.copy(), own)
+            command = np.asarray(answer, dtype=np.float64)
             if command.shape != (2,) or not np.isfinite(command).all():
                 raise InputError(
-                    f"race {race}, car {car}: planner {planner.name!r} returned {command!r}; it must return two finite numbers, "
-                    "steering angle (rad) and speed (m/s)"
+                    f"race {race}, car {car}: planner {planner.name!r} returned {command!r}; it must return two finite "
+                    "numbers, steering angle (rad) and speed (m/s)"
                 )
             memory[:COMMAND_SLOTS] = command
 
@@ -356,7 +358,7 @@ class RaceResult:
     @property
     def time(self) -> NDArray[np.float64]:
         """How long each race lasted, s, shape (B,)."""
-        return self.state.tick * DT
+        return self.state.tick.astype(np.float64) * DT
 
 
 def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]:
@@ -384,7 +386,8 @@ def run_races(
     ----------
     track : Track
     egos, opponents : Policy or sequence of Policy
-        Drivers of car 0 and car 1 in each race; a single policy drives in all of them. Planners may differ from race to race.
+        Drivers of car 0 and car 1 in each race; a single policy drives in all of them. Planners may differ from race to
+        race.
     config : RaceConfig
         The rules.
     seed : int

@@ -23,6 +23,7 @@ SUMS: dict[str, str] = {
 }
 """What is summed up for each car while it drives, by name; characteristics are made of differences of these."""
 
+# Column numbers for compiled code, too.
 ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME = range(len(SUMS))
 
 NO_CRASH, WALL_CRASH, CAR_CRASH = range(3)
@@ -31,7 +32,8 @@ NO_CRASH, WALL_CRASH, CAR_CRASH = range(3)
 class RaceState(NamedTuple):
     """A batch of B two-car races at one moment: plain arrays, race axis first.
 
-    Nothing else is needed to go on: two races with equal states, policies and rules continue identically to the last bit.
+    Nothing else is needed to go on: two races with equal states, policies and rules continue identically to the last
+    bit.
 
     Attributes
     ----------
@@ -97,7 +99,7 @@ class RaceState(NamedTuple):
 
     def copy(self) -> "RaceState":
         """Return an independent copy."""
-        return RaceState(*(array.copy() for array in self))
+        return RaceState._make(array.copy() for array in self)
 
 
 def empty_state(races: int, memory_size: int) -> RaceState:
@@ -123,12 +125,12 @@ def empty_state(races: int, memory_size: int) -> RaceState:
 def take(state: RaceState, indices: ArrayLike) -> RaceState:
     """Return copies of some races, in the order asked for (a race may be taken more than once)."""
     chosen = np.asarray(indices)
-    return RaceState(*(np.ascontiguousarray(array[chosen]) for array in state))
+    return RaceState._make(np.ascontiguousarray(array[chosen]) for array in state)
 
 
 def concatenate(states: list[RaceState]) -> RaceState:
     """Join batches of races into one."""
-    return RaceState(*(np.concatenate(arrays) for arrays in zip(*states, strict=True)))
+    return RaceState._make(np.concatenate(arrays) for arrays in zip(*states, strict=True))
 
 
 def save_state(state: RaceState, path: str | Path) -> None:

@@ -1,6 +1,11 @@
 """Policies and agents for :mod:`pcs_racing`: motion planners, archives, strategies and tournaments."""
 
+from pathlib import Path
+
+from pcs_racing.compilation import forget_stale_code
 from pcs_racing.registry import register_planner
+
+forget_stale_code(Path(__file__).parent)
 
 PLANNERS = {
     "lattice": "pcs_racing_agents.planners.lattice:LATTICE",
