@@ -1,7 +1,5 @@
 """How this package compiles its hot paths, keeps them on disk, and says so when the first time takes a while."""
 
-import hashlib
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,7 +8,9 @@ from typing import Any
 
 from numba import njit
 
-__all__ = ["announce_compilation", "compiled", "forget_stale_code"]
+from pcs_racing.code_cache import forget_stale_code
+
+__all__ = ["announce_compilation", "compiled"]
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -54,37 +54,6 @@ def announce_compilation(dispatcher: Any, what: str, seconds: int) -> Iterator[N
             line = f"pcs-racing: compiling {what} (about {seconds} s, once; it is cached on disk)"
             print(line, file=sys.stderr, flush=True)
     yield
-
-
-def forget_stale_code(package: Path) -> None:
-    """Delete numba's cached code of a package if the sources that went into it have changed.
-
-    Numba itself looks only at the file of the function it loads, not at the files of the functions which that one
-    calls: after an update, or an edit, it would go on running parts of the old code.
-
-    Parameters
-    ----------
-    package : Path
-        Folder of a package whose compiled functions may call each other and those of ``pcs_racing``.
-    """
-    digest = hashlib.sha256()
-    for source in sorted({*package.rglob("*.py"), *Path(__file__).parent.rglob("*.py")}):
-        text = source.read_bytes()
-        # Files of constants that compiled code reads say so in a comment.
-        if b"compiled" in text or b"njit" in text:
-            digest.update(text)
-    note = package / "__pycache__" / "numba_sources.txt"
-    try:
-        if note.is_file() and note.read_text() == digest.hexdigest():
-            return
-        for cached in package.rglob("__pycache__/*.nb[ci]"):
-            cached.unlink(missing_ok=True)
-        note.parent.mkdir(exist_ok=True)
-        temporary = note.with_suffix(f".{os.getpid()}.tmp")
-        temporary.write_text(digest.hexdigest())
-        os.replace(temporary, note)
-    except OSError:
-        pass  # not ours to write to: an installation, whose files never change one by one
 
 
 forget_stale_code(Path(__file__).parent)

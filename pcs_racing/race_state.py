@@ -23,7 +23,6 @@ SUMS: dict[str, str] = {
 }
 """What is summed up for each car while it drives, by name; characteristics are made of differences of these."""
 
-# Column numbers for compiled code, too.
 ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME = range(len(SUMS))
 
 NO_CRASH, WALL_CRASH, CAR_CRASH = range(3)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from pcs_racing.compilation import forget_stale_code
+from pcs_racing.code_cache import forget_stale_code
 from pcs_racing.registry import register_planner
 
 forget_stale_code(Path(__file__).parent)

@@ -1,0 +1,62 @@
+"""Numba's code on disk, thrown away when the sources behind it change.
+
+Numba looks at the file of the function that it loads, but not at the files of the functions which that one calls: after
+an edit or an update it would go on running parts of the old code. This module knows which file imports which.
+"""
+
+import hashlib
+import json
+import os
+import re
+from pathlib import Path
+
+__all__ = ["forget_stale_code"]
+
+_IMPORT = re.compile(r"^\s*(?:from|import)\s+pcs_racing[^\n(]*(?:\([^)]*\))?", re.MULTILINE)
+_WORD = re.compile(r"\w+")
+
+
+def forget_stale_code(package: Path) -> None:
+    """Delete numba's cached code of those modules whose source, or that of a module they import, has changed.
+
+    Parameters
+    ----------
+    package : Path
+        Folder of a package whose compiled functions may call each other and those of ``pcs_racing``.
+    """
+    note = package / "__pycache__" / "numba_sources.json"
+    try:
+        now = _digests(package)
+        before = json.loads(note.read_text()) if note.is_file() else {}
+        if before == now:
+            return
+        for module in now:
+            if before.get(module) != now[module]:
+                for cached in package.rglob(f"__pycache__/{module}.*.nb[ci]"):
+                    cached.unlink(missing_ok=True)
+        note.parent.mkdir(exist_ok=True)
+        temporary = note.with_suffix(f".{os.getpid()}.tmp")
+        temporary.write_text(json.dumps(now))
+        os.replace(temporary, note)
+    except (OSError, ValueError):
+        return  # not ours to write to: an installation, whose files never change one by one
+
+
+def _digests(package: Path) -> dict[str, str]:
+    """For every module of a package: a digest of its source and of all sources that it imports."""
+    texts: dict[str, str] = {}
+    for source in sorted({*package.rglob("*.py"), *Path(__file__).parent.rglob("*.py")}):
+        # Modules of one name in two folders are taken for one: a little too much is thrown away then, never too little.
+        texts[source.stem] = texts.get(source.stem, "") + source.read_text(encoding="utf-8")
+    imports = {
+        name: {word for line in _IMPORT.findall(text) for word in _WORD.findall(line)} & texts.keys()
+        for name, text in texts.items()
+    }
+    digests = {}
+    for name in texts:
+        reached, new = {name}, [name]
+        while new:
+            new = [other for other in {o for n in new for o in imports[n]} if other not in reached]
+            reached.update(new)
+        digests[name] = hashlib.sha256("".join(texts[other] for other in sorted(reached)).encode()).hexdigest()
+    return digests
