@@ -186,6 +186,18 @@ def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _push_neighbours(queue, mask, label, x, y, i, j):  # type: ignore[no-untyped-def]
+    height, width = mask.shape
+    k = np.int64(label[i, j])
+    for side in range(4):
+        ni = i + (side == 2) - (side == 0)
+        nj = j + (side == 1) - (side == 3)
+        if 0 <= ni < height and 0 <= nj < width and mask[ni, nj] and label[ni, nj] < 0:
+            near = (x[k] - nj - 0.5) ** 2 + (y[k] - ni - 0.5) ** 2
+            heapq.heappush(queue, (near, np.int64(ni * width + nj), k))
+
+
+@compiled
 def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
     """Spread the numbers of points from some cells of a region to all of it, the nearest point first.
 
@@ -197,7 +209,7 @@ def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
     mask : ndarray of bool, shape (H, W)
         The region.
     label : ndarray, shape (H, W), int32
-        Number of a point, or -1. Filled in place, except in cells outside the region or out of reach.
+        Number of a point, or -1, which is filled in place except outside the region or out of reach.
     x, y : ndarray, shape (N,)
         The points, in cells from the grid's lower left corner.
     """
@@ -206,23 +218,14 @@ def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
     queue.pop()
     for i in range(height):
         for j in range(width):
-            k = np.int64(label[i, j])
-            if k >= 0:
-                near = (x[k] - j - 0.5) ** 2 + (y[k] - i - 0.5) ** 2
-                heapq.heappush(queue, (near, np.int64(i * width + j), k))
-                label[i, j] = -1
+            if label[i, j] >= 0:
+                _push_neighbours(queue, mask, label, x, y, i, j)
     while len(queue) > 0:
         _, at, k = heapq.heappop(queue)
         i, j = divmod(at, width)
-        if label[i, j] >= 0:
-            continue
-        label[i, j] = k
-        for side in range(4):
-            ni = i + (side == 2) - (side == 0)
-            nj = j + (side == 1) - (side == 3)
-            if 0 <= ni < height and 0 <= nj < width and mask[ni, nj] and label[ni, nj] < 0:
-                near = (x[k] - nj - 0.5) ** 2 + (y[k] - ni - 0.5) ** 2
-                heapq.heappush(queue, (near, np.int64(ni * width + nj), k))
+        if label[i, j] < 0:
+            label[i, j] = k
+            _push_neighbours(queue, mask, label, x, y, i, j)
 
 
 @compiled

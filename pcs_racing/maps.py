@@ -133,7 +133,7 @@ def find_shipped(name: str) -> Path:
         if candidate.lower() == name.lower():
             return shipped_folder() / candidate
     raise UnknownNameError(
-        f"unknown track {name!r}: it is neither a map folder nor one of the shipped tracks {', '.join(known) or '(none)'}"
+        f"unknown track {name!r}: neither a map folder nor one of the shipped tracks ({', '.join(known) or 'none'})"
     )
 
 
@@ -234,9 +234,9 @@ def write_map(content: MapFolder) -> Path:
     name, folder = content.name, Path(content.folder)
     if not name.isprintable() or name != name.strip(" .") or not name or set(name) & set('/\\:*?"<>|'):
         raise MapError(f"{name!r} can't name a map: letters, digits, '-', '_' and spaces between them can")
-    if folder.exists() and not (folder / f"{name}_map.yaml").is_file():
-        if not folder.is_dir() or any(folder.iterdir()):
-            raise MapError(f"{folder} exists and holds no map called {name}: choose another folder")
+    same = not folder.exists() or (folder / f"{name}_map.yaml").is_file()
+    if not same and not (folder.is_dir() and next(folder.iterdir(), None) is None):
+        raise MapError(f"{folder} exists and holds no map called {name}: choose another folder")
     files = _files(content)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -304,9 +304,7 @@ def _map_yaml(folder: Path) -> Path:
         names = ", ".join(file.name for file in found)
         raise MapError(f"{folder} holds several maps ({names}): name one of these files instead of the folder")
     if not found:
-        raise MapError(
-            f"{folder} holds no map: {own.name}, as ROS map_server writes it, or any one *_map.yaml is needed"
-        )
+        raise MapError(f"{folder} holds no map: {own.name}, or any one *_map.yaml as ROS writes it, is needed")
     return found[0]
 
 

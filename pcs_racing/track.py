@@ -104,8 +104,8 @@ class Track:
         return "\n".join(
             [
                 f"{self.name}: {self.length:.1f} m, {turn}-hand",
-                f"  width {width.min():.2f}-{width.max():.2f} m (mean {width.mean():.2f}), cells of {self.arrays.cell:g} m, "
-                f"{len(self.arrays.walls)} wall segments",
+                f"  width {width.min():.2f}-{width.max():.2f} m (mean {width.mean():.2f}), "
+                f"{len(self.arrays.walls)} wall segments, cells of {self.arrays.cell:g} m",
                 f"  race line: tightest radius {1.0 / np.abs(line[:, KAPPA]).max():.2f} m, at least "
                 f"{self.wall_distance(line[:, :2]).min():.2f} m from the walls",
                 f"  lap at speed scale 1: {(self.arrays.ds / line[:, SPEED]).sum():.1f} s, {line[:, SPEED].min():.1f}-"
@@ -171,8 +171,8 @@ def load_track(name_or_path: str | os.PathLike[str]) -> Track:
 
     Missing lines are made (this needs ``pip install "pcs-racing[mapping]"``), and so is the race line if the one in the
     folder leaves a car less than 0.15 m of air to the walls; the logger ``pcs_racing`` then says so. That and the
-    processing of the walls take a second or so; the result is kept on disk (see `pcs_racing.track_cache`), and in memory
-    for as long as the process lives. A map whose files have changed is loaded anew.
+    processing of the walls take a second or so; the result is kept on disk (see `pcs_racing.track_cache`), and in
+    memory for as long as the process lives. A map whose files have changed is loaded anew.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ SEEN_ACROSS = 6  # viewpoints across the track
 SEEN_RAYS = 120  # from each viewpoint, before gaps are halved ...
 SEEN_DEPTH = 6  # ... this often
 LOOKUP_CELL = 0.25  # m
-LEAK = 2.0  # a region larger than this many times length x width is more than the track
+LEAK = 1.4  # a region larger than this many times length x mean width is more than the track
 
 
 def check_grid(
@@ -150,10 +150,8 @@ def drivable_region(
     m = MARGIN
     drivable = np.zeros((top - bottom + 1 + 2 * m, right - left + 1 + 2 * m), dtype=np.bool_)
     drivable[m:-m, m:-m] = reached[bottom : top + 1, left : right + 1]
-    across = np.median(
-        _free_widths(drivable, *_in_cells(samples, resolution, origin, bottom - m, left - m)).sum(axis=1)
-    )
-    usual = float(across) * samples.length / resolution
+    across = _free_widths(drivable, *_in_cells(samples, resolution, origin, bottom - m, left - m)).sum(axis=1)
+    usual = float(across.mean()) * samples.length / resolution
     area = int(np.count_nonzero(reached))
     if open_to_border or area > LEAK * usual:
         way = way_out(occupied, rows, cols)
@@ -318,11 +316,16 @@ def _first_crossing(xy, step):  # type: ignore[no-untyped-def]
                 j += far - 2
                 continue
             dx, dy = xy[(j + 1) % n]
+            j += 1
+            # On a straight the sides below are rounding errors; boxes that don't overlap settle it.
+            if max(cx, dx) < min(ax, bx) or min(cx, dx) > max(ax, bx):
+                continue
+            if max(cy, dy) < min(ay, by) or min(cy, dy) > max(ay, by):
+                continue
             c_side = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
             d_side = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
             a_side = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
             b_side = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
             if c_side * d_side <= 0.0 and a_side * b_side <= 0.0:
                 return i
-            j += 1
     return -1

@@ -71,8 +71,8 @@ def load_cached(key: str) -> dict[str, NDArray[Any]] | None:
     if folder is None:
         return None
     try:
-        with np.load(folder / f"track-{key[:40]}.npz", allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        with open(folder / f"track-{key[:40]}.npz", "rb") as file, np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
     except Exception:  # a damaged file can fail in a dozen ways, and all of them mean the same
         return None
 

@@ -1,4 +1,4 @@
-"""Fixtures that every test may use: the project's own tracks, and real maps and reference data where they are at hand."""
+"""Fixtures that every test may use: tracks of the project's own, and real maps and reference data where they are."""
 
 import os
 from pathlib import Path
@@ -47,7 +47,7 @@ def oval():
     origin = (-straight / 2 - radius - 2.0, -radius - 2.0)
     shape = (round(2 * (radius + 2.0) / resolution), round((straight + 2 * radius + 4.0) / resolution))
     y, x = np.meshgrid(*((np.arange(n) + 0.5) * resolution for n in shape), indexing="ij")
-    # The stadium's centre line is where the distance to the segment between the two half circles' centres is the radius.
+    # The centre line is where the distance to the segment between the two half circles' centres is the radius.
     away = np.hypot(np.maximum(np.abs(x + origin[0]) - straight / 2, 0.0), y + origin[1])
     occupied = np.abs(away - radius) > half_width
     occupied &= np.abs(away - radius) < half_width + 0.3
