@@ -283,8 +283,8 @@ def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
         Rows and columns of the cells on the way, its end first.
     """
     height, width = occupied.shape
-    parent = np.full((height, width), -2, dtype=np.int64)
-    queue = np.empty(height * width, dtype=np.int64)
+    parent = np.full((height, width), -2, dtype=np.int32)
+    queue = np.empty(height * width, dtype=np.int32)
     size = 0
     for k in range(rows.shape[0]):
         if parent[rows[k], cols[k]] == -2:
@@ -292,9 +292,9 @@ def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
             queue[size] = rows[k] * width + cols[k]
             size += 1
     at = 0
-    here = queue[0]
+    here = np.int64(queue[0])
     while at < size:
-        here = queue[at]
+        here = np.int64(queue[at])
         at += 1
         i, j = divmod(here, width)
         if i == 0 or j == 0 or i == height - 1 or j == width - 1:
@@ -308,7 +308,7 @@ def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
                 size += 1
     way = [here]
     while parent[here // width, here % width] >= 0:
-        here = parent[here // width, here % width]
+        here = np.int64(parent[here // width, here % width])
         way.append(here)
     out = np.empty((len(way), 2), dtype=np.int64)
     for k in range(len(way)):

@@ -220,7 +220,9 @@ def _opened(cells: Grid) -> Grid:
     """Morphological opening: the union of all squares of 3 x 3 cells that lie in a region."""
     height, width = cells.shape
     offsets = [(slice(i, height - 2 + i), slice(j, width - 2 + j)) for i in range(3) for j in range(3)]
-    core = np.logical_and.reduce([cells[offset] for offset in offsets])
+    core = np.ones((height - 2, width - 2), dtype=np.bool_)
+    for offset in offsets:
+        core &= cells[offset]
     out = np.zeros_like(cells)
     for offset in offsets:
         out[offset] |= core

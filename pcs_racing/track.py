@@ -244,16 +244,19 @@ def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
         content = parse_map(files, contents)
         center, race, note = _lines(files, content)
         speed_range = content.info.get("speed_range", {})
-        track = build_track(
-            content.name,
-            content.occupied,
-            content.resolution,
-            content.origin,
-            center,
-            race,
-            speed_range={preset: (float(low), float(high)) for preset, (low, high) in speed_range.items()},
-            folder=content.folder,
-        )
+        try:
+            track = build_track(
+                content.name,
+                content.occupied,
+                content.resolution,
+                content.origin,
+                center,
+                race,
+                speed_range={preset: (float(low), float(high)) for preset, (low, high) in speed_range.items()},
+                folder=content.folder,
+            )
+        except MapError as error:
+            raise MapError(f"{files.yaml}: {error}") from error
         store(key, _flatten(track, note))
     if note:
         _log.warning("track %s: %s", track.name, note)

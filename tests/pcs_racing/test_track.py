@@ -317,6 +317,33 @@ def test_a_race_line_without_air_to_the_walls_is_replaced(folder, oval, caplog):
         load_track(folder)
 
 
+def test_without_the_mapping_tools_complete_maps_load_and_others_say_what_to_install(folder, monkeypatch):
+    monkeypatch.setattr("pcs_racing.mapping.optional.find_spec", lambda name: None)
+    load_track(folder)
+    (folder / "Big Oval_raceline.csv").unlink()
+    with pytest.raises(ModuleNotFoundError, match=r"it has no race line; .*pip install \"pcs-racing\[mapping\]\""):
+        load_track(folder)
+
+
+def test_errors_name_the_file(folder):
+    file = folder / "Big Oval_map.yaml"
+    file.write_text(file.read_text().replace("resolution: 0.05", "resolution: 0.06"))
+    with pytest.raises(MapError, match=r"Big Oval_(map\.yaml|raceline\.csv)"):
+        load_track(folder)
+    file.write_text(file.read_text().replace("resolution: 0.06", "resolution: 0.05"))
+    line = folder / "Big Oval_raceline.csv"
+    rows = line.read_text().splitlines()
+    line.write_text("\n".join(rows[: len(rows) // 2]))
+    with pytest.raises(MapError, match=r"Big Oval_raceline\.csv is open"):
+        load_track(folder)
+
+
+def test_points_that_are_nowhere_do_no_harm(oval):
+    for point in ([np.nan, 0.0], [np.inf, 0.0], [1e15, -1e15]):
+        assert oval.to_frenet(point).shape == (2,)
+        assert oval.wall_distance(point) == 0.0
+
+
 def test_names_that_stand_for_nothing_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UnknownNameError, match="unknown track 'Nowhere'"):

@@ -150,7 +150,7 @@ def test_scans_of_the_walls_agree_with_the_exact_ones(real_maps, reference):
     assert np.median(error) <= 0.01
     assert np.quantile(error, 0.99) <= 0.2
     assert np.mean(error > 1.0) <= 1e-3
-    # These scans take pixels up to 128 for wall, the map's own threshold those up to 139: its walls are a bit nearer.
+    # These scans take pixels up to 128 for wall, the map's own threshold those up to 140: its walls are a bit nearer.
     assert abs(np.mean(np.clip(found - exact, -0.3, 0.3))) < 0.01
 
 
