@@ -222,7 +222,7 @@ def advance(
 ) -> None:
     """Advance every race of a batch by ``ticks`` steps of 0.01 s, in place; finished races stand still.
 
-    The result does not depend on the number of threads, nor on how a race is cut into calls at multiples of two ticks.
+    The result does not depend on the number of threads, nor on how a race is cut into calls.
 
     Parameters
     ----------
@@ -232,19 +232,23 @@ def advance(
     theta : ndarray, shape (B, 2, P)
         Parameter vectors of the two policies in each race, padded to the longer planner's.
     ticks : int
-        Steps to drive.
+        Steps to drive, an even number: drivers are asked every second step.
     threads : int, optional
         Threads to share the races; all cores by default.
+
+    Raises
+    ------
+    InputError
+        If ``ticks`` is odd or negative, or ``theta`` does not fit the batch.
     """
+    if ticks < 0 or ticks % CONTROL_EVERY:
+        raise InputError(f"ticks is {ticks}; it must be an even number from 0")
     if setup.planners[0].drive is None and setup.planners[1].drive is None:
         _advance_compiled(setup, state, theta, ticks, threads)
         return
-    left = ticks
-    while left > 0:
-        step = min(left, CONTROL_EVERY - int(state.tick[0]) % CONTROL_EVERY) if len(state.tick) else left
+    for _ in range(ticks // CONTROL_EVERY):
         _ask_python_drivers(setup, state, theta)
-        _advance_compiled(setup, state, theta, step, threads)
-        left -= step
+        _advance_compiled(setup, state, theta, CONTROL_EVERY, threads)
 
 
 def _advance_compiled(
