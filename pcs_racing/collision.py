@@ -10,15 +10,15 @@ import numpy as np
 from pcs_racing.compilation import compiled
 from pcs_racing.frenet import wall_distance, wrap_s
 
-__all__ = ["EQUAL_SHARES", "EQUAL_SPEEDS", "car_hits_wall", "contact_fault", "rectangles_overlap"]
+__all__ = ["EQUAL_SHARES", "EQUAL_SPEEDS", "car_hits_wall", "contact_fault", "inside_wall", "rectangles_overlap"]
 
 # Two closing speeds this close to each other (as a share of the larger, or in m/s) put both cars at fault.
 EQUAL_SHARES = 0.05
 EQUAL_SPEEDS = 1e-3
 
-# The distance field may be wrong by this many cells: half a diagonal from the interpolation, as much from measuring to
-# cells, and half a cell from the simplification of the walls.
-FIELD_ERROR = 2.0
+# The distance field agrees with the wall segments to this many cells: it is interpolated, and the segments run through
+# the middles of the cells' faces.
+FIELD_ERROR = 1.5
 
 # Contact axes whose penetration lies this near the least (in m) count as equally good, so that the order of the cars
 # can't decide which one is taken.
@@ -76,6 +76,17 @@ def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ign
 
 
 @compiled
+def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
+    """Whether a point lies in a wall cell, off the track or outside the map."""
+    row = np.floor((y - track.origin_y) / track.cell)
+    column = np.floor((x - track.origin_x) / track.cell)
+    rows, columns = track.distance.shape
+    if not (0.0 <= row < rows and 0.0 <= column < columns):
+        return True
+    return track.distance[int(row), int(column)] <= 0.0
+
+
+@compiled
 def _wall_in_rectangle(walls, seen_start, seen, distance, middle, stretch, x, y, psi, half_length, half_width):  # type: ignore[no-untyped-def]
     """Whether a wall that can be seen from a stretch passes through the inside of a rectangle."""
     c = np.cos(psi)
@@ -104,7 +115,8 @@ def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore
 
     The distance field settles the clear cases. Else the rectangle is tested against the wall segments that can be seen
     from the car's stretch of track. These suffice: of all points of walls inside the rectangle, nothing hides the one
-    nearest to the centre from it, because the straight way there stays inside the rectangle.
+    nearest to the centre from it, because the straight way there stays inside the rectangle. A car whose centre is in a
+    wall has hit it, too, even if it is too small to touch the wall's face.
 
     Parameters
     ----------
@@ -125,7 +137,7 @@ def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore
     radius = np.sqrt(half_length * half_length + half_width * half_width)
     if clearance > radius + error:
         return False
-    if clearance <= max(half_width - error, 0.0):
+    if clearance <= half_width - error or (clearance < error and inside_wall(track, x, y)):
         return True
     stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
     return _wall_in_rectangle(

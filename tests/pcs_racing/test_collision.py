@@ -131,6 +131,13 @@ def test_outside_the_map_and_inside_walls_is_wall(oval):
     assert not car_hits_wall(oval.arrays, 0.0, -4.0, 0.3, *HALF, 6.0)
 
 
+def test_even_a_speck_hits_a_wall_it_is_inside_of(oval):
+    wall, cell = -5.1, oval.arrays.cell
+    for y in np.linspace(-6.0, -4.0, 101):
+        if abs(y - wall) > cell:
+            assert car_hits_wall(oval.arrays, 0.0, y, 0.3, 0.002, 0.001, 6.0) == (y < wall)
+
+
 def test_a_rear_end_contact_is_the_followers_fault():
     follower = state(v=5.0)
     for leader_speed in (3.0, 0.5, 0.0):  # also when the leader brakes to a stop
