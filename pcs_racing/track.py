@@ -35,7 +35,7 @@ TOLERANCE = 0.02
 _log = logging.getLogger("pcs_racing")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Track:
     """A circuit: race line, walls, distance field.
 
@@ -59,11 +59,14 @@ class Track:
     """
 
     name: str
-    arrays: TrackArrays = field(repr=False)
-    centerline: Floats = field(repr=False)
+    arrays: TrackArrays
+    centerline: Floats
     speed_range: dict[str, tuple[float, float]] = field(default_factory=dict)
     folder: Path | None = None
     content_hash: str = ""
+
+    def __repr__(self) -> str:
+        return f"Track({self.name!r}, {self.length:.1f} m, content_hash={self.content_hash[:12]!r})"
 
     @property
     def length(self) -> float:

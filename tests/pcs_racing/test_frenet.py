@@ -80,8 +80,8 @@ def test_s_and_d_are_continuous_in_every_direction(oval, along, across, directio
             for a in r
         ]
     )
-    stretch = 1.0 / (1.0 - 1.15 / 4.0 * (across + 0.2)) if across > -0.2 else 1.0
-    assert np.abs(_difference(oval, found[1:, 0], found[:-1, 0])).max() <= 1.02e-3 * max(stretch, 1.0)
+    stretch = 1.0 / (1.0 - np.abs(oval.line[:, KAPPA]).max() * (abs(across) + 0.2))
+    assert np.abs(_difference(oval, found[1:, 0], found[:-1, 0])).max() <= 1.001e-3 * stretch
     assert np.abs(np.diff(found[:, 1])).max() <= 1.0001e-3
 
 
