@@ -1,16 +1,16 @@
 """What a motion planner must offer to drive a car inside the compiled race.
 
-A :class:`Planner` is two small functions and the names of its parameters. ``plan`` runs ten times a second and writes a path;
-``control`` runs fifty times a second and turns it into a target steering angle and speed (by default pure pursuit). Both are
-written in the subset of Python that numba compiles and are called through function pointers, so that third parties' planners
-run inside the same compiled, GIL-free loop as ours; a planner in plain Python gives one function ``drive`` instead, and is
-called between steps of that loop. A :class:`Policy` is a planner with one vector of parameters: a point that synthesis can
-move and an archive can keep.
+A :class:`Planner` is two small functions and the names of its parameters. ``plan`` runs ten times a second and writes a
+path; ``control`` runs fifty times a second and turns it into a target steering angle and speed (by default pure
+pursuit). Both are written in the subset of Python that numba compiles and are called through function pointers, so that
+third parties' planners run inside the same compiled, GIL-free loop as ours; a planner in plain Python gives one
+function ``drive`` instead, and is called between steps of that loop. A :class:`Policy` is a planner with one vector of
+parameters: a point that synthesis can move and an archive can keep.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -139,10 +139,10 @@ _PLAN_SIGNATURE = types.void(_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX
 _CONTROL_SIGNATURE = types.void(_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _VECTOR)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _pointer(function: Callable[..., None], signature: types.Type) -> Any:
     """Compile a planner's function behind the one signature that the race kernel calls."""
-    return cfunc(signature, nopython=True, cache=True)(getattr(function, "py_func", function))
+    return cfunc(signature, cache=True)(getattr(function, "py_func", function))  # type: ignore[arg-type]
 
 
 @compiled
@@ -161,8 +161,8 @@ def hold_command(track, theta, view, memory, scratch, path, command):  # type: i
 def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untyped-def]
     """Steering angle of pure pursuit towards a point.
 
-    The arc starts along the car's velocity (heading plus slip). The car's understeer makes up for the slip of the tyres in
-    steady cornering; under braking the load shifts to the front and it turns into oversteer.
+    The arc starts along the car's velocity (heading plus slip). The car's understeer makes up for the slip of the tyres
+    in steady cornering; under braking the load shifts to the front and it turns into oversteer.
 
     Parameters
     ----------
@@ -199,7 +199,8 @@ def calm_speed(v, speed):  # type: ignore[no-untyped-def]
 def follow_path(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
     """Follow the planned path by pure pursuit (the default ``control``).
 
-    The look-ahead grows from 0.3 m by 0.1 m per m/s; the speed is the path's at the point reached in a tenth of a second.
+    The look-ahead grows from 0.3 m by 0.1 m per m/s; the speed is the path's at the point reached in a tenth of a
+    second.
     """
     x = view[OWN_X]
     y = view[OWN_Y]
@@ -290,18 +291,20 @@ class Planner:
     scratch_size : int
         Numbers that it may scribble on within a call; their contents are undefined at the start of each call.
     drive : callable or None
-        For planners in plain Python: ``drive(track, theta, view, memory) -> (steer, speed)``, fifty times a second, in place of
-        ``plan`` and ``control``. It may keep what it remembers in ``memory`` (``memory_size`` numbers).
+        For planners in plain Python: ``drive(track, theta, view, memory) -> (steer, speed)``, fifty times a second, in
+        place of ``plan`` and ``control``. It gets the :class:`pcs_racing.Track` itself, and may keep what it remembers
+        in ``memory`` (``memory_size`` numbers).
     candidates : callable or None
-        ``candidates(track, theta, view, memory) -> (points (C, P, 2), costs (C,))`` for pictures; infinite costs are rejected.
+        ``candidates(track, theta, view, memory) -> (points (C, P, 2), costs (C,))`` for pictures; rejected candidates
+        cost infinity.
     variants : Mapping of str to array
         Named parameter vectors beside "default".
 
     Notes
     -----
-    ``track`` is a :class:`pcs_racing.frenet.TrackArrays`; ``view`` holds the numbers of :data:`VIEW`. All arguments are float64
-    arrays. The functions must not raise, and must depend on nothing but their arguments: that is what makes a race a value
-    that can be saved and restored.
+    ``track`` is a :class:`pcs_racing.frenet.TrackArrays`; ``view`` holds the numbers of :data:`VIEW`. All other
+    arguments are float64 arrays. The functions must not raise, and must depend on nothing but their arguments: that is
+    what makes a race a value that can be saved and restored.
     """
 
     name: str
@@ -372,7 +375,8 @@ class Planner:
                 return Policy(self, self.default, name or self.name)
             if parameters not in self.variants:
                 raise UnknownNameError(
-                    f"planner {self.name!r} has no variant {parameters!r}; it has {', '.join(['default', *self.variants])}"
+                    f"planner {self.name!r} has no variant {parameters!r}; it has "
+                    f"{', '.join(['default', *self.variants])}"
                 )
             return Policy(self, np.array(self.variants[parameters]), name or f"{self.name}:{parameters}")
         if isinstance(parameters, Mapping):
@@ -410,7 +414,8 @@ class Policy:
         expected = len(self.planner.parameters)
         if theta.shape != (expected,):
             raise InputError(
-                f"policy {self.name!r} has parameters of shape {theta.shape}; planner {self.planner.name!r} takes ({expected},)"
+                f"policy {self.name!r} has parameters of shape {theta.shape}; planner {self.planner.name!r} takes "
+                f"({expected},)"
             )
         for parameter, value in zip(self.planner.parameters, theta, strict=True):
             if not np.isfinite(value):

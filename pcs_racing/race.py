@@ -201,8 +201,8 @@ def start_races(setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64]) -> 
     if state.crashed.any():
         i = int(np.flatnonzero(state.crashed)[0])
         raise InputError(
-            f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand in a wall or in the "
-            f"other car; choose another line or a smaller start_spacing than {config.start_spacing:g} m"
+            f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand in a wall or in "
+            f"the other car; choose another line or a smaller start_spacing than {config.start_spacing:g} m"
         )
     return state
 
@@ -234,7 +234,7 @@ def advance(
     ticks : int
         Steps to drive, an even number: drivers are asked every second step.
     threads : int, optional
-        Threads to share the races; all cores by default.
+        Threads to share the races; all cores by default, one where a driver is plain Python.
 
     Raises
     ------
@@ -248,7 +248,7 @@ def advance(
         return
     for _ in range(ticks // CONTROL_EVERY):
         _ask_python_drivers(setup, state, theta)
-        _advance_compiled(setup, state, theta, CONTROL_EVERY, threads)
+        _advance_compiled(setup, state, theta, CONTROL_EVERY, 1)
 
 
 def _advance_compiled(
