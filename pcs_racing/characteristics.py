@@ -105,9 +105,7 @@ def _speed(segment: Segment) -> NDArray[np.float64]:
     return segment.progress / np.maximum(segment.time, 0.5)[:, None]
 
 
-AGGRESSIVENESS = Characteristic(
-    "aggressiveness", "m", "progress gained over the opponent (the paper's g_agg)", _lead
-)
+AGGRESSIVENESS = Characteristic("aggressiveness", "m", "progress gained over the opponent (the paper's g_agg)", _lead)
 PACE = Characteristic(
     "pace", "m", "progress gained over the opponent per time driven, scaled to the full duration", _pace
 )
@@ -115,7 +113,9 @@ RESTRAINT = Characteristic(
     "restraint", "s", "mean of the minimum instantaneous time to collision (the paper's g_res)", _restraint
 )
 SMOOTHNESS = Characteristic("smoothness", "rad/s", "minus the mean steering rate", _smoothness)
-BLOCKING_SHARE = Characteristic("blocking", "1", "share of the time spent just ahead and in the opponent's way", _blocking)
+BLOCKING_SHARE = Characteristic(
+    "blocking", "1", "share of the time spent just ahead and in the opponent's way", _blocking
+)
 SPEED = Characteristic("speed", "m/s", "progress per time, whatever the opponent does", _speed)
 
 _registered: dict[str, Characteristic] = {}

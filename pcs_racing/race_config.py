@@ -116,7 +116,7 @@ PAPER = RaceConfig()
 CONTEST = RaceConfig(
     name="contest",
     start="staggered",
-    start_gap=4.0,
+    start_gap=2.0,
     start_spacing=0.45,
     steering_noise=0.01,
     crash_rule="fault-loses",
@@ -161,7 +161,7 @@ def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceCon
         raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of race settings")
     values = dict(values)
     base = values.pop("preset", "paper")
-    if base not in PRESETS:
+    if not isinstance(base, str) or base not in PRESETS:
         raise ConfigError(f"{path}: preset is {base!r}; it must be one of {', '.join(PRESETS)}")
     return replace(PRESETS[base], **{**_known(values, str(path)), **_known(changes, "the arguments")})
 

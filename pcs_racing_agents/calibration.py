@@ -20,9 +20,8 @@ from pcs_racing_agents.planners.lattice import LATTICE
 __all__ = ["CalibrationReport", "calibrate", "hazard_scan"]
 
 SCALES = tuple(np.round(np.arange(0.60, 1.301, 0.05), 2).tolist())
-TOP_HAZARD = {"paper": 0.03, "contest": 0.40}
-LOW_HAZARD = 0.02
-NARROWEST, WIDEST = 0.18, 0.30
+HAZARD_WITHOUT_NOISE, BELOW_IT, WIDTH_WITHOUT_NOISE = 0.01, 0.06, 0.20
+HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.38, 0.32
 
 
 @dataclass(frozen=True)
@@ -128,8 +127,9 @@ def calibrate(
 ) -> CalibrationReport:
     """Find the speed range of a circuit for a race configuration.
 
-    Pace 1 is the scale at which a car alone crashes in 3 % (preset ``paper``) or 40 % (any race with steering noise) of 40 s;
-    pace 0 is the scale at which it does in 2 %, at least 0.18 and at most 0.30 below.
+    Without steering noise (preset ``paper``) the hazard is a step, and racing needs room to it: pace 1 lies 0.06 below the scale
+    at which a car alone begins to crash, pace 0 another 0.20 below. With noise (``contest``) pace 1 is the scale at which a
+    car alone crashes in 38 % of 40 s, and pace 0 lies 0.32 below.
 
     Raises
     ------
@@ -138,14 +138,15 @@ def calibrate(
     """
     hazard = np.maximum.accumulate(hazard_scan(track, config, cars=cars, seed=seed, threads=threads))
     scales = np.array(SCALES)
-    allowed = TOP_HAZARD["contest" if config.steering_noise > 0.0 else "paper"]
+    noisy = config.steering_noise > 0.0
+    allowed = HAZARD_WITH_NOISE if noisy else HAZARD_WITHOUT_NOISE
     if hazard[0] > allowed:
         raise InputError(
             f"track {track.name!r}: even at speed scale {scales[0]:.2f} a car alone crashes in {hazard[0]:.0%} of 40 s; "
             "widen the track or lower steering_noise"
         )
-    high = _crossing(scales, hazard, allowed)
-    low = min(max(_crossing(scales, hazard, LOW_HAZARD), high - WIDEST), high - NARROWEST)
+    high = _crossing(scales, hazard, allowed) - (0.0 if noisy else BELOW_IT)
+    low = high - (WIDTH_WITH_NOISE if noisy else WIDTH_WITHOUT_NOISE)
     return CalibrationReport(
         track.name,
         config.name,

@@ -30,9 +30,12 @@ HORIZON_STEPS = 10
 HORIZON_STEP = 0.15  # s
 REJECT_STEPS = 7  # overlaps within about a second reject a candidate, later ones cost
 REJECTED = 1e6  # costs from here on mean that a candidate was rejected
-FAR = 1.5
+FAR = 1.6
 RETURN_TIME = 1.2  # s
-BODY_AIR = 0.06  # m to keep from a wall
+BODY_AIR = 0.10  # m to keep from a wall at a goal, unless it lies on the race line
+TIGHT = 0.06  # m; a spiral that comes closer to a wall is rejected
+STRAIN_FROM = 8.0  # m/s^2 of lateral acceleration, from where on a spiral at speed is more than the car can do
+STRAIN = 0.5  # cost per m/s^2 beyond
 GRIP = 6.0  # m/s^2, lateral acceleration that a candidate may ask for at speed scale 1
 SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
@@ -269,7 +272,7 @@ def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend,
         middle = _hermite(0.5, d0, slope * length, goal)
         change = goal - _hermite((since + length) / before, before_d, before_slope, before_goal)
         middle_change = middle - _hermite((since + 0.5 * length) / before, before_d, before_slope, before_goal)
-        tight = max(0.02 - scratch[_MIN_AIR + g], 0.0)
+        tight = max(TIGHT - scratch[_MIN_AIR + g], 0.0)
         scratch[_BASE + g] = (
             w_length / length
             + w_max * scratch[spiral.MAX_KAPPA + g]
@@ -317,7 +320,10 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         carried = opp_v / max(_speed_at(track, view[_view.OPP_S]), 0.5)
         s = s0 + gap
         for k in range(HORIZON_STEPS):
-            s += min(max(carried * _speed_at(track, s), opp_v - 6.0 * HORIZON_STEP * (k + 1)), opp_v + 3.0) * HORIZON_STEP
+            s += (
+                min(max(carried * _speed_at(track, s), opp_v - 6.0 * HORIZON_STEP * (k + 1)), opp_v + 3.0)
+                * HORIZON_STEP
+            )
             scratch[_OPP_S + k] = s
             t = (k + 1) * HORIZON_STEP
             d = view[_view.OPP_D]
@@ -373,6 +379,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
             speed_cost += w_overtaking * behind
         at_speed = w_lateral * fast * fast
         in_time = w_rate * fast
+        soon = scratch[_OWN_V + f * HORIZON_STEPS + 2]
         if meets:
             _meet_opponent(scratch, f, d0, slope, s0, long_reach, body + margin, body, gives_way)
         for g in range(GOALS):
@@ -381,6 +388,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
                 + scratch[_BASE + g]
                 + at_speed * scratch[spiral.MAX_KAPPA + g]
                 + in_time * scratch[spiral.KAPPA_RATE + g]
+                + STRAIN * max(soon * soon * scratch[spiral.MAX_KAPPA + g] - STRAIN_FROM, 0.0)
                 + w_proximity * scratch[_PROXIMITY + g]
                 + scratch[_TROUBLE + g]
             )
@@ -421,8 +429,19 @@ def _write_path(track, view, scratch, g, kappa0, course, scale, factor, late, pa
         if j > 0:
             a, b0, b3, d = _PATH_BASIS[j - 1, 0], _PATH_BASIS[j - 1, 1], _PATH_BASIS[j - 1, 2], _PATH_BASIS[j - 1, 3]
             u = j / (PATH_POINTS - 1)
-            new = spiral_curvature(u, length, scratch[spiral.W + g], scratch[spiral.GOAL_HEADING + g], kappa0, scratch[spiral.GOAL_KAPPA + g])
-            heading = a * scratch[spiral.GOAL_HEADING + g] + length * (b0 * kappa0 + b3 * scratch[spiral.GOAL_KAPPA + g]) + d * scratch[spiral.W + g]
+            new = spiral_curvature(
+                u,
+                length,
+                scratch[spiral.W + g],
+                scratch[spiral.GOAL_HEADING + g],
+                kappa0,
+                scratch[spiral.GOAL_KAPPA + g],
+            )
+            heading = (
+                a * scratch[spiral.GOAL_HEADING + g]
+                + length * (b0 * kappa0 + b3 * scratch[spiral.GOAL_KAPPA + g])
+                + d * scratch[spiral.W + g]
+            )
             sn, cn = sine_cosine(heading)
             x += 0.5 * h * (c + cn) + h * h / 12.0 * (-s * kappa + sn * new)
             y += 0.5 * h * (s + sn) + h * h / 12.0 * (c * kappa - cn * new)
