@@ -1,0 +1,129 @@
+"""Follow the gap: a driver that knows no map, only what its lidar sees [1]_.
+
+Every point that the lidar hits grows into a bubble that the middle of the car must not enter. That gives each direction a free
+distance; the car heads for the middle of the directions whose free distance comes close to the longest one, no faster than it
+can stop within it. The race line and the opponent's state stay unused: the opponent is one more thing in the scan.
+
+References
+----------
+.. [1] V. Sezer and M. Gokasan, "A novel obstacle avoidance algorithm: Follow the Gap Method", Robotics and Autonomous
+   Systems 60(9), 2012.
+"""
+
+import numpy as np
+
+from pcs_racing import planner as _view
+from pcs_racing.compilation import compiled
+from pcs_racing.lidar import WORK_SHAPE, Beams, scan_into
+from pcs_racing.planner import PATH_POINTS, Parameter, Planner
+
+__all__ = ["BEAMS", "FIELD_OF_VIEW", "GAP_FOLLOWER"]
+
+BEAMS = 108
+FIELD_OF_VIEW = np.pi
+MAX_RANGE = 12.0  # m
+STEP = FIELD_OF_VIEW / (BEAMS - 1)
+
+PARAMETERS = (
+    Parameter("bubble", 0.20, 0.45, 0.26, "radius of the bubble around every point hit, m"),
+    Parameter("depth", 0.5, 0.95, 0.8, "share of the longest free distance from which a direction belongs to the gap"),
+    Parameter("reach", 0.7, 2.0, 1.0, "distance in which the path turns into the chosen direction, m"),
+    Parameter("top_speed", 2.0, 8.0, 6.0, "speed never exceeded, m/s"),
+    Parameter("braking", 1.0, 6.0, 3.0, "braking with which the car could stop within the free distance, m/s^2"),
+    Parameter("lateral", 1.0, 6.0, 4.0, "lateral acceleration that limits the speed in a bend, m/s^2"),
+)
+BUBBLE, DEPTH, REACH, TOP_SPEED, BRAKING, LATERAL = range(len(PARAMETERS))
+
+SLOWEST = 1.0  # m/s, to creep out of a dead end
+_ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
+_COS = np.cos(_ANGLES)
+_SIN = np.sin(_ANGLES)
+
+# Scratch: the lidar's own working memory, the ranges, and the free distances.
+_RANGES = WORK_SHAPE[0] * WORK_SHAPE[1]
+_FREE = _RANGES + BEAMS
+SCRATCH = _FREE + BEAMS
+
+
+@compiled
+def free_distances(ranges, bubble, free):  # type: ignore[no-untyped-def]
+    """How far the middle of the car may go in each beam's direction before it enters a bubble around a point hit, m."""
+    for k in range(BEAMS):
+        free[k] = ranges[k]
+    for j in range(BEAMS):
+        near = ranges[j]
+        # Within the bubble every forward direction is blocked at once.
+        spread = np.arcsin(bubble / near) if near > bubble else 0.5 * np.pi
+        reach = int(spread / STEP)
+        for k in range(max(j - reach, 0), min(j + reach + 1, BEAMS)):
+            # Where a beam enters a circle around a point `near` away and `angle` aside.
+            angle = (k - j) * STEP
+            across = near * np.sin(angle)
+            ahead = near * np.cos(angle) - np.sqrt(max(bubble * bubble - across * across, 0.0))
+            free[k] = min(free[k], max(ahead, 0.0))
+
+
+@compiled
+def widest_gap(free, depth):  # type: ignore[no-untyped-def]
+    """Direction of the middle of the gap around the longest free distance (rad), and that distance (m)."""
+    best = 0
+    for k in range(1, BEAMS):
+        # Of equally long ones (at the lidar's limit) the one nearest to straight ahead.
+        longer = free[k] > free[best]
+        as_long = free[k] == free[best] and abs(_ANGLES[k]) < abs(_ANGLES[best])
+        if longer or as_long:
+            best = k
+    enough = depth * free[best]
+    right = best
+    while right > 0 and free[right - 1] >= enough:
+        right -= 1
+    left = best
+    while left < BEAMS - 1 and free[left + 1] >= enough:
+        left += 1
+    return 0.5 * (_ANGLES[right] + _ANGLES[left]), free[best]
+
+
+@compiled
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Scan, choose a direction and write the arc that turns into it."""
+    x0 = view[_view.OWN_X]
+    y0 = view[_view.OWN_Y]
+    course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
+    ranges = scratch[_RANGES:_FREE]
+    free = scratch[_FREE:SCRATCH]
+    scan_into(
+        track,
+        Beams(_ANGLES[0], STEP, MAX_RANGE, _COS, _SIN),
+        x0,
+        y0,
+        course,
+        view[_view.OWN_S],
+        True,
+        view[_view.OPP_X],
+        view[_view.OPP_Y],
+        view[_view.OPP_PSI],
+        0.5 * view[_view.OPP_LENGTH],
+        0.5 * view[_view.OPP_WIDTH],
+        scratch[:_RANGES].reshape(WORK_SHAPE),
+        ranges,
+    )
+    free_distances(ranges, theta[BUBBLE], free)
+    angle, longest = widest_gap(free, theta[DEPTH])
+    reach = theta[REACH]
+    tightest = np.tan(view[_view.STEER_MAX]) / view[_view.WHEELBASE]
+    kappa = min(max(2.0 * np.sin(angle) / reach, -tightest), tightest)
+    ahead = free[BEAMS // 2]
+    speed = np.sqrt(2.0 * theta[BRAKING] * min(ahead, longest))
+    speed = min(speed, np.sqrt(theta[LATERAL] / max(abs(kappa), 1e-6)), theta[TOP_SPEED])
+    for j in range(PATH_POINTS):
+        s = 1.5 * reach * j / (PATH_POINTS - 1)
+        bend = 0.5 * kappa * s
+        chord = s * np.sinc(bend / np.pi)
+        path[j, _view.PATH_X] = x0 + chord * np.cos(course + bend)
+        path[j, _view.PATH_Y] = y0 + chord * np.sin(course + bend)
+        path[j, _view.PATH_SPEED] = max(speed, SLOWEST)
+        path[j, _view.PATH_KAPPA] = kappa
+
+
+GAP_FOLLOWER = Planner(name="gap-follower", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH)
+"""Drives by its lidar alone."""

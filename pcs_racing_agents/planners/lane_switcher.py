@@ -1,0 +1,258 @@
+"""The lane switcher: race line or overtaking lane, after the method that won the F1TENTH race of ICRA 2022.
+
+It drives on the race line, and on straights changes to a second lane when a slower opponent blocks the first. The second lane
+lies on the side of the race line that has more room, some way off the wall. The steering is proportional to the pursuit error
+of a look-ahead point, with a derivative part on straights. Ten times a second ``plan`` chooses the lane; fifty times a second
+``control`` steers. Its numbers are parameters; 20 variants, named "0" to "19", surround the default.
+
+It differs from the original in four ways. The car crosses from lane to lane at a limited speed, not at once. Beside an opponent
+that is nearer to the race line it keeps its place. The pursuit error is measured from the car's course, and what the car
+understeers is added to the steering. The farthest look-ahead is 1.3 m instead of 2.0 m, and the second lane lies 0.38 m from
+the wall instead of 0.3 m: race lines with 0.15 m of air leave little room for cutting corners.
+"""
+
+import numpy as np
+
+from pcs_racing import frenet as _frenet
+from pcs_racing import planner as _view
+from pcs_racing.compilation import compiled
+from pcs_racing.frenet import project, to_cartesian
+from pcs_racing.planner import PATH_POINTS, Parameter, Planner, calm_speed
+from pcs_racing_agents.planners.pure_pursuit import WALL_MARGIN, gap_ahead, gives_way, line_index, within_walls
+
+__all__ = ["LANE_SWITCHER", "lane_offset"]
+
+PARAMETERS = (
+    Parameter("speed", 0.70, 0.95, 0.87, "speed on the race line, as a share of the profile at the race's fastest scale"),
+    Parameter("lookahead_slow", 0.3, 1.0, 0.5, "look-ahead distance at standstill, m"),
+    Parameter("lookahead_fast", 1.0, 1.7, 1.3, "look-ahead distance at 7 m/s, m"),
+    Parameter("gain_slow", 0.4, 1.0, 0.7, "steering per pursuit error at standstill, rad m"),
+    Parameter("gain_fast", 0.3, 0.6, 0.4, "steering per pursuit error at 7 m/s, rad m"),
+    Parameter("gain_corner", 0.2, 0.6, 0.3, "steering per pursuit error in corners, rad m"),
+    Parameter("derivative", 1.0, 4.0, 2.0, "steering per change of the error within 0.02 s, rad m; outside corners"),
+    Parameter("blocking_distance", 0.2, 0.6, 0.3, "distance of the opponent's box from a lane that blocks it, m"),
+    Parameter("notice_time", 0.5, 2.0, 1.0, "time in which the opponent must be within reach to matter, at 3 m/s or more, s"),
+    Parameter("return_count", 1.0, 20.0, 7.0, "decisions in a row that the race line must be free before returning to it"),
+    Parameter("follow_factor", 0.6, 1.0, 0.8, "share of the opponent's speed at which it is followed"),
+    Parameter("other_lane_factor", 0.5, 1.0, 0.6, "share of the race line's speed on the overtaking lane"),
+)
+(
+    SPEED_SHARE,
+    LOOKAHEAD_SLOW,
+    LOOKAHEAD_FAST,
+    GAIN_SLOW,
+    GAIN_FAST,
+    GAIN_CORNER,
+    DERIVATIVE,
+    BLOCKING_DISTANCE,
+    NOTICE_TIME,
+    RETURN_COUNT,
+    FOLLOW_FACTOR,
+    OTHER_LANE_FACTOR,
+) = range(len(PARAMETERS))
+
+VARIANTS = 20
+VARIATION = 0.5  # share of the way from the default to the bounds that they fill
+
+FAST = 7.0  # m/s at which the look-ahead and the gain reach their second value
+NOTICE_SPEED = 3.0  # m/s
+STEER_LIMIT = 0.3  # rad
+CORNER = 0.3  # 1/m, curvature from which the line is a corner
+ZONE = 6  # m of race line ahead that must be free of corners for a change of lanes
+MOST_OFFSET = 1.0  # m between the two lanes
+LEAST_OFFSET = 0.45  # m; where the track has no room for it there is no second lane
+SMOOTHING = 1.5  # m either way over which the lane is averaged
+SMOOTHING_POINTS = 7
+CROSSING_SPEED = 1.2  # m/s sideways from lane to lane
+SPEED_PREVIEW = 0.1  # s
+
+# The lanes: race line, overtaking lane, and no lane, but the car's own place across the track.
+RACE_LINE, OVERTAKING, OWN_PLACE = 0.0, 1.0, 2.0
+
+# Memory: the lane; side of the overtaking lane (-1 right, 1 left); the place across the track that is steered for, on its way
+# from lane to lane, m from the race line; decisions in a row with a free race line; highest speed while following (below 0:
+# none); the previous error; and whether the race has begun.
+_LANE, _SIDE, _PLACE, _FREE_COUNT, _MOST_SPEED, _ERROR, _BEGUN = range(7)
+MEMORY = 7
+
+
+@compiled
+def lane_offset(track, s, side):  # type: ignore[no-untyped-def]
+    """Distance in m of the overtaking lane on one side (-1 right, 1 left) from the race line at an arc length.
+
+    Where there is room, the lane keeps ``WALL_MARGIN`` to the wall, at most ``MOST_OFFSET`` from the race line, averaged
+    over 3 m of track; where there is none it runs into the race line.
+    """
+    column = _frenet.LEFT if side > 0.0 else _frenet.RIGHT
+    total = 0.0
+    for k in range(SMOOTHING_POINTS):
+        at = s + SMOOTHING * (2.0 * k / (SMOOTHING_POINTS - 1) - 1.0)
+        total += min(max(track.line[line_index(track, at), column] - WALL_MARGIN, 0.0), MOST_OFFSET)
+    # The average of a narrowing passage must not reach into its wall.
+    room = max(track.line[line_index(track, s), column] - WALL_MARGIN, 0.0)
+    return min(total / SMOOTHING_POINTS, room)
+
+
+@compiled
+def _room(track, s, side):  # type: ignore[no-untyped-def]
+    """Least offset of the overtaking lane along the zone ahead, m."""
+    least = MOST_OFFSET
+    for k in range(ZONE + 1):
+        least = min(least, lane_offset(track, s + k, side))
+    return least
+
+
+@compiled
+def _in_zone(track, s):  # type: ignore[no-untyped-def]
+    """Whether the race line is free of corners from here on for long enough to overtake."""
+    for k in range(4 * ZONE):
+        if abs(track.line[line_index(track, s + 0.25 * k), _frenet.KAPPA]) > CORNER:
+            return False
+    return True
+
+
+@compiled
+def _lane_d(track, memory, lane, s):  # type: ignore[no-untyped-def]
+    """Distance of a lane from the race line at an arc length, m."""
+    if lane == OVERTAKING:
+        return memory[_SIDE] * lane_offset(track, s, memory[_SIDE])
+    return memory[_PLACE] if lane == OWN_PLACE else 0.0
+
+
+@compiled
+def _blocked(track, theta, view, memory, lane):  # type: ignore[no-untyped-def]
+    """Whether a corner of the opponent's box lies near a lane."""
+    c = np.cos(view[_view.OPP_PSI])
+    n = np.sin(view[_view.OPP_PSI])
+    for k in range(4):
+        u = 0.5 * view[_view.OPP_LENGTH] if k in (0, 3) else -0.5 * view[_view.OPP_LENGTH]
+        w = 0.5 * view[_view.OPP_WIDTH] if k < 2 else -0.5 * view[_view.OPP_WIDTH]
+        x = view[_view.OPP_X] + u * c - w * n
+        y = view[_view.OPP_Y] + u * n + w * c
+        s, d = project(track, x, y, view[_view.OPP_S])
+        if abs(d - _lane_d(track, memory, lane, s)) < theta[BLOCKING_DISTANCE]:
+            return True
+    return False
+
+
+@compiled
+def _choose_lane(track, theta, view, memory):  # type: ignore[no-untyped-def]
+    """Return the lane to drive on, and update the count, the side and the speed limit in the memory."""
+    s = view[_view.OWN_S]
+    gap = gap_ahead(track, view)
+    zone = _in_zone(track, s)
+    ahead = 0.0 < gap < theta[NOTICE_TIME] * max(view[_view.OWN_V], NOTICE_SPEED)
+    beside = abs(gap) < view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]
+    line_blocked = (ahead or beside) and _blocked(track, theta, view, memory, RACE_LINE)
+    memory[_FREE_COUNT] = 0.0 if line_blocked else memory[_FREE_COUNT] + 1.0
+    follow = theta[FOLLOW_FACTOR] * view[_view.OPP_V]
+    memory[_MOST_SPEED] = -1.0
+    lane = memory[_LANE]
+    if lane == OVERTAKING:
+        if beside and line_blocked:
+            return OVERTAKING
+        if not zone or memory[_FREE_COUNT] >= theta[RETURN_COUNT]:
+            return RACE_LINE
+        if ahead and _blocked(track, theta, view, memory, OVERTAKING):
+            memory[_MOST_SPEED] = follow
+        return OVERTAKING
+    if gives_way(view, gap):
+        memory[_MOST_SPEED] = follow
+        return OWN_PLACE
+    if ahead and line_blocked:
+        if zone:
+            memory[_SIDE] = 1.0 if _room(track, s, 1.0) > _room(track, s, -1.0) else -1.0
+            if _room(track, s, memory[_SIDE]) > LEAST_OFFSET and not _blocked(track, theta, view, memory, OVERTAKING):
+                return OVERTAKING
+        memory[_MOST_SPEED] = follow
+    return RACE_LINE
+
+
+@compiled(inline="always")
+def _lookahead(theta, v):  # type: ignore[no-untyped-def]
+    share = min(max(v / FAST, 0.0), 1.0)
+    return theta[LOOKAHEAD_SLOW] + share * (theta[LOOKAHEAD_FAST] - theta[LOOKAHEAD_SLOW])
+
+
+@compiled(inline="always")
+def _speed(track, theta, view, memory, s):  # type: ignore[no-untyped-def]
+    factor = theta[OTHER_LANE_FACTOR] if memory[_LANE] == OVERTAKING else 1.0
+    speed = factor * theta[SPEED_SHARE] * view[_view.SPEED_HIGH] * track.line[line_index(track, s), _frenet.SPEED]
+    return min(speed, memory[_MOST_SPEED]) if memory[_MOST_SPEED] >= 0.0 else speed
+
+
+@compiled
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Choose the lane, and write the piece of it ahead for replays."""
+    s0 = view[_view.OWN_S]
+    if memory[_BEGUN] == 0.0:
+        memory[_BEGUN] = 1.0
+        memory[_PLACE] = view[_view.OWN_D]
+    memory[_LANE] = _choose_lane(track, theta, view, memory)
+    step = 1.5 * _lookahead(theta, view[_view.OWN_V]) / (PATH_POINTS - 1)
+    for j in range(PATH_POINTS):
+        s = s0 + j * step
+        x, y, _ = to_cartesian(track, s, within_walls(track, s, memory[_PLACE]))
+        path[j, _view.PATH_X] = x
+        path[j, _view.PATH_Y] = y
+        path[j, _view.PATH_SPEED] = _speed(track, theta, view, memory, s)
+        path[j, _view.PATH_KAPPA] = track.line[line_index(track, s), _frenet.KAPPA]
+
+
+@compiled
+def control(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+    """Steer for a point on the lane, and remember the error for the derivative part."""
+    v = view[_view.OWN_V]
+    s0 = view[_view.OWN_S]
+    s = s0 + _lookahead(theta, v)
+    crossed = 0.02 * CROSSING_SPEED
+    memory[_PLACE] += min(max(_lane_d(track, memory, memory[_LANE], s) - memory[_PLACE], -crossed), crossed)
+    x, y, _ = to_cartesian(track, s, within_walls(track, s, memory[_PLACE]))
+    course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
+    dx = x - view[_view.OWN_X]
+    dy = y - view[_view.OWN_Y]
+    error = 2.0 * (dy * np.cos(course) - dx * np.sin(course)) / max(dx * dx + dy * dy, 1e-6)
+    kappa = track.line[line_index(track, s0), _frenet.KAPPA]
+    if max(abs(kappa), abs(track.line[line_index(track, s), _frenet.KAPPA])) > CORNER:
+        steer = theta[GAIN_CORNER] * error
+    else:
+        share = min(max(v / FAST, 0.0), 1.0)
+        steer = (theta[GAIN_SLOW] + share * (theta[GAIN_FAST] - theta[GAIN_SLOW])) * error
+        if view[_view.TIME] > 0.0:
+            steer += theta[DERIVATIVE] * (error - memory[_ERROR])
+    memory[_ERROR] = error
+    steer += view[_view.UNDERSTEER] * v * v * kappa
+    command[0] = min(max(steer, -STEER_LIMIT), STEER_LIMIT)
+    command[1], _ = calm_speed(v, _speed(track, theta, view, memory, s0 + SPEED_PREVIEW * v))
+
+
+def _variants() -> dict[str, tuple[float, ...]]:
+    """Parameter vectors spread evenly around the default, by name.
+
+    Points of the additive sequence of the generalised golden ratio: no random numbers, so that they stay what they are.
+    """
+    size = len(PARAMETERS)
+    ratio = 2.0
+    for _ in range(64):
+        ratio = (1.0 + ratio) ** (1.0 / (size + 1))
+    variants = {}
+    for i in range(VARIANTS):
+        values = []
+        for j, parameter in enumerate(PARAMETERS):
+            place = 2.0 * ((0.5 + (i + 1) * ratio ** -(j + 1.0)) % 1.0) - 1.0
+            bound = parameter.high if place > 0.0 else parameter.low
+            values.append(round(parameter.default + VARIATION * abs(place) * (bound - parameter.default), 3))
+        values[RETURN_COUNT] = round(values[RETURN_COUNT])
+        variants[str(i)] = tuple(values)
+    return variants
+
+
+LANE_SWITCHER = Planner(
+    name="lane-switcher",
+    parameters=PARAMETERS,
+    plan=plan,
+    control=control,
+    memory_size=MEMORY,
+    variants=_variants(),
+)
+"""Two lanes, after the winner of ICRA 2022."""
