@@ -27,7 +27,7 @@ def forget_stale_code(package: Path) -> None:
     note = package / "__pycache__" / "numba_sources.json"
     try:
         now = _digests(package)
-        before = json.loads(note.read_text()) if note.is_file() else {}
+        before = _read(note)
         if before == now:
             return
         for module in now:
@@ -38,8 +38,17 @@ def forget_stale_code(package: Path) -> None:
         temporary = note.with_suffix(f".{os.getpid()}.tmp")
         temporary.write_text(json.dumps(now))
         os.replace(temporary, note)
-    except (OSError, ValueError):
+    except OSError:
         return  # not ours to write to: an installation, whose files never change one by one
+
+
+def _read(note: Path) -> dict[str, str]:
+    """What was noted last time; nothing if it can't be read."""
+    try:
+        found = json.loads(note.read_text())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _digests(package: Path) -> dict[str, str]:

@@ -154,8 +154,8 @@ def load_state(path: str | Path) -> RaceState:
         If the file is no race state, or its arrays do not fit each other.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise InputError(f"{path} is not a saved race state: {error}") from error
     except Exception as error:  # zipfile and zlib raise their own kinds for damaged archives

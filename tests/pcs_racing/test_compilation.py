@@ -1,0 +1,89 @@
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from pcs_racing.code_cache import forget_stale_code
+from pcs_racing.compilation import announce_compilation, compiled
+
+
+@compiled
+def divide(a, b):
+    return a / b
+
+
+def test_compiled_code_divides_as_ieee_says():
+    assert divide(1.0, 0.0) == float("inf")
+    assert divide(-1.0, 0.0) == float("-inf")
+
+
+def dispatcher(cache: Path, signatures: tuple = ()) -> SimpleNamespace:
+    """What the announcement looks at."""
+    return SimpleNamespace(signatures=signatures, py_func=divide.py_func, stats=SimpleNamespace(cache_path=str(cache)))
+
+
+def test_the_first_compilation_says_what_it_does(tmp_path, capsys):
+    for _ in range(2):
+        with announce_compilation(dispatcher(tmp_path / "empty"), "the test itself", 7):
+            pass
+    assert capsys.readouterr().err == (
+        "pcs-racing: compiling the test itself (about 7 s, once; it is cached on disk)\n"
+    )
+
+
+def test_what_is_compiled_already_is_not_announced(tmp_path, capsys):
+    with announce_compilation(dispatcher(tmp_path, signatures=("f8",)), "what is in memory", 7):
+        pass
+    (tmp_path / "test_compilation.divide-13.py311.nbi").touch()
+    with announce_compilation(dispatcher(tmp_path), "what is on disk", 7):
+        pass
+    assert capsys.readouterr().err == ""
+
+
+@pytest.fixture
+def package(tmp_path) -> Path:
+    """A package of three modules, each with cached code; ``top`` imports ``base``."""
+    cache = tmp_path / "__pycache__"
+    cache.mkdir()
+    (tmp_path / "base.py").write_text("A = 1\n")
+    (tmp_path / "top.py").write_text("from pcs_racing_example import (\n    base,\n)\n")
+    (tmp_path / "other.py").write_text("B = 1\n")
+    forget_stale_code(tmp_path)
+    for module in ("base", "top", "other"):
+        for ending in ("nbi", "1.nbc"):
+            (cache / f"{module}.f-1.py311.{ending}").touch()
+    return tmp_path
+
+
+def cached(package: Path) -> set[str]:
+    return {path.name.split(".")[0] for path in (package / "__pycache__").glob("*.nb[ci]")}
+
+
+def test_cached_code_stays_while_nothing_changes(package):
+    os.utime(package / "base.py")  # touched, not changed
+    forget_stale_code(package)
+    assert cached(package) == {"base", "top", "other"}
+
+
+def test_a_change_drops_the_module_and_those_that_import_it(package):
+    (package / "base.py").write_text("A = 2\n")
+    forget_stale_code(package)
+    assert cached(package) == {"other"}
+
+
+def test_a_change_at_the_top_drops_no_more_than_that(package):
+    (package / "top.py").write_text("from pcs_racing_example import base\n")
+    forget_stale_code(package)
+    assert cached(package) == {"base", "other"}
+
+
+@pytest.mark.parametrize("note", ["{", "[]", ""])
+def test_without_a_readable_note_everything_is_dropped(package, note):
+    (package / "__pycache__" / "numba_sources.json").write_text(note)
+    forget_stale_code(package)
+    assert cached(package) == set()
+
+
+def test_a_folder_that_is_not_ours_is_no_error(package):
+    forget_stale_code(package / "nowhere" / "at all")

@@ -1,0 +1,60 @@
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+HEAVY = ("torch", "scipy", "matplotlib", "pygame", "stable_baselines3", "skimage", "clarabel", "cma")
+
+
+@pytest.mark.parametrize("package", ["pcs_racing", "pcs_racing_agents", "pcs_racing_agents.cli"])
+def test_importing_is_light(package):
+    """Numba itself looks at scipy's version, so what it brings along does not count."""
+    code = f"""
+import sys
+import numba
+before = set(sys.modules)
+import {package}
+print(*sorted({{name.split(".")[0] for name in set(sys.modules) - before}}))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY)
+    assert package.split(".")[0] in done.stdout.split()
+    assert not set(HEAVY) & set(done.stdout.split())
+
+
+def imported_modules(file: Path) -> set[str]:
+    """Everything that a file imports, wherever in it."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file.name} imports relatively"
+            found.add(node.module or "")
+    return found
+
+
+def test_the_environment_never_imports_the_agents():
+    files = sorted((REPOSITORY / "pcs_racing").rglob("*.py"))
+    assert len(files) > 20
+    for file in files:
+        agents = {name for name in imported_modules(file) if name.split(".")[0] == "pcs_racing_agents"}
+        assert not agents, f"{file} imports {agents}"
+
+
+def test_optional_libraries_are_imported_inside_functions():
+    for package in ("pcs_racing", "pcs_racing_agents"):
+        for file in sorted((REPOSITORY / package).rglob("*.py")):
+            for node in ast.parse(file.read_text(encoding="utf-8")).body:
+                names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+                names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+                assert not {name.split(".")[0] for name in names} & set(HEAVY), f"{file}: line {node.lineno}"
+
+
+def test_every_public_name_is_there():
+    import pcs_racing
+
+    for name in pcs_racing.__all__:
+        assert getattr(pcs_racing, name) is not None

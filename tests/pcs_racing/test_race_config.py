@@ -1,0 +1,97 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pcs_racing import CONTEST, PAPER, RaceConfig, UnknownNameError, load_race_config
+from pcs_racing.errors import ConfigError
+from pcs_racing.race_config import PRESETS
+
+
+def test_the_two_presets():
+    assert PRESETS == {"paper": PAPER, "contest": CONTEST}
+    assert RaceConfig() == PAPER
+    assert (PAPER.start, PAPER.steering_noise, PAPER.crash_rule) == ("side-by-side", 0.0, "nobody")
+    assert (CONTEST.start, CONTEST.crash_rule, CONTEST.aggressiveness) == ("staggered", "fault-loses", "pace")
+    assert CONTEST.steering_noise > 0.0
+    assert PAPER.ticks == CONTEST.ticks == 4000
+
+
+def test_a_configuration_by_name_with_changes():
+    config = load_race_config("contest", duration=16.0)
+    assert config == dataclasses.replace(CONTEST, duration=16.0)
+
+
+def test_a_configuration_from_yaml(tmp_path):
+    file = tmp_path / "my rules.yaml"
+    file.write_text("preset: contest\nname: sprint\nduration: 12.5\nspeed_range: [0.8, 1.1]\n")
+    config = load_race_config(file, start_gap=3.0)
+    assert config == dataclasses.replace(CONTEST, name="sprint", duration=12.5, speed_range=(0.8, 1.1), start_gap=3.0)
+    hash(config)  # the range is a tuple, not a list
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("durration: 4", r"rules.yaml: unknown race setting 'durration'; known are name, duration"),
+        ("7: 4", "unknown race setting 7"),
+        ("preset: cup", "preset is 'cup'; it must be one of paper, contest"),
+        ("preset: [paper]", "preset is"),
+        ("- 1\n- 2", "holds list; it must be a mapping"),
+        ("", "holds NoneType"),
+        ("a: [", "is not valid YAML"),
+        ("!!python/object/apply:os.system ['true']", "is not valid YAML"),
+        ("duration: forty", "duration is 'forty'"),
+    ],
+)
+def test_a_bad_file_is_one_clear_error(tmp_path, text, message):
+    file = tmp_path / "rules.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_race_config(file)
+
+
+def test_an_unknown_name_lists_the_presets():
+    with pytest.raises(UnknownNameError, match=r"race preset 'papper' is unknown; use paper, contest or the path"):
+        load_race_config("papper")
+    with pytest.raises(ConfigError, match="unknown race setting 'wind'"):
+        load_race_config("paper", wind=3.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("duration", 0.0),
+        ("duration", 12.34),
+        ("duration", np.nan),
+        ("duration", True),
+        ("start", "flying"),
+        ("start_spacing", 0.3),
+        ("start_spacing", -1.0),
+        ("start_speed", 16.0),
+        ("start_lines", 0),
+        ("start_lines", 2.5),
+        ("start_lines", True),
+        ("steering_noise", -0.01),
+        ("noise_time", 0.0),
+        ("speed_range", (1.0, 0.9)),
+        ("speed_range", (0.9,)),
+        ("speed_range", ("a", "b")),
+        ("speed_range", 1.0),
+        ("crash_rule", "both"),
+        ("aggressiveness", "anger"),
+        ("ittc_horizon", np.inf),
+        ("stay_move", 1),
+        ("name", ""),
+    ],
+)
+def test_impossible_values_are_refused_by_name(key, value):
+    with pytest.raises(ConfigError, match=f"^{key} is"):
+        RaceConfig(**{key: value})
+
+
+@pytest.mark.parametrize("start", ["staggered", "rolling"])
+def test_one_behind_the_other_needs_a_gap(start):
+    with pytest.raises(ConfigError, match=f"start_gap is 0.0 m; a {start} start needs at least 0.8 m"):
+        RaceConfig(start=start)
+    RaceConfig(start=start, start_gap=0.8)
