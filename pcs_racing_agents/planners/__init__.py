@@ -8,5 +8,7 @@ from pcs_racing_agents.planners.pure_pursuit import PURE_PURSUIT
 
 __all__ = ["BUILT_IN", "GAP_FOLLOWER", "LANE_SWITCHER", "LATTICE", "PURE_PURSUIT"]
 
-BUILT_IN: dict[str, Planner] = {planner.name: planner for planner in (LATTICE, PURE_PURSUIT, GAP_FOLLOWER, LANE_SWITCHER)}
+BUILT_IN: dict[str, Planner] = {
+    planner.name: planner for planner in (LATTICE, PURE_PURSUIT, GAP_FOLLOWER, LANE_SWITCHER)
+}
 """The planners of this package by name."""

@@ -1,8 +1,9 @@
 """Follow the gap: a driver that knows no map, only what its lidar sees [1]_.
 
-Every point that the lidar hits grows into a bubble that the middle of the car must not enter. That gives each direction a free
-distance; the car heads for the middle of the directions whose free distance comes close to the longest one, no faster than it
-can stop within it. The race line and the opponent's state stay unused: the opponent is one more thing in the scan.
+Every point that the lidar hits grows into a bubble that the middle of the car must not enter. That gives each
+direction a free distance; the car heads for the middle of the directions whose free distance comes close to the
+longest one, no faster than it can stop within it. The race line and the opponent's state stay unused: the opponent is
+one more thing in the scan.
 
 References
 ----------

@@ -1,14 +1,16 @@
 """The lane switcher: race line or overtaking lane, after the method that won the F1TENTH race of ICRA 2022.
 
-It drives on the race line, and on straights changes to a second lane when a slower opponent blocks the first. The second lane
-lies on the side of the race line that has more room, some way off the wall. The steering is proportional to the pursuit error
-of a look-ahead point, with a derivative part on straights. Ten times a second ``plan`` chooses the lane; fifty times a second
-``control`` steers. Its numbers are parameters; 20 variants, named "0" to "19", surround the default.
+It drives on the race line, and on straights changes to a second lane when a slower opponent blocks the first. The
+second lane lies on the side of the race line that has more room, some way off the wall. The steering is proportional
+to the pursuit error of a look-ahead point, with a derivative part on straights. Ten times a second ``plan`` chooses
+the lane; fifty times a second ``control`` steers. Its numbers are parameters; 20 variants, named "0" to "19",
+surround the default.
 
-It differs from the original in four ways. The car crosses from lane to lane at a limited speed, not at once. Beside an opponent
-that is nearer to the race line it keeps its place. The pursuit error is measured from the car's course, and what the car
-understeers is added to the steering. The farthest look-ahead is 1.3 m instead of 2.0 m, and the second lane lies 0.38 m from
-the wall instead of 0.3 m: race lines with 0.15 m of air leave little room for cutting corners.
+It differs from the original in four ways. The car crosses from lane to lane at a limited speed, not at once. Beside
+an opponent that is nearer to the race line it keeps its place. The pursuit error is measured from the car's course,
+and what the car understeers is added to the steering. The farthest look-ahead is 1.3 m instead of 2.0 m, and the
+second lane lies 0.38 m from the wall instead of 0.3 m: race lines with 0.15 m of air leave little room for cutting
+corners.
 """
 
 import numpy as np
@@ -23,7 +25,7 @@ from pcs_racing_agents.planners.pure_pursuit import WALL_MARGIN, gap_ahead, give
 __all__ = ["LANE_SWITCHER", "lane_offset"]
 
 PARAMETERS = (
-    Parameter("speed", 0.70, 0.95, 0.87, "speed on the race line, as a share of the profile at the race's fastest scale"),
+    Parameter("speed", 0.70, 0.95, 0.87, "share of the profile's speed at the race's fastest scale"),
     Parameter("lookahead_slow", 0.3, 1.0, 0.5, "look-ahead distance at standstill, m"),
     Parameter("lookahead_fast", 1.0, 1.7, 1.3, "look-ahead distance at 7 m/s, m"),
     Parameter("gain_slow", 0.4, 1.0, 0.7, "steering per pursuit error at standstill, rad m"),
@@ -31,8 +33,8 @@ PARAMETERS = (
     Parameter("gain_corner", 0.2, 0.6, 0.3, "steering per pursuit error in corners, rad m"),
     Parameter("derivative", 1.0, 4.0, 2.0, "steering per change of the error within 0.02 s, rad m; outside corners"),
     Parameter("blocking_distance", 0.2, 0.6, 0.3, "distance of the opponent's box from a lane that blocks it, m"),
-    Parameter("notice_time", 0.5, 2.0, 1.0, "time in which the opponent must be within reach to matter, at 3 m/s or more, s"),
-    Parameter("return_count", 1.0, 20.0, 7.0, "decisions in a row that the race line must be free before returning to it"),
+    Parameter("notice_time", 0.5, 2.0, 1.0, "time within which the opponent could be reached, at 3 m/s or more, s"),
+    Parameter("return_count", 1.0, 20.0, 7.0, "decisions that the race line must be free before returning to it"),
     Parameter("follow_factor", 0.6, 1.0, 0.8, "share of the opponent's speed at which it is followed"),
     Parameter("other_lane_factor", 0.5, 1.0, 0.6, "share of the race line's speed on the overtaking lane"),
 )
@@ -69,9 +71,9 @@ SPEED_PREVIEW = 0.1  # s
 # The lanes: race line, overtaking lane, and no lane, but the car's own place across the track.
 RACE_LINE, OVERTAKING, OWN_PLACE = 0.0, 1.0, 2.0
 
-# Memory: the lane; side of the overtaking lane (-1 right, 1 left); the place across the track that is steered for, on its way
-# from lane to lane, m from the race line; decisions in a row with a free race line; highest speed while following (below 0:
-# none); the previous error; and whether the race has begun.
+# Memory: the lane; side of the overtaking lane (-1 right, 1 left); the place across the track that is steered for, on
+# its way from lane to lane, m from the race line; decisions in a row with a free race line; highest speed while following
+# (below 0: none); the previous error; and whether the race has begun.
 _LANE, _SIDE, _PLACE, _FREE_COUNT, _MOST_SPEED, _ERROR, _BEGUN = range(7)
 MEMORY = 7
 
@@ -80,8 +82,8 @@ MEMORY = 7
 def lane_offset(track, s, side):  # type: ignore[no-untyped-def]
     """Distance in m of the overtaking lane on one side (-1 right, 1 left) from the race line at an arc length.
 
-    Where there is room, the lane keeps ``WALL_MARGIN`` to the wall, at most ``MOST_OFFSET`` from the race line, averaged
-    over 3 m of track; where there is none it runs into the race line.
+    Where there is room, the lane keeps ``WALL_MARGIN`` to the wall and lies at most ``MOST_OFFSET`` from the race line,
+    averaged over 3 m of track; where there is none it runs into the race line.
     """
     column = _frenet.LEFT if side > 0.0 else _frenet.RIGHT
     total = 0.0
@@ -105,10 +107,10 @@ def _room(track, s, side):  # type: ignore[no-untyped-def]
 @compiled
 def _in_zone(track, s):  # type: ignore[no-untyped-def]
     """Whether the race line is free of corners from here on for long enough to overtake."""
+    sharpest = 0.0
     for k in range(4 * ZONE):
-        if abs(track.line[line_index(track, s + 0.25 * k), _frenet.KAPPA]) > CORNER:
-            return False
-    return True
+        sharpest = max(sharpest, abs(track.line[line_index(track, s + 0.25 * k), _frenet.KAPPA]))
+    return sharpest <= CORNER
 
 
 @compiled

@@ -1,13 +1,14 @@
 """A small neural network as a planner: its weights are the policy's parameter vector.
 
-The network sees a handful of numbers of order one (:data:`INPUTS`) and puts out the steering angle and the speed, fifty times a
-second. Every layer is ``tanh(W x + b)``, the output layer included: outputs -1 and 1 stand for the largest steering angle right
-and left, and for standing still and :data:`TOP_SPEED`. Nothing else is needed to evolve, imitate or distil a network: its
-weights are as good a ``theta`` as the lattice planner's.
+The network sees a handful of numbers of order one (:data:`INPUTS`) and puts out the steering angle and the speed,
+fifty times a second. Every layer is ``tanh(W x + b)``, the output layer included: outputs -1 and 1 stand for the
+largest steering angle right and left, and for standing still and :data:`TOP_SPEED`. Nothing else is needed to evolve,
+imitate or distil a network: its weights are as good a ``theta`` as the lattice planner's.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -81,7 +82,7 @@ def network_inputs(track, view, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def _layer(theta, at, x, size, y, width):  # type: ignore[no-untyped-def]
-    """Compute ``y = tanh(W x + b)``; each neuron's row of W is followed by its b. Returns where the next layer begins."""
+    """Compute ``y = tanh(W x + b)``, a neuron's b after its row of W; returns where the next layer's weights begin."""
     for i in range(width):
         total = theta[at + size]
         for j in range(size):
@@ -91,7 +92,7 @@ def _layer(theta, at, x, size, y, width):  # type: ignore[no-untyped-def]
     return at
 
 
-@lru_cache(maxsize=None)
+@cache
 def _driver(hidden: tuple[int, ...]) -> Any:
     """Compile the ``control`` of one architecture; the widths are constants of its code."""
     inputs = len(INPUTS)
@@ -118,7 +119,7 @@ def _driver(hidden: tuple[int, ...]) -> Any:
 def weight_count(hidden: Sequence[int]) -> int:
     """Return how many weights a network with these hidden layers has."""
     sizes = [len(INPUTS), *hidden, OUTPUTS]
-    return sum((below + 1) * above for below, above in zip(sizes[:-1], sizes[1:], strict=True))
+    return sum((below + 1) * above for below, above in pairwise(sizes))
 
 
 def network_planner(name: str, hidden: Sequence[int] = (16,), weights: ArrayLike | None = None) -> Planner:
@@ -131,8 +132,8 @@ def network_planner(name: str, hidden: Sequence[int] = (16,), weights: ArrayLike
     hidden : sequence of int
         Widths of the hidden layers, each at least 1; may be empty.
     weights : array_like, shape (weight_count(hidden),), optional
-        The default policy's weights, layer by layer, neuron by neuron: its weights for each input, then its bias. All 0 by
-        default, which drives straight on at 4 m/s.
+        The default policy's weights, layer by layer, neuron by neuron: its weights for each input, then its bias. All 0
+        by default, which drives straight on at 4 m/s.
 
     Returns
     -------
@@ -151,7 +152,9 @@ def network_planner(name: str, hidden: Sequence[int] = (16,), weights: ArrayLike
     """
     for width in hidden:
         if isinstance(width, bool) or not isinstance(width, int | np.integer) or width < 1:
-            raise InputError(f"network {name!r} has a hidden layer of width {width!r}; it must be a whole number from 1 on")
+            raise InputError(
+                f"network {name!r} has a hidden layer of width {width!r}; it must be a whole number from 1 on"
+            )
     widths = tuple(int(width) for width in hidden)
     count = weight_count(widths)
     if count > MOST_WEIGHTS:
@@ -159,7 +162,8 @@ def network_planner(name: str, hidden: Sequence[int] = (16,), weights: ArrayLike
     values = _checked_weights(name, np.zeros(count) if weights is None else weights, count)
     names = _weight_names(widths)
     parameters = tuple(
-        Parameter(label, -WEIGHT_LIMIT, WEIGHT_LIMIT, float(value), "weight") for label, value in zip(names, values, strict=True)
+        Parameter(label, -WEIGHT_LIMIT, WEIGHT_LIMIT, float(value), "weight")
+        for label, value in zip(names, values, strict=True)
     )
     widest = max(len(INPUTS), OUTPUTS, *widths)
     return Planner(name=name, parameters=parameters, control=_driver(widths), scratch_size=2 * widest)
@@ -170,10 +174,14 @@ def _checked_weights(name: str, weights: ArrayLike, count: int) -> NDArray[np.fl
     if values.shape != (count,):
         raise InputError(f"network {name!r} has weights of shape {values.shape}; its layers take ({count},)")
     if not np.isfinite(values).all():
-        raise InputError(f"network {name!r} has a weight that is {values[~np.isfinite(values)][0]}; weights must be finite")
+        raise InputError(
+            f"network {name!r} has a weight that is {values[~np.isfinite(values)][0]}; weights must be finite"
+        )
     if np.abs(values).max() > WEIGHT_LIMIT:
         worst = values[np.abs(values).argmax()]
-        raise InputError(f"network {name!r} has a weight of {worst:g}; it must lie in [{-WEIGHT_LIMIT:g}, {WEIGHT_LIMIT:g}]")
+        raise InputError(
+            f"network {name!r} has a weight of {worst:g}; it must lie in [{-WEIGHT_LIMIT:g}, {WEIGHT_LIMIT:g}]"
+        )
     return values
 
 

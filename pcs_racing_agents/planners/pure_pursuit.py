@@ -1,9 +1,9 @@
 """Pure pursuit of the race line: the plainest driver, and the yardstick for the others.
 
-Its path eases from the car back onto the race line, at the speed of the profile; the default ``control`` drives along it by
-pure pursuit [1]_. Pursuing the line itself would not do: a look-ahead that is short enough not to cut corners makes a fast car
-weave. It does not overtake: it follows an opponent ahead, and keeps its place until one beside it that is nearer to the line
-has gone by.
+Its path eases from the car back onto the race line, at the speed of the profile; the default ``control`` drives along
+it by pure pursuit [1]_. Pursuing the line itself would not do: a look-ahead that is short enough not to cut corners
+makes a fast car weave. It does not overtake: it follows an opponent ahead, and keeps its place until one beside it
+that is nearer to the line has gone by.
 
 References
 ----------
@@ -24,7 +24,7 @@ PARAMETERS = (
     Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
     Parameter("lookahead", 1.0, 3.0, 1.5, "distance in which the path returns to the race line at standstill, m"),
     Parameter("lookahead_time", 0.1, 0.5, 0.2, "how that distance grows with the speed, s"),
-    Parameter("follow_distance", 0.0, 4.0, 1.2, "distance to keep behind the opponent, centre to centre, m; 0 ignores it"),
+    Parameter("follow_distance", 0.0, 4.0, 1.2, "distance to keep behind the opponent, m; 0 ignores it"),
 )
 PACE, LOOKAHEAD, LOOKAHEAD_TIME, FOLLOW_DISTANCE = range(len(PARAMETERS))
 
@@ -41,7 +41,7 @@ def line_index(track, s):  # type: ignore[no-untyped-def]
 
 @compiled(inline="always")
 def gap_ahead(track, view):  # type: ignore[no-untyped-def]
-    """How far ahead the opponent stands along the track in m, whatever the laps between: in [-length / 2, length / 2)."""
+    """How far ahead the opponent is along the track, whatever the laps between, in [-length / 2, length / 2), m."""
     gap = view[_view.GAP]
     return gap - np.floor(gap / track.length + 0.5) * track.length
 
