@@ -8,7 +8,10 @@ from pcs_racing.registry import register_planner
 forget_stale_code(Path(__file__).parent)
 
 PLANNERS = {
+    "gap-follower": "pcs_racing_agents.planners.gap_follower:GAP_FOLLOWER",
+    "lane-switcher": "pcs_racing_agents.planners.lane_switcher:LANE_SWITCHER",
     "lattice": "pcs_racing_agents.planners.lattice:LATTICE",
+    "pure-pursuit": "pcs_racing_agents.planners.pure_pursuit:PURE_PURSUIT",
 }
 """Planners of this package: name and place. An installation declares the same as entry points."""
 

@@ -7,7 +7,17 @@ from typing import Any, Protocol
 from pcs_racing.errors import InputError
 from pcs_racing.race_config import PRESETS, RaceConfig, load_race_config
 
-__all__ = ["POLICY_HELP", "TRACK_HELP", "Commands", "add_command", "add_rules", "output_file", "output_folder", "rules"]
+__all__ = [
+    "POLICY_HELP",
+    "TRACK_HELP",
+    "Commands",
+    "add_command",
+    "add_preset",
+    "add_rules",
+    "output_file",
+    "output_folder",
+    "rules",
+]
 
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
 POLICY_HELP = "planner, planner:variant or planner:parameter=value,... (see 'pcs-racing policies')"
@@ -32,12 +42,17 @@ def add_command(commands: Commands, name: str, summary: str, *examples: str) -> 
     )
 
 
-def add_rules(parser: argparse.ArgumentParser) -> None:
-    """Add the options that :func:`rules` reads, and the seed."""
+def add_preset(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names the rules."""
     presets = ", ".join(PRESETS)
     parser.add_argument(
         "--preset", default="paper", help=f"rules of the race: {presets} or a YAML file (default: paper)"
     )
+
+
+def add_rules(parser: argparse.ArgumentParser) -> None:
+    """Add the options that :func:`rules` reads, and the seed."""
+    add_preset(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="length of a race in s (default: the preset's, 40)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="root of starts and noise (default: 0)")
 

@@ -1,12 +1,18 @@
-"""``pcs-racing track``: list, show, import and generate circuits."""
+"""``pcs-racing track``: list, show, import, generate and calibrate circuits."""
 
 import argparse
 from importlib.util import find_spec
 from pathlib import Path
 
+import yaml
+
+from pcs_racing.errors import InputError
 from pcs_racing.maps import list_tracks
+from pcs_racing.race_config import load_race_config
+from pcs_racing.replay import write_atomically
 from pcs_racing.track import Track, load_track
-from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command, output_file
+from pcs_racing_agents.calibration import calibrate
+from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command, add_preset, output_file
 
 __all__ = ["add"]
 
@@ -16,7 +22,7 @@ def add(commands: Commands) -> None:
     group = add_command(
         commands,
         "track",
-        "list, show, import and generate circuits",
+        "list, show, import, generate and calibrate circuits",
         "pcs-racing track show Tarnfjord --out tarnfjord.png",
     )
     tracks: Commands = group.add_subparsers(title="commands", metavar="COMMAND", required=True)
@@ -67,6 +73,18 @@ def add(commands: Commands) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="map folder to write")
     parser.set_defaults(run=run_generate)
 
+    parser = add_command(
+        tracks,
+        "calibrate",
+        "find the speeds at which driving on a circuit becomes a risk",
+        "pcs-racing track calibrate maps/Sevenhills --preset contest --write",
+    )
+    parser.add_argument("track", help=TRACK_HELP)
+    add_preset(parser)
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="root of the noise (default: 0)")
+    parser.add_argument("--write", action="store_true", help="keep the speed range in the circuit's NAME_track.yaml")
+    parser.set_defaults(run=run_calibrate)
+
 
 def run_list(arguments: argparse.Namespace) -> None:
     """Print a line for each shipped circuit."""
@@ -114,6 +132,28 @@ def run_generate(arguments: argparse.Namespace) -> None:
         picture=_can_draw(),
     )
     _tell(track, arguments.out)
+
+
+def run_calibrate(arguments: argparse.Namespace) -> None:
+    """Scan the hazard; keep the speed range."""
+    config = load_race_config(arguments.preset)
+    track = load_track(arguments.track)
+    report = calibrate(track, config, seed=arguments.seed)
+    print(report.table())
+    if arguments.write:
+        print(f"written: {_keep_speed_range(track, config.name, report.speed_range)}")
+
+
+def _keep_speed_range(track: Track, preset: str, speed_range: tuple[float, float]) -> Path:
+    """Put a speed range into the file beside the map, whose other entries stay."""
+    if track.folder is None:
+        raise InputError(f"track {track.name!r} does not come from a folder: there is nowhere to write")
+    path = track.folder / f"{track.name}_track.yaml"
+    info = yaml.safe_load(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    info["speed_range"] = {**info.get("speed_range", {}), preset: list(speed_range)}
+    text = yaml.safe_dump(info, sort_keys=False, allow_unicode=True)
+    write_atomically(path, lambda file: file.write(text.encode()))
+    return path
 
 
 def _direction(text: str) -> str | float:
