@@ -1,0 +1,481 @@
+"""The game: two players watch for a step, then each moves its policy in the Policy Characteristic Space, step by step.
+
+This is the only place that knows the rules. Environments, game trees and tournaments all play through
+:class:`RaceGame`: functions from one :class:`GameState` to the next, for many games at a time. Nothing is hidden: a
+game is its state, and the same seed gives the same game in a batch of any size.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.archive import PolicyArchive, duplicates, load_archive
+from pcs_racing.characteristics import Characteristic, Segment, get_characteristics, measure
+from pcs_racing.errors import InputError
+from pcs_racing.game_config import UTILITIES, GameConfig, load_game_config
+from pcs_racing.game_state import GameState, empty_game, join_games, load_game, put_games, save_game, take_games
+from pcs_racing.planner import Planner, Policy
+from pcs_racing.race import RaceResult, RaceSetup, Starts, advance, race_seeds, start_lines, start_races
+from pcs_racing.race_config import RaceConfig
+from pcs_racing.registry import get_planner
+from pcs_racing.track import Track, load_track
+
+__all__ = [
+    "UTILITIES",
+    "GameConfig",
+    "GameState",
+    "ObservationElement",
+    "RaceGame",
+    "join_games",
+    "load_game",
+    "load_game_config",
+    "make_game",
+    "save_game",
+    "take_games",
+]
+
+Indices = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+DRAW = -1
+"""In place of a policy's index: draw one."""
+
+OUTSIDE = -1
+"""In a state's ``policy``: a driver from outside the archive."""
+
+LOW, HIGH = -1.0, 2.0  # bounds of normalised coordinates as the players see them
+LEAD_SCALE = 20.0  # m of lead that players see as 1
+LEAD_BOUND = 5.0
+REDRAWS = 20  # times that a game which ends before the first move is drawn again
+
+
+PAPER_GAME = GameConfig()
+
+
+class ObservationElement(NamedTuple):
+    """What one number of an observation is: spaces and documentation are made of these.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+    low, high : float
+        Bounds, inclusive.
+    meaning : str
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    meaning: str
+
+
+@dataclass(frozen=True, eq=False)
+class RaceGame:
+    """The game on one track with one archive.
+
+    Attributes
+    ----------
+    track : Track
+    archive : PolicyArchive
+        Where both players' policies come from.
+    config : GameConfig
+        The rules.
+    opponent_planner : Planner or str, optional
+        Planner of car 1, where its drivers come from outside the archive (``reset(opponents=...)``); by default the
+        archive's.
+    threads : int, optional
+        Threads to share the races of a batch; all cores by default. It does not change the result.
+
+    Raises
+    ------
+    InputError
+        If the track has no room for the start, or the archive and its planner do not fit.
+    UnknownNameError
+        If the archive's planner or one of the game's characteristics is unknown.
+    """
+
+    track: Track
+    archive: PolicyArchive
+    config: GameConfig = PAPER_GAME
+    opponent_planner: Planner | str | None = None
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.config.characteristics is not None and self.config.characteristics != self.archive.characteristics:
+            object.__setattr__(self, "archive", self.archive.project(self.config.characteristics))
+        family = self.archive.family()
+        other = get_planner(self.opponent_planner) if isinstance(self.opponent_planner, str) else self.opponent_planner
+        setup = RaceSetup(self.track, self.config.race_rules, (family, other or family))
+        theta = np.zeros((len(self.archive), setup.theta_size))
+        theta[:, : self.archive.parameters.shape[1]] = self.archive.parameters
+        object.__setattr__(self, "_theta", theta)
+        object.__setattr__(self, "_setup", setup)
+        object.__setattr__(
+            self, "_lines", start_lines(self.track, setup.config, np.random.SeedSequence(0, spawn_key=(0,)))
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what the game was made of, not what was derived from it."""
+        return RaceGame, (self.track, self.archive, self.config, self.opponent_planner, self.threads)
+
+    def __copy__(self) -> "RaceGame":
+        """Return the game itself: it never changes."""
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "RaceGame":
+        """Return the game itself: it never changes."""
+        return self
+
+    # What the players know beforehand
+
+    @property
+    def setup(self) -> RaceSetup:
+        """Track, race rules and planners, as :func:`pcs_racing.advance` wants them."""
+        return self._setup  # type: ignore[attr-defined]
+
+    @cached_property
+    def characteristics(self) -> tuple[Characteristic, ...]:
+        """Axes of the game."""
+        return get_characteristics(self.archive.characteristics)
+
+    @cached_property
+    def table(self) -> Indices:
+        """Where every move leads from every policy, shape (K, M)."""
+        return self.archive.move_table(self.config.epsilon, bool(self.config.stay))
+
+    @cached_property
+    def move_names(self) -> tuple[str, ...]:
+        """Names of the M moves, for people."""
+        return self.archive.move_names(self.config.epsilon, bool(self.config.stay))
+
+    @cached_property
+    def observation_elements(self) -> tuple[ObservationElement, ...]:
+        """What each of the D numbers of an observation is."""
+        elements = []
+        for k in range(self.config.moves + 1):
+            when = "the step of watching" if k == 0 else f"the step after move {k}"
+            for axis in self.characteristics:
+                meaning = f"archive coordinate of the own policy in {when}: {axis.meaning}"
+                elements.append(ObservationElement(f"own_{axis.name}_{k}", "archive range", LOW, HIGH, meaning))
+            for axis in self.characteristics:
+                meaning = f"the opponent's coordinate, measured in {when} alone: {axis.meaning}"
+                elements.append(ObservationElement(f"opponent_{axis.name}_{k}", "archive range", LOW, HIGH, meaning))
+            meaning = f"own lead at the end of {when}"
+            elements.append(ObservationElement(f"lead_{k}", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning))
+            elements.append(
+                ObservationElement(f"seen_{k}", "1", 0.0, 1.0, f"1 once {when} is over; 0 before, as all above")
+            )
+        return (*elements, ObservationElement("step", "1", 0.0, 1.0, "share of the moves that have been made"))
+
+    # Playing
+
+    def reset(
+        self,
+        seeds: ArrayLike | None = None,
+        *,
+        games: int | None = None,
+        seed: int = 0,
+        policies: ArrayLike | None = None,
+        starts: Starts | None = None,
+        opponents: Policy | Sequence[Policy | None] | None = None,
+        redraw: bool = True,
+    ) -> GameState:
+        """Start a batch of games and drive the step in which the players only watch.
+
+        Everything that is drawn for a game (start line, side, policies, noise) is a function of its own key, whatever
+        the size of the batch.
+
+        Parameters
+        ----------
+        seeds : int or array of int, shape (B,), optional
+            Key of each game. By default they are derived from ``seed`` for as many games as ``games`` says (1).
+        games : int, optional
+            Number of games, if there are no ``seeds``.
+        seed : int
+            Root of the keys, if there are no ``seeds``.
+        policies : array of int, shape (B, 2) or (2,), optional
+            Policies that the cars of each game start with; -1 draws one, uniformly from the archive.
+        starts : Starts, optional
+            Where the cars start; by default drawn out of ``config.race.start_lines`` lines and both sides.
+        opponents : Policy or sequence of B (Policy or None), optional
+            Drivers of car 1 from outside the archive, all of ``opponent_planner``: its moves do nothing then.
+        redraw : bool
+            Draw a game again (up to 20 times) if it ends by a crash before the first move. A game of which start and
+            policies are given is never drawn again: it is over at once.
+
+        Raises
+        ------
+        InputError
+            If a number, shape or start is impossible; the game's index is named.
+        """
+        keys = self._keys(seeds, games, seed)
+        count = len(keys)
+        chosen = self._policies(policies, count)
+        outside, theta = self._outside(opponents, count)
+        chosen[outside, 1] = OUTSIDE
+        if starts is not None and len(starts) != count:
+            raise InputError(f"there are {count} games but {len(starts)} starts; give one start for each game")
+        drawn = chosen == DRAW
+        drawn[outside, 1] = False
+
+        def begin(rows: Indices, attempt: int) -> GameState:
+            draws = _draws(keys[rows], attempt)
+            lots = (draws[:, 2:4] % np.uint64(len(self.archive))).astype(np.int64)
+            picked = np.where(drawn[rows], lots, chosen[rows])
+            if starts is not None:
+                place = starts.take(rows)
+            else:
+                lines: Floats = self._lines  # type: ignore[attr-defined]
+                which = (draws[:, 0] % np.uint64(len(lines))).astype(np.int64)
+                place = Starts(lines[which], (draws[:, 1] % np.uint64(2)).astype(np.int64))
+            return self._watch(picked, place, draws[:, 4], theta[rows], outside[rows])
+
+        state = begin(np.arange(count), 0)
+        free = drawn.any(axis=1) | (starts is None)
+        for attempt in range(1, REDRAWS + 1):
+            again = np.flatnonzero(state.race.crashed & free)
+            if not redraw or len(again) == 0:
+                break
+            put_games(state, again, begin(again, attempt))
+        return state
+
+    def step(self, state: GameState, actions: ArrayLike) -> GameState:
+        """Let both players of every game move, and drive on for a step.
+
+        Games that are over stand still. The argument stays as it is.
+
+        Parameters
+        ----------
+        state : GameState
+        actions : array of int, shape (B, 2)
+            Index of each car's move in :attr:`move_names`; that of a driver from outside the archive does nothing.
+
+        Raises
+        ------
+        InputError
+            If the actions have another shape or type, or one of them is no move; the game's index is named.
+        """
+        moves = np.asarray(actions)
+        if moves.shape != (state.games, 2) or moves.dtype.kind not in "iu":
+            raise InputError(
+                f"actions have shape {moves.shape} and type {moves.dtype}; they must be whole numbers of shape "
+                f"({state.games}, 2)"
+            )
+        wrong = np.argwhere((moves < 0) | (moves >= len(self.move_names)))
+        if len(wrong):
+            game, car = (int(i) for i in wrong[0])
+            raise InputError(
+                f"game {game}, car {car}: action {moves[game, car]} is no move; it must lie in "
+                f"0 to {len(self.move_names) - 1} ({', '.join(self.move_names)})"
+            )
+        new = state.copy()
+        moving = ~self.done(state)[:, None] & (state.policy >= 0)
+        # A driver from outside has policy -1: the row looked up for it is not used.
+        new.policy[:] = np.where(moving, self.table[state.policy, moves.astype(np.int64)], state.policy)
+        new.theta[:] = np.where(moving[..., None], self._theta[new.policy], state.theta)  # type: ignore[attr-defined]
+        new.step[:] = state.step + ~self.done(state)
+        self._drive(new, ~self.done(state))
+        return new
+
+    def done(self, state: GameState) -> NDArray[np.bool_]:
+        """Whether each game is over, shape (B,): all moves made and driven, or a crash."""
+        return (state.step >= self.config.moves) | state.race.crashed
+
+    def utility(self, state: GameState) -> Floats:
+        """What the outcome is worth to each car, shape (B, 2); 0 while a game goes on. The two always add up to 0."""
+        crashed = state.race.crashed
+        if self.config.utility == "win":
+            winner = self.winner(state)
+            first = np.where(winner == 0, 1.0, np.where(winner == 1, -1.0, 0.0))
+        else:
+            first = state.race.lead
+            if self.config.utility == "lead":
+                first = np.where(crashed, 0.0, first)
+        fault = state.race.fault.astype(np.float64)
+        first = first + self.config.fault_penalty * (fault[:, 1] - fault[:, 0])
+        first = np.where(self.done(state), first * self.config.discount**state.step, 0.0)
+        return np.stack([first, 0.0 - first], axis=1)
+
+    def winner(self, state: GameState) -> NDArray[np.int8]:
+        """The car that won (0 or 1), shape (B,); -1 for a tie, a crash that pays nobody, and while a game goes on."""
+        nowhere = Starts(np.zeros(state.games), np.zeros(state.games, np.int64))  # where it began has no say
+        ahead = RaceResult(self.setup.config, state.race, nowhere).winner
+        return np.where(self.done(state), ahead, -1).astype(np.int8)
+
+    def observation(self, state: GameState) -> NDArray[np.float32]:
+        """What each player sees, shape (B, 2, D); :attr:`observation_elements` says what it is."""
+        games, steps = state.games, self.config.moves + 1
+        seen = np.arange(steps) <= state.step[:, None]
+        lead = np.clip(state.leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)
+        parts = np.concatenate(
+            [
+                state.own,
+                state.estimates[:, ::-1],
+                np.stack([lead, -lead], axis=1)[..., None],
+                np.broadcast_to(seen[:, None, :, None], (games, 2, steps, 1)),
+            ],
+            axis=-1,
+        )
+        parts = np.where(seen[:, None, :, None], parts, 0.0).reshape(games, 2, -1)
+        share = np.broadcast_to((state.step / self.config.moves)[:, None, None], (games, 2, 1))
+        return np.concatenate([parts, share], axis=-1).astype(np.float32)
+
+    def action_mask(self, state: GameState) -> NDArray[np.bool_]:
+        """Moves that a player may make, shape (B, 2, M).
+
+        All of them, unless ``mask_duplicates`` rules out those that lead where an earlier one leads.
+        """
+        if not self.config.mask_duplicates:
+            return np.ones((state.games, 2, len(self.move_names)), np.bool_)
+        allowed = ~self._duplicates[state.policy]
+        allowed[state.policy < 0] = True
+        return allowed
+
+    @cached_property
+    def _duplicates(self) -> NDArray[np.bool_]:
+        return duplicates(self.table)
+
+    # How a game begins, and a step of driving
+
+    def _keys(self, seeds: ArrayLike | None, games: int | None, seed: int) -> NDArray[np.uint64]:
+        if seeds is None:
+            count = 1 if games is None else games
+            for what, value, least in (("games", count, 0), ("seed", seed, 0)):
+                if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+                    raise InputError(f"{what} is {value!r}; it must be a whole number from {least}")
+            return race_seeds(int(seed), int(count))
+        if games is not None:
+            raise InputError(f"games is {games!r}, but there are seeds, one for each game; give one of the two")
+        keys = np.atleast_1d(np.asarray(seeds))
+        if keys.ndim != 1 or keys.dtype.kind not in "iu" or (keys.dtype.kind == "i" and (keys < 0).any()):
+            raise InputError(f"seeds are {seeds!r}; they must be whole numbers from 0, one for each game")
+        return keys.astype(np.uint64)
+
+    def _policies(self, policies: ArrayLike | None, games: int) -> Indices:
+        if policies is None:
+            return np.full((games, 2), DRAW, np.int64)
+        chosen = np.asarray(policies)
+        if chosen.shape not in ((2,), (games, 2)) or chosen.dtype.kind not in "iu":
+            raise InputError(
+                f"policies have shape {chosen.shape} and type {chosen.dtype}; they must be whole numbers of shape "
+                f"(2,) or ({games}, 2)"
+            )
+        chosen = np.array(np.broadcast_to(chosen, (games, 2)), np.int64)
+        wrong = np.argwhere((chosen < DRAW) | (chosen >= len(self.archive)))
+        if len(wrong):
+            game, car = (int(i) for i in wrong[0])
+            raise InputError(
+                f"game {game}, car {car}: policy {chosen[game, car]} is not in archive {self.archive.name!r}; it must "
+                f"lie in 0 to {len(self.archive) - 1}, or be -1 to be drawn"
+            )
+        return chosen
+
+    def _outside(
+        self, opponents: Policy | Sequence[Policy | None] | None, games: int
+    ) -> tuple[NDArray[np.bool_], Floats]:
+        """Which games have a driver from outside in car 1, and its parameters."""
+        drivers = [opponents] * games if opponents is None or isinstance(opponents, Policy) else list(opponents)
+        if len(drivers) != games:
+            raise InputError(f"there are {games} games but {len(drivers)} opponents; give one opponent for each game")
+        theta = np.zeros((games, self.setup.theta_size))
+        planner = self.setup.planners[1]
+        for i, driver in enumerate(drivers):
+            if driver is None and planner is not self.setup.planners[0]:
+                raise InputError(
+                    f"game {i}: car 1 is driven by planner {planner.name!r}, which the archive holds no policy of; "
+                    "give opponents"
+                )
+            if driver is not None and (not isinstance(driver, Policy) or driver.planner is not planner):
+                found = f"planner {driver.planner.name!r}" if isinstance(driver, Policy) else repr(driver)
+                raise InputError(
+                    f"game {i}: the opponent is of {found}; this game's car 1 takes policies of planner "
+                    f"{planner.name!r} (make the game with opponent_planner=...)"
+                )
+            if driver is not None:
+                theta[i, : len(driver.parameters)] = driver.parameters
+        return np.array([driver is not None for driver in drivers], np.bool_).reshape(games), theta
+
+    def _watch(
+        self, policy: Indices, starts: Starts, noise: NDArray[np.uint64], theta: Floats, outside: NDArray[np.bool_]
+    ) -> GameState:
+        setup = self.setup
+        axes, steps = len(self.characteristics), self.config.moves + 1
+        state = empty_game(len(policy), setup.memory_size, setup.theta_size, steps, axes)
+        state = state._replace(race=start_races(setup, starts, noise))
+        state.policy[:] = policy
+        state.theta[:] = self._theta[policy]  # type: ignore[attr-defined]
+        state.theta[outside, 1] = theta[outside]
+        self._drive(state, np.ones(len(policy), np.bool_))
+        return state
+
+    def _drive(self, state: GameState, going: NDArray[np.bool_]) -> None:
+        """Drive a step in place, and write down for the games that go on what was to be seen."""
+        before = state.race.copy()
+        advance(self.setup, state.race, state.theta, self.config.step_ticks, threads=self.threads)
+        segment = Segment.between(before, state.race, self.config.step_seconds)
+        rows = np.flatnonzero(going)
+        now = state.step[rows]
+        measured = self.archive.normalise(measure(segment, self.characteristics))[rows]
+        estimates = np.clip(measured, LOW, HIGH)
+        own = np.clip(self.archive.normalised[state.policy[rows]], LOW, HIGH)
+        state.estimates[rows, :, now] = estimates
+        state.own[rows, :, now] = np.where(state.policy[rows, :, None] >= 0, own, estimates)
+        state.leads[rows, now] = state.race.lead[rows]
+
+
+def make_game(
+    track: Track | str | Path,
+    archive: PolicyArchive | str | Path = "default",
+    race: GameConfig | RaceConfig | str | Path = "paper",
+    *,
+    opponent_planner: Planner | str | None = None,
+    threads: int | None = None,
+    **settings: Any,
+) -> RaceGame:
+    """Make a game from names.
+
+    Parameters
+    ----------
+    track : Track, str or path
+        The circuit, its name or its folder.
+    archive : PolicyArchive, str or path
+        The archive, its name or its folder.
+    race : GameConfig, RaceConfig, str or path
+        Rules of the game; or of the race alone: a configuration, a preset's name or a YAML file.
+    opponent_planner, threads
+        See :class:`RaceGame`.
+    **settings
+        Fields of :class:`GameConfig` to change.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value impossible.
+    """
+    circuit = track if isinstance(track, Track) else load_track(track)
+    return RaceGame(circuit, load_archive(archive), load_game_config(race, **settings), opponent_planner, threads)
+
+
+def with_opponent(game: RaceGame, planner: Planner | str | None) -> RaceGame:
+    """Return the game with another planner for car 1."""
+    return replace(game, opponent_planner=planner)
+
+
+def _draws(keys: NDArray[np.uint64], attempt: int) -> NDArray[np.uint64]:
+    """Five numbers of 64 random bits for each key, shape (B, 5), by splitmix64 (Steele et al. 2014)."""
+    counters = np.arange(5, dtype=np.uint64) + np.uint64(5 * attempt + 1)
+    x = _mix(keys)[:, None] + counters * np.uint64(0x9E3779B97F4A7C15)
+    return _mix(x)
+
+
+def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
