@@ -140,17 +140,24 @@ def draw_starts(track: Track, config: RaceConfig, races: int, seed: int) -> Star
 
     Race ``i`` starts on line ``(i // 2) % config.start_lines`` with side ``i % 2``, whatever the size of the batch.
     """
-    lines = start_lines(track, config, np.random.SeedSequence(seed, spawn_key=(0,)))
+    lines = start_lines(track, config, np.random.SeedSequence(_checked_seed(seed), spawn_key=(0,)))
     index = np.arange(races)
     return Starts(lines[(index // 2) % len(lines)], (index % 2).astype(np.int64))
 
 
 def race_seeds(seed: int, races: int) -> NDArray[np.uint64]:
     """Noise key of each race: a function of the root seed and the race's index alone, shape (B,)."""
+    root = _checked_seed(seed)
     return np.array(
-        [np.random.SeedSequence(seed, spawn_key=(1, i)).generate_state(1, np.uint64)[0] for i in range(races)],
+        [np.random.SeedSequence(root, spawn_key=(1, i)).generate_state(1, np.uint64)[0] for i in range(races)],
         np.uint64,
     )
+
+
+def _checked_seed(seed: int) -> int:
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"seed is {seed!r}; it must be a whole number from 0")
+    return int(seed)
 
 
 def start_races(setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64]) -> RaceState:
@@ -419,13 +426,11 @@ def run_races(
     races = len(egos)
     if len(opponents) != races:
         raise InputError(f"there are {races} egos but {len(opponents)} opponents; give one opponent for each ego")
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed is {seed!r}; it must be a whole number from 0")
     if starts is None:
-        starts = draw_starts(track, config, races, int(seed))
+        starts = draw_starts(track, config, races, seed)
     if len(starts) != races:
         raise InputError(f"there are {races} races but {len(starts)} starts; give one start for each race")
-    seeds = race_seeds(int(seed), races)
+    seeds = race_seeds(seed, races)
     groups: dict[tuple[int, int], list[int]] = {}
     for i, (ego, opponent) in enumerate(zip(egos, opponents, strict=True)):
         groups.setdefault((id(ego.planner), id(opponent.planner)), []).append(i)

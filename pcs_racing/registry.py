@@ -18,6 +18,8 @@ __all__ = ["ENTRY_POINTS", "get_planner", "parse_policy", "planner_names", "regi
 ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
 
+NONE = "none (install pcs-racing, or import pcs_racing_agents, for those that come with it)"
+
 _planners: dict[str, Planner] = {}
 _places: dict[str, str] = {}
 
@@ -134,4 +136,4 @@ def _choices(name: str, known: Iterable[str]) -> str:
     """The end of an error message: what was probably meant, and what there is."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
-    return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names) or 'none'}"
+    return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names) or NONE}"

@@ -1,0 +1,78 @@
+"""A head-to-head tournament between policies of one planner, told apart by their weights.
+
+    python examples/tournament.py
+    python examples/tournament.py --track Brackwater --preset paper --races 100
+
+It prints the table and the payoff matrix, and writes the results and a replay of the liveliest race.
+"""
+
+import argparse
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from pcs_racing import Policy, get_planner, load_race_config, load_track, record_race, save_replay
+from pcs_racing_agents.tournament import RaceRow, play_tournament, show_progress, tournament_text, write_results
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What can be chosen on the command line."""
+
+    track: str = "Tarnfjord"
+    """name of a shipped circuit or a map folder"""
+    preset: str = "contest"
+    """rules of the race: paper, contest or a YAML file"""
+    races: int = 60
+    """races of each pair, even: every start line is driven from both sides"""
+    duration: float = 40.0
+    """length of a race in s"""
+    seed: int = 0
+    """root of start lines and noise"""
+    out: Path = Path("out/tournament")
+    """folder for results.csv and replay.html"""
+
+
+def drivers() -> list[Policy]:
+    """Four characters of the lattice planner; what is not said is as in the default."""
+    lattice = get_planner("lattice")
+    return [
+        lattice.policy({"pace": 0.1, "side_margin": 0.3, "walls": 0.5}, name="careful"),
+        lattice.policy({"pace": 0.45}, name="steady"),
+        lattice.policy({"pace": 0.65, "overtaking": 0.7, "late_braking": 0.08, "side_margin": 0.08}, name="attacker"),
+        lattice.policy({"pace": 1.0, "walls": -1.5}, name="reckless"),
+    ]
+
+
+def main() -> None:
+    arguments = parse(Arguments)
+    track = load_track(arguments.track)
+    config = load_race_config(arguments.preset, duration=arguments.duration)
+    policies = drivers()
+    tournament = play_tournament(
+        track, policies, config, races_per_pair=arguments.races, seed=arguments.seed, progress=show_progress()
+    )
+    print(tournament_text(tournament))
+
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    print("\nresults:", write_results(tournament, arguments.out / "results.csv"))
+    best = max(tournament.rows, key=liveliness)
+    ego, opponent = (next(p for p in policies if p.name == name) for name in (best.ego, best.opponent))
+    replay = record_race(track, ego, opponent, tournament.config, seed=best.seed, index=best.race)
+    print("replay: ", save_replay(replay, arguments.out / "replay.html"), f"({replay.title}: {replay.outcome})")
+
+
+def liveliness(row: RaceRow) -> tuple[int, bool, float]:
+    """What makes a race worth watching: overtakes, a finish, a close one."""
+    return row.ego_overtakes + row.opponent_overtakes, row.crash == "", -abs(row.lead)
+
+
+def parse(kind: type[Arguments]) -> Arguments:
+    """Command-line options from the fields of a dataclass."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for field in fields(kind):
+        parser.add_argument(f"--{field.name}", type=type(field.default), default=field.default)
+    return kind(**vars(parser.parse_args()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,222 @@
+import shutil
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from pcs_racing import list_tracks, load_track, read_replay
+from pcs_racing.maps import shipped_folder
+from pcs_racing_agents import PLANNERS
+from pcs_racing_agents.cli import main
+
+SHORT = ["--duration", "4"]
+PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command; returns exit code, stdout and stderr."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def copied(tmp_path) -> Path:
+    """A shipped circuit, copied to a folder whose name has a space."""
+    return Path(shutil.copytree(shipped_folder() / "Pipkin", tmp_path / "my maps" / "Pipkin"))
+
+
+def test_a_race_tells_what_happened(run):
+    code, out, err = run("race", "--track", "Pipkin", *PAIR, *SHORT, "--seed", 3)
+    assert code == 0
+    assert out.startswith("Pipkin, 58.")
+    assert "preset paper, seed 3, race 0" in out
+    assert "car 0: lattice:pace=0.8, " in out
+    assert out.rstrip().endswith("lattice:pace=0.8 wins by " + out.split("wins by ")[1].rstrip())
+    assert run("race", "--track", "Pipkin", *PAIR, *SHORT, "--seed", 3)[1] == out  # the same seed, the same race
+
+
+def test_a_race_writes_a_replay(run, tmp_path):
+    for name in ("race.html", "race.json"):
+        code, out, _ = run("race", "--track", "Pipkin", *PAIR, *SHORT, "--replay", tmp_path / name)
+        assert code == 0
+        assert str(tmp_path / name) in out
+        replay = read_replay(tmp_path / name)
+        assert replay.track_name == "Pipkin"
+        assert replay.candidates is not None
+
+
+def test_a_map_folder_with_a_space_in_its_name(run, copied):
+    code, out, _ = run("race", "--track", copied, *PAIR, *SHORT)
+    assert code == 0
+    assert out.startswith("Pipkin, ")
+
+
+def test_a_map_of_yaml_and_picture_alone(run, copied):
+    for file in copied.glob("*.csv"):
+        file.unlink()
+    code, out, err = run("race", "--track", copied, *PAIR, *SHORT)
+    assert code == 0
+    assert "wins by" in out
+
+
+def test_real_circuits(run, real_maps):
+    code, out, _ = run("race", "--track", real_maps / "Spielberg", *PAIR, *SHORT)
+    assert code == 0
+    assert out.startswith("Spielberg, 3")
+
+
+def test_a_tournament_prints_the_table_and_writes_the_results(run, tmp_path):
+    out_folder = tmp_path / "a b" / "results"
+    policies = ["lattice", "lattice:pace=0.9", "lane-switcher:3"]
+    arguments = ["--track", "Pipkin", "--policies", *policies, "--races", 4, *SHORT]
+    code, out, err = run("tournament", *arguments, "--preset", "contest", "--out", out_folder)
+    assert code == 0
+    assert "12 races of 4 s, preset contest, on Pipkin; seed 0" in out
+    assert all(out.count(f" {policy} ") or f"\n{policy} " in out for policy in policies)
+    assert "12/12 races" in err
+    assert len((out_folder / "results.csv").read_text().splitlines()) == 13
+
+
+def test_rules_from_a_file(run, tmp_path):
+    rules = tmp_path / "rules.yaml"
+    rules.write_text("preset: contest\nname: sprint\nduration: 2.0\n")
+    code, out, _ = run("race", "--track", "Pipkin", *PAIR, "--preset", rules)
+    assert code == 0
+    assert "preset sprint" in out
+    assert "after 2 s" in out
+
+
+def test_track_list_and_show(run, tmp_path):
+    code, out, _ = run("track", "list")
+    assert code == 0
+    assert [line.split()[0] for line in out.splitlines()] == list_tracks()
+    code, out, _ = run("track", "show", "pipkin", "--out", tmp_path / "picture.png")
+    assert code == 0
+    assert out.startswith("Pipkin")
+    with Image.open(tmp_path / "picture.png") as picture:
+        assert picture.width > 300
+
+
+def test_track_import_completes_a_map(run, copied, tmp_path):
+    bare = tmp_path / "bare" / "hall"
+    bare.mkdir(parents=True)
+    shutil.copy(copied / "Pipkin_map.png", bare)
+    shutil.copy(copied / "Pipkin_map.yaml", bare / "hall.yaml")
+    start = load_track(copied).to_cartesian([0.0, 0.0])
+    target = tmp_path / "out" / "Hall"
+    code, out, _ = run(
+        "track", "import", bare, "--out", target, "--seed-point", start[0], start[1], "--direction", "clockwise"
+    )
+    assert code == 0
+    assert str(target) in out
+    found = load_track(target)
+    assert found.name == "Hall"
+    assert found.length == pytest.approx(load_track(copied).length, rel=0.03)
+    ahead = np.exp(1j * found.to_cartesian([0.0, 0.0])[2])
+    assert (ahead * np.exp(-1j * start[2])).real < -0.9  # the other way round
+
+
+def test_track_generate_is_repeatable(run, tmp_path):
+    for name in ("one", "two"):
+        code, _, _ = run(
+            "track", "generate", "--seed", 2, "--style", "hull", "--name", "Dell", "--out", tmp_path / name
+        )
+        assert code == 0
+    one, two = (load_track(tmp_path / name) for name in ("one", "two"))
+    assert one.name == "Dell"
+    assert one.content_hash == two.content_hash
+
+
+def test_track_calibrate_finds_and_keeps_a_speed_range(run, copied):
+    file = copied / "Pipkin_track.yaml"
+    before = yaml.safe_load(file.read_text())
+    before.pop("speed_range", None)
+    file.write_text(yaml.safe_dump(before))
+    code, out, _ = run("track", "calibrate", copied, "--preset", "contest")
+    assert code == 0
+    assert "Pipkin, contest: speed range" in out
+    assert load_track(copied).speed_range == {}  # nothing is kept unless asked for
+    run("track", "calibrate", copied, "--preset", "contest", "--write")
+    low, high = load_track(copied).speed_range["contest"]
+    assert 0.5 < low < high < 1.3
+    assert f"speed range {low:.2f} to {high:.2f}" in out
+    after = yaml.safe_load(file.read_text())
+    assert after.pop("speed_range") == {"contest": [low, high]}
+    assert after == before
+
+
+def test_policies_lists_every_planner_and_parameter(run):
+    code, out, _ = run("policies")
+    assert code == 0
+    assert set(PLANNERS) <= set(out.splitlines())
+    code, out, _ = run("policies", "lattice")
+    assert code == 0
+    assert "side_margin" in out
+    assert "air to keep beside the opponent, m" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["race", "--track", "Nurburg", *PAIR], "unknown track 'Nurburg'"),
+        (["race", "--track", "no/such folder", *PAIR], "no/such folder"),
+        (["race", "--track", "Pipkin", "--ego", "latice", "--opponent", "lattice"], "did you mean 'lattice'?"),
+        (["race", "--track", "Pipkin", "--ego", "lattice:pace=nan", "--opponent", "lattice"], "must be finite"),
+        (["race", "--track", "Pipkin", *PAIR, "--preset", "cup"], "race preset 'cup' is unknown"),
+        (["race", "--track", "Pipkin", *PAIR, "--duration", "-1"], "duration is -1.0"),
+        (["race", "--track", "Pipkin", *PAIR, "--seed", "-1"], "seed is -1"),
+        (["race", "--track", "Pipkin", *PAIR, "--index", "-1"], "index is -1"),
+        (["race", "--track", "Pipkin", *PAIR, "--replay", "no/such/folder/race.html"], "there is no folder"),
+        (["race", "--track", "Pipkin", *PAIR, "--replay", "race.mp4"], "must end in .html or .json"),
+        (["tournament", "--track", "Pipkin", "--policies", "lattice"], "at least two policies"),
+        (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice"], "more than one lattice"),
+        (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice:pace=1", "--races", "5"], "even"),
+        (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
+        (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
+        (["policies", "latice"], "did you mean 'lattice'?"),
+    ],
+)
+def test_an_error_is_one_line(run, arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(*arguments)
+    assert code == 2
+    assert out == ""
+    assert err.startswith("pcs-racing: error: ")
+    assert message in err
+    assert err.count("\n") == 1
+    assert not list(tmp_path.iterdir())  # nothing half done
+
+
+@pytest.mark.parametrize("argument", ["--help", "race --help", "track --help", "track import --help"])
+def test_help_shows_an_example(argument, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(argument.split())
+    assert stop.value.code == 0
+    assert "pcs-racing " in capsys.readouterr().out.split("options:")[-1] or argument == "--help"
+
+
+def test_as_a_process(tmp_path):
+    """The installed command: version, exit code of an error, and a reader that goes away."""
+    command = [sys.executable, "-m", "pcs_racing_agents.cli"]
+    done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"pcs-racing {version('pcs-racing')}\n"
+    done = subprocess.run([*command, "track", "show", "Nowhere"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("pcs-racing: error: unknown track 'Nowhere'")
+    assert "Traceback" not in done.stderr
+    done = subprocess.run(
+        f"'{sys.executable}' -m pcs_racing_agents.cli policies | head -n 1",
+        shell=True, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stderr == ""

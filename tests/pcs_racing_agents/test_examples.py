@@ -1,0 +1,37 @@
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def run(folder: Path, *arguments: object) -> str:
+    """Output of a Python process that must end well."""
+    done = subprocess.run(
+        [sys.executable, *map(str, arguments)], capture_output=True, text=True, cwd=folder, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_tournament(tmp_path):
+    arguments = ("--track", "Pipkin", "--races", 2, "--duration", 3, "--out", "made")
+    out = run(tmp_path, REPOSITORY / "examples" / "tournament.py", *arguments)
+    assert "12 races of 3 s" in out
+    assert {path.name for path in (tmp_path / "made").iterdir()} == {"results.csv", "replay.html"}
+
+
+def test_watch_a_race(tmp_path):
+    out = run(tmp_path, REPOSITORY / "examples" / "watch_a_race.py", "--track", "Pipkin", "--duration", 1, "--gif")
+    assert "race.html" in out
+    assert {path.name for path in (tmp_path / "out" / "race").iterdir()} == {"race.html", "race.gif"}
+
+
+@pytest.mark.parametrize("number", range(len(re.findall("```python\n", (REPOSITORY / "README.md").read_text()))))
+def test_what_the_readme_shows(tmp_path, number):
+    code = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)[number]
+    (tmp_path / "snippet.py").write_text(code)
+    run(tmp_path, "snippet.py")
