@@ -54,7 +54,7 @@ class GameState(NamedTuple):
 
     def copy(self) -> "GameState":
         """Return an independent copy."""
-        return GameState(self.race.copy(), *(array.copy() for array in self[1:]))  # type: ignore[arg-type]
+        return GameState(self.race.copy(), *(array.copy() for array in self[1:]))
 
 
 def empty_game(games: int, memory: int, parameters: int, steps: int, axes: int) -> GameState:
@@ -83,7 +83,7 @@ def join_games(states: list[GameState]) -> GameState:
     """Join batches of games into one."""
     race = RaceState._make(np.concatenate(arrays) for arrays in zip(*(state.race for state in states), strict=True))
     rest = zip(*(state[1:] for state in states), strict=True)
-    return GameState(race, *(np.concatenate(arrays) for arrays in rest))  # type: ignore[arg-type]
+    return GameState(race, *(np.concatenate(arrays) for arrays in rest))
 
 
 def put_games(state: GameState, indices: ArrayLike, values: GameState) -> None:
