@@ -1,0 +1,52 @@
+# Everything runs in .venv; the first target that needs it makes it. `make PYTHON=python3.12 demo` chooses another Python.
+
+PYTHON ?= python3
+VENV := .venv
+RUN := $(VENV)/bin/python
+PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
+
+.PHONY: help demo test lint types benchmarks clean
+
+help:
+	@echo "make demo        a tournament between four policies, its table, and a race to watch (under 3 minutes)"
+	@echo "make test        the test suite"
+	@echo "make lint        style, and the format of the code"
+	@echo "make types       static types"
+	@echo "make benchmarks  every figure of the documentation, measured again"
+	@echo "make clean       remove results and caches, but not $(VENV)"
+
+demo: $(VENV)/base.stamp
+	$(RUN) examples/tournament.py --out out/demo
+
+test: $(VENV)/test.stamp
+	$(RUN) -m pytest -n 2 --dist worksteal
+
+lint: $(VENV)/test.stamp
+	$(RUN) -m ruff check .
+	$(RUN) -m ruff format --check .
+
+types: $(VENV)/test.stamp
+	$(RUN) -m mypy
+
+benchmarks: $(VENV)/test.stamp
+	@for script in benchmarks/*.py; do echo "== $$script"; $(RUN) "$$script" || exit 1; done
+
+clean:
+	rm -rf out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path "./$(VENV)/*" -prune -exec rm -rf {} +
+
+# The stamps keep pip from running again until pyproject.toml changes.
+
+$(RUN):
+	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("Python 3.11 or newer is needed: make PYTHON=...")'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/base.stamp: pyproject.toml | $(RUN)
+	@echo "installing into $(VENV) (a minute or two, once)"
+	$(PIP) --editable ".[mapping]"
+	@touch $@
+
+$(VENV)/test.stamp: pyproject.toml | $(RUN)
+	@echo "installing into $(VENV), PyTorch included (some minutes, once)"
+	$(PIP) --editable ".[test,lint]"
+	@touch $@ $(VENV)/base.stamp
