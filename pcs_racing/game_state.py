@@ -54,7 +54,8 @@ class GameState(NamedTuple):
 
     def copy(self) -> "GameState":
         """Return an independent copy."""
-        return GameState(self.race.copy(), *(array.copy() for array in self[1:]))
+        rest: Any = self[1:]
+        return GameState(self.race.copy(), *(array.copy() for array in rest))
 
 
 def empty_game(games: int, memory: int, parameters: int, steps: int, axes: int) -> GameState:

@@ -123,12 +123,13 @@ def front_layers(points: Floats) -> NDArray[np.int64]:
     A point beats another if it is at least as large in all coordinates and larger in one.
     """
     points = np.asarray(points, np.float64)
-    beats = (points[:, None] >= points[None]).all(-1) & (points[:, None] > points[None]).any(-1)
+    beats = np.all(points[:, None] >= points[None], axis=-1) & np.any(points[:, None] > points[None], axis=-1)
     layer = np.full(len(points), -1, np.int64)
     depth = 0
     while (layer < 0).any():
-        left = layer < 0
-        layer[left & ~beats[left].any(axis=0)] = depth
+        left = np.flatnonzero(layer < 0)
+        beaten = np.any(beats[np.ix_(left, left)], axis=0)
+        layer[left[~beaten]] = depth
         depth += 1
     return layer
 
