@@ -7,10 +7,18 @@ looks at a lidar scan.
 
 import numpy as np
 
-from pcs_racing.compilation import compiled
-from pcs_racing.frenet import wall_distance, wrap_s
+from pcs_racing.compilation import compiled, kernel
+from pcs_racing.frenet import interpolate, wrap_s
 
-__all__ = ["EQUAL_SHARES", "EQUAL_SPEEDS", "car_hits_wall", "contact_fault", "inside_wall", "rectangles_overlap"]
+__all__ = [
+    "EQUAL_SHARES",
+    "EQUAL_SPEEDS",
+    "car_hits_wall",
+    "contact_fault",
+    "hits_wall",
+    "inside_wall",
+    "rectangles_overlap",
+]
 
 # Two closing speeds this close to each other (as a share of the larger, or in m/s) put both cars at fault.
 EQUAL_SHARES = 0.05
@@ -25,7 +33,7 @@ FIELD_ERROR = 1.5
 _SAME_AXIS = 1e-3
 
 
-@compiled
+@kernel
 def rectangles_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, half_length1, half_width1):  # type: ignore[no-untyped-def]
     """Whether two rectangles share a positive area, by their four separating axes.
 
@@ -62,7 +70,7 @@ def rectangles_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     return abs(dy * c1 - dx * s1) < half_width1 + half_length0 * s + half_width0 * c
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ignore[no-untyped-def]
     """Whether a segment, given in the rectangle's own frame, passes through its inside."""
     if max(ax, bx) <= -half_length or min(ax, bx) >= half_length:
@@ -75,7 +83,7 @@ def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ign
     return abs(ax * ey - ay * ex) < half_length * abs(ey) + half_width * abs(ex)
 
 
-@compiled
+@kernel
 def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
     """Whether a point lies in a wall cell, off the track or outside the map."""
     row = np.floor((y - track.origin_y) / track.cell)
@@ -86,7 +94,7 @@ def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
     return track.distance[int(row), int(column)] <= 0.0
 
 
-@compiled
+@kernel
 def _wall_in_rectangle(walls, seen_start, seen, distance, middle, stretch, x, y, psi, half_length, half_width):  # type: ignore[no-untyped-def]
     """Whether a wall that can be seen from a stretch passes through the inside of a rectangle."""
     c = np.cos(psi)
@@ -109,7 +117,66 @@ def _wall_in_rectangle(walls, seen_start, seen, distance, middle, stretch, x, y,
     return False
 
 
-@compiled
+@kernel
+def hits_wall(  # type: ignore[no-untyped-def]
+    distance,
+    origin_x,
+    origin_y,
+    cell,
+    walls,
+    seen_start,
+    seen,
+    seen_distance,
+    seen_middle,
+    stretch,
+    x,
+    y,
+    psi,
+    half_length,
+    half_width,
+):
+    """Do the work of `car_hits_wall`, on single arrays: branches beside a whole track cost more than the test itself."""
+    per_cell = 1.0 / cell
+    u = (x - origin_x) * per_cell
+    v = (y - origin_y) * per_cell
+    clearance = interpolate(distance, u - 0.5, v - 0.5)
+    error = FIELD_ERROR * cell
+    radius = np.sqrt(half_length * half_length + half_width * half_width)
+    if clearance > radius + error:
+        return False
+    # Three circles along the car cover it more closely than the one around it.
+    step = half_length * (2.0 / 3.0)
+    part = np.sqrt(0.25 * step * step + half_width * half_width) + error
+    if clearance > part:
+        du = step * np.cos(psi) * per_cell
+        dv = step * np.sin(psi) * per_cell
+        if (
+            interpolate(distance, u + du - 0.5, v + dv - 0.5) > part
+            and interpolate(distance, u - du - 0.5, v - dv - 0.5) > part
+        ):
+            return False
+    if clearance <= half_width - error:
+        return True
+    if clearance < error:
+        rows, columns = distance.shape
+        if not (0.0 <= v < rows and 0.0 <= u < columns) or distance[int(v), int(u)] <= 0.0:
+            return True
+    return _wall_in_rectangle(
+        walls,
+        seen_start,
+        seen,
+        seen_distance,
+        seen_middle,
+        int(stretch) % seen_middle.shape[0],
+        x,
+        y,
+        psi,
+        half_length,
+        half_width,
+    )
+
+
+@kernel
 def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore[no-untyped-def]
     """Whether a car's rectangle reaches into a wall; everything outside the map is wall.
 
@@ -132,21 +199,17 @@ def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore
     -------
     bool
     """
-    clearance = wall_distance(track, x, y)
-    error = FIELD_ERROR * track.cell
-    radius = np.sqrt(half_length * half_length + half_width * half_width)
-    if clearance > radius + error:
-        return False
-    if clearance <= half_width - error or (clearance < error and inside_wall(track, x, y)):
-        return True
-    stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
-    return _wall_in_rectangle(
+    return hits_wall(
+        track.distance,
+        track.origin_x,
+        track.origin_y,
+        track.cell,
         track.walls,
         track.seen_start,
         track.seen,
         track.seen_distance,
         track.seen_middle,
-        stretch,
+        wrap_s(track, s) / track.seen_stretch,
         x,
         y,
         psi,
@@ -208,7 +271,7 @@ def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     return polygon[0, 0] + mx / area, polygon[0, 1] + my / area
 
 
-@compiled
+@kernel
 def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
     """The axis of direction psi, turned to point along (dx, dy), and how deep shapes of this reach overlap on it."""
     ax = np.cos(psi)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.compilation import compiled
+from pcs_racing.compilation import kernel
 
 __all__ = [
     "COS",
@@ -24,7 +24,10 @@ __all__ = [
     "X",
     "Y",
     "angle_between",
+    "foot",
+    "interpolate",
     "locate",
+    "offset",
     "project",
     "to_cartesian",
     "wall_distance",
@@ -97,7 +100,7 @@ class TrackArrays(NamedTuple):
 # branch in a function that holds the track's seven arrays costs it their reference counts, five times the arithmetic.
 
 
-@compiled
+@kernel
 def _wrap(length, s):  # type: ignore[no-untyped-def]
     if 0.0 <= s < length:
         return s
@@ -106,20 +109,20 @@ def _wrap(length, s):  # type: ignore[no-untyped-def]
     return s if 0.0 <= s < length else 0.0
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def wrap_s(track, s):  # type: ignore[no-untyped-def]
     """Bring an arc length into [0, length)."""
     return _wrap(track.length, s)
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def angle_between(a, b):  # type: ignore[no-untyped-def]
     """Difference a - b of two angles, brought into [-pi, pi)."""
     d = a - b
     return d - 2.0 * np.pi * np.floor((d + np.pi) / (2.0 * np.pi))
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def _cubic(line, ds, i):  # type: ignore[no-untyped-def]
     """Coefficients of the line between sample ``i`` and the next one, for u in [0, 1].
 
@@ -135,8 +138,8 @@ def _cubic(line, ds, i):  # type: ignore[no-untyped-def]
     return qx, qy, 3.0 * dx - 2.0 * qx - ex, 3.0 * dy - 2.0 * qy - ey, qx + ex - 2.0 * dx, qy + ey - 2.0 * dy
 
 
-@compiled
-def _foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
+@kernel
+def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
     """Do the work of `project`."""
     n = line.shape[0]
     i = int(_wrap(length, hint) / ds + 0.5)
@@ -192,7 +195,7 @@ def _foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
     return s if s < length else 0.0, (tx * ey - ty * ex) / np.sqrt(tx * tx + ty * ty)
 
 
-@compiled
+@kernel
 def project(track, x, y, hint):  # type: ignore[no-untyped-def]
     """Frenet coordinates of a point, found by walking along the line from a nearby arc length.
 
@@ -217,11 +220,11 @@ def project(track, x, y, hint):  # type: ignore[no-untyped-def]
     d : float
         Signed distance from the line in m, positive to the left.
     """
-    return _foot(track.line, track.ds, track.length, x, y, hint)
+    return foot(track.line, track.ds, track.length, x, y, hint)
 
 
-@compiled
-def _offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
+@kernel
+def offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
     """Do the work of `to_cartesian`."""
     at = _wrap(length, s) / ds
     i = min(int(at), line.shape[0] - 1)
@@ -238,7 +241,7 @@ def _offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
     return x, y, line[i, PSI] + t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 / 7.0)))
 
 
-@compiled
+@kernel
 def to_cartesian(track, s, d):  # type: ignore[no-untyped-def]
     """Point and heading of the line's offset by ``d`` at arc length ``s``.
 
@@ -249,10 +252,10 @@ def to_cartesian(track, s, d):  # type: ignore[no-untyped-def]
     psi : float
         Heading of the line there, rad.
     """
-    return _offset(track.line, track.ds, track.length, s, d)
+    return offset(track.line, track.ds, track.length, s, d)
 
 
-@compiled
+@kernel
 def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
     """Whether the straight way between two points stays off the walls; in cells from the corner of the grid."""
     rows, cols = distance.shape
@@ -265,7 +268,7 @@ def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled
+@kernel
 def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # type: ignore[no-untyped-def]
     """Do the work of `locate`; the point is (x, y) in m and (u, v) in cells, ``coarse`` cells to one of the look-up."""
     rows, cols = lookup.shape
@@ -277,17 +280,17 @@ def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # ty
     for k in range(4):
         i = min(max(row + k // 2, 0), rows - 1)
         j = min(max(col + k % 2, 0), cols - 1)
-        s, d = _foot(line, ds, length, x, y, lookup[i, j] * ds)
+        s, d = foot(line, ds, length, x, y, lookup[i, j] * ds)
         if best_s >= 0.0 and abs(s - best_s) < ds:
             continue
-        fx, fy, _ = _offset(line, ds, length, s, 0.0)
+        fx, fy, _ = offset(line, ds, length, s, 0.0)
         seen = _in_sight(distance, u, v, u + (fx - x) / cell, v + (fy - y) / cell)
         if best_s < 0.0 or (seen and not best_seen) or (seen == best_seen and abs(d) < abs(best_d)):
             best_s, best_d, best_seen = s, d, seen
     return best_s, best_d
 
 
-@compiled
+@kernel
 def locate(track, x, y):  # type: ignore[no-untyped-def]
     """Frenet coordinates of a point anywhere near the track, without a hint.
 
@@ -310,8 +313,8 @@ def locate(track, x, y):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
-def _interpolate(distance, u, v):  # type: ignore[no-untyped-def]
+@kernel
+def interpolate(distance, u, v):  # type: ignore[no-untyped-def]
     """Do the work of `wall_distance`, for a point in cells from the centre of cell [0, 0]."""
     rows, cols = distance.shape
     if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
@@ -325,7 +328,7 @@ def _interpolate(distance, u, v):  # type: ignore[no-untyped-def]
     return low * (1.0 - fv) + high * fv
 
 
-@compiled
+@kernel
 def wall_distance(track, x, y):  # type: ignore[no-untyped-def]
     """Distance in m from a point to the nearest wall, interpolated between cell centres; 0 outside the map.
 
@@ -335,4 +338,4 @@ def wall_distance(track, x, y):  # type: ignore[no-untyped-def]
     """
     u = (x - track.origin_x) / track.cell - 0.5
     v = (y - track.origin_y) / track.cell - 0.5
-    return _interpolate(track.distance, u, v)
+    return interpolate(track.distance, u, v)

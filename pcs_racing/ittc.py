@@ -9,7 +9,7 @@ beam, so that nothing has to be tested for being visible.
 
 import numpy as np
 
-from pcs_racing.compilation import compiled
+from pcs_racing.compilation import kernel
 from pcs_racing.frenet import wrap_s
 
 __all__ = ["minimum_ittc", "segment_ittc"]
@@ -18,7 +18,7 @@ __all__ = ["minimum_ittc", "segment_ittc"]
 _ROUNDING = 1e-9
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untyped-def]
     """The smaller of ``best`` and the least time to collision with the points of a segment.
 
@@ -70,8 +70,8 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
     return best
 
 
-@compiled
-def _walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
+@kernel
+def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
     """The smaller of ``best`` and the least time to collision with the walls that can be seen from a stretch."""
     speed = np.sqrt(vx * vx + vy * vy)
     if speed == 0.0:
@@ -88,8 +88,8 @@ def _walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy
     return best
 
 
-@compiled
-def _rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: ignore[no-untyped-def]
+@kernel
+def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: ignore[no-untyped-def]
     """The smaller of ``best`` and the least time to collision with a rectangle centred at (x, y) from the lidar."""
     speed = np.sqrt(vx * vx + vy * vy)
     nearest = np.sqrt(x * x + y * y) - half_length - half_width  # no point of it is nearer
@@ -107,7 +107,7 @@ def _rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: 
     return segment_ittc(x - lx - wx, y - ly - wy, x + lx - wx, y + ly - wy, vx, vy, speed, best)
 
 
-@compiled
+@kernel
 def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon):  # type: ignore[no-untyped-def]
     """Least instantaneous time to collision of a lidar with the walls and, if asked, with the opponent.
 
@@ -139,7 +139,7 @@ def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, 
         Time in [0, horizon], s.
     """
     stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
-    best = _walls_ittc(
+    best = walls_ittc(
         track.walls,
         track.seen_start,
         track.seen,
@@ -153,5 +153,5 @@ def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, 
         horizon,
     )
     if use_opponent:
-        best = _rectangle_ittc(ox - x, oy - y, opsi, half_length, half_width, vx - ovx, vy - ovy, best)
+        best = rectangle_ittc(ox - x, oy - y, opsi, half_length, half_width, vx - ovx, vy - ovy, best)
     return best

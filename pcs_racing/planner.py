@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 from numba import cfunc, types
+from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.compilation import compiled
+from pcs_racing.compilation import kernel
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.frenet import TrackArrays
 
@@ -142,22 +143,26 @@ _CONTROL_SIGNATURE = types.void(_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MAT
 @cache
 def _pointer(function: Callable[..., None], signature: types.Type) -> Any:
     """Compile a planner's function behind the one signature that the race kernel calls."""
-    return cfunc(signature, cache=True)(getattr(function, "py_func", function))  # type: ignore[arg-type]
+    python = getattr(function, "py_func", function)
+    try:  # without reference counts where the function allocates nothing: see pcs_racing.compilation.kernel
+        return cfunc(signature, cache=True, error_model="numpy", _nrt=False)(python)  # type: ignore[arg-type]
+    except (RuntimeError, NumbaError):
+        return cfunc(signature, cache=True, error_model="numpy")(python)  # type: ignore[arg-type]
 
 
-@compiled
+@kernel
 def leave_path(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
     """Plan nothing: for drivers that decide everything in ``control``."""
 
 
-@compiled
+@kernel
 def hold_command(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
     """Drive as the first two numbers of the memory say: how commands from outside reach a car."""
     command[0] = memory[0]
     command[1] = memory[1]
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untyped-def]
     """Steering angle of pure pursuit towards a point.
 
@@ -185,7 +190,7 @@ def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untype
     return min(max(steer, -view[STEER_MAX]), view[STEER_MAX])
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def calm_speed(v, speed):  # type: ignore[no-untyped-def]
     """Target speed that asks for no more braking than the car stays stable under, and the acceleration it stands for.
 
@@ -195,7 +200,7 @@ def calm_speed(v, speed):  # type: ignore[no-untyped-def]
     return speed, min(10.0 * (speed - v), 9.5)
 
 
-@compiled
+@kernel
 def follow_path(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
     """Follow the planned path by pure pursuit (the default ``control``).
 

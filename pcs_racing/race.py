@@ -15,7 +15,7 @@ from pcs_racing.errors import InputError
 from pcs_racing.frenet import SPEED, X, Y
 from pcs_racing.planner import COMMAND_SLOTS, VIEW_SIZE, Planner, Policy
 from pcs_racing.race_config import PAPER, RaceConfig
-from pcs_racing.race_kernel import CONTROL_EVERY, DT, KernelSettings, advance_races, fill_view, place_cars
+from pcs_racing.race_kernel import CONTROL_EVERY, DT, WORK_SIZE, KernelSettings, advance_races, fill_view, place_cars
 from pcs_racing.race_state import RaceState, concatenate, empty_state, take
 from pcs_racing.track import Track
 from pcs_racing.vehicle import F1TENTH, VehicleParams
@@ -276,6 +276,7 @@ def _advance_compiled(
 
     def part(first: int, last: int) -> None:
         scratch = np.empty(size)
+        work = np.empty(WORK_SIZE)
         advance_races(
             setup.track.arrays,
             state,
@@ -290,6 +291,7 @@ def _advance_compiled(
             first,
             last,
             scratch,
+            work,
         )
 
     workers = min(threads or default_threads(), races)

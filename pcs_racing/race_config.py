@@ -77,7 +77,11 @@ class RaceConfig:
         _check_number(self, "ittc_horizon", 0.1, 1000.0)
         if abs(self.duration * 10.0 - round(self.duration * 10.0)) > 1e-9:
             raise ConfigError(f"duration is {self.duration!r} s; it must be a multiple of 0.1 s")
-        if isinstance(self.start_lines, bool) or not isinstance(self.start_lines, int) or not 1 <= self.start_lines <= 1000:
+        if (
+            isinstance(self.start_lines, bool)
+            or not isinstance(self.start_lines, int)
+            or not 1 <= self.start_lines <= 1000
+        ):
             raise ConfigError(f"start_lines is {self.start_lines!r}; it must be a whole number from 1 to 1000")
         if not isinstance(self.stay_move, bool):
             raise ConfigError(f"stay_move is {self.stay_move!r}; it must be true or false")
@@ -91,7 +95,9 @@ class RaceConfig:
             ok = isinstance(self.speed_range, tuple) and len(self.speed_range) == 2
             ok = ok and all(isinstance(v, int | float) and not isinstance(v, bool) for v in self.speed_range)
             if not ok or not 0.1 <= self.speed_range[0] < self.speed_range[1] <= 3.0:
-                raise ConfigError(f"speed_range is {self.speed_range!r}; it must be [low, high] with 0.1 <= low < high <= 3")
+                raise ConfigError(
+                    f"speed_range is {self.speed_range!r}; it must be [low, high] with 0.1 <= low < high <= 3"
+                )
 
     @property
     def ticks(self) -> int:
@@ -152,7 +158,9 @@ def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceCon
         return replace(PRESETS[source], **_known(changes, "the arguments"))
     path = Path(source)
     if not path.is_file():
-        raise UnknownNameError(f"race preset {str(source)!r} is unknown; use {', '.join(PRESETS)} or the path of a YAML file")
+        raise UnknownNameError(
+            f"race preset {str(source)!r} is unknown; use {', '.join(PRESETS)} or the path of a YAML file"
+        )
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:

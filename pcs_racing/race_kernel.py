@@ -10,12 +10,25 @@ import numpy as np
 from pcs_racing import planner as _planner
 from pcs_racing import race_state as _state
 from pcs_racing import vehicle as _vehicle
-from pcs_racing.collision import car_hits_wall, contact_fault, rectangles_overlap
-from pcs_racing.compilation import compiled
-from pcs_racing.frenet import COS, SIN, locate, project
-from pcs_racing.ittc import minimum_ittc
+from pcs_racing.collision import contact_fault, hits_wall, rectangles_overlap
+from pcs_racing.compilation import kernel
+from pcs_racing.frenet import COS, SIN, foot, locate
+from pcs_racing.ittc import rectangle_ittc, walls_ittc
 
-__all__ = ["CONTROL_EVERY", "DT", "ITTC_EVERY", "PLAN_EVERY", "KernelSettings", "advance_races", "fill_view", "steering_noise"]
+__all__ = [
+    "CONTROL_EVERY",
+    "DT",
+    "ITTC_EVERY",
+    "PLAN_EVERY",
+    "WORK_SIZE",
+    "KernelSettings",
+    "advance_races",
+    "collide",
+    "fill_view",
+    "place_cars",
+    "steering_noise",
+    "update_progress",
+]
 
 DT = 0.01  # s, one simulation step
 PLAN_EVERY = 10  # steps: 10 Hz
@@ -23,6 +36,8 @@ CONTROL_EVERY = 2  # 50 Hz, as are progress and collisions
 ITTC_EVERY = 5  # 20 Hz
 
 BLOCKING_REACH = 3.0  # m
+
+WORK_SIZE = _planner.VIEW_SIZE + 2
 
 
 class KernelSettings(NamedTuple):
@@ -36,7 +51,7 @@ class KernelSettings(NamedTuple):
     ittc_horizon: float
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def _mix(key):  # type: ignore[no-untyped-def]
     """Scramble 64 bits (the finaliser of splitmix64, Steele et al. 2014)."""
     key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -44,7 +59,7 @@ def _mix(key):  # type: ignore[no-untyped-def]
     return key ^ (key >> np.uint64(31))
 
 
-@compiled
+@kernel
 def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
     """One draw of nearly normal noise, mean 0 and variance 1, as a pure function of its arguments.
 
@@ -62,7 +77,7 @@ def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
     return (total / 65535.0 - 2.0) * 1.7320508075688772
 
 
-@compiled
+@kernel
 def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignore[no-untyped-def]
     """Write what the driver of ``car`` sees (:data:`pcs_racing.planner.VIEW`) into ``view``."""
     other = 1 - car
@@ -106,124 +121,180 @@ def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignor
     view[_planner.SPEED_HIGH] = settings.speed_high
 
 
-@compiled
-def update_progress(track, state, race):  # type: ignore[no-untyped-def]
-    """Project both cars onto the race line and add what they drove; crossing the start line changes nothing."""
-    half = 0.5 * track.length
+@kernel
+def update_progress(line, ds, length, cars, frenet, progress, race):  # type: ignore[no-untyped-def]
+    """Project both cars onto the race line and add what they drove; crossing the start line changes nothing.
+
+    Takes single arrays: handing whole named tuples to small functions costs more than their work, in reference counts.
+    """
+    half = 0.5 * length
     for car in range(2):
-        before = state.frenet[race, car, 0]
-        s, d = project(track, state.cars[race, car, _vehicle.X], state.cars[race, car, _vehicle.Y], before)
+        before = frenet[race, car, 0]
+        s, d = foot(line, ds, length, cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y], before)
         driven = s - before
         if driven > half:
-            driven -= track.length
+            driven -= length
         elif driven < -half:
-            driven += track.length
-        state.progress[race, car] += driven
-        state.frenet[race, car, 0] = s
-        state.frenet[race, car, 1] = d
+            driven += length
+        progress[race, car] += driven
+        frenet[race, car, 0] = s
+        frenet[race, car, 1] = d
 
 
-@compiled
-def _count_overtakes(state, race, length):  # type: ignore[no-untyped-def]
-    lead = state.progress[race, 0] - state.progress[race, 1]
+@kernel
+def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore[no-untyped-def]
+    """Count a pass once the car that was behind leads by more than a car's length."""
+    lead = progress[race, 0] - progress[race, 1]
     if abs(lead) > length:
-        ahead = np.int8(0) if lead > 0.0 else np.int8(1)
-        if state.leader[race] == 1 - ahead:
-            state.overtakes[race, ahead] += 1
-        state.leader[race] = ahead
+        ahead = 0 if lead > 0.0 else 1
+        if leader[race] == 1 - ahead:
+            overtakes[race, ahead] += 1
+        leader[race] = ahead
 
 
-@compiled
-def collide(track, state, race, vehicles):  # type: ignore[no-untyped-def]
+@kernel
+def _latch(cars, crash, fault, race, vehicles, wall0, wall1):  # type: ignore[no-untyped-def]
+    """Keep a crash and who is to blame for it."""
+    if wall0 or wall1:
+        if wall0:
+            crash[race, 0] = _state.WALL_CRASH
+            fault[race, 0] = 1
+        if wall1:
+            crash[race, 1] = _state.WALL_CRASH
+            fault[race, 1] = 1
+        return
+    fault0, fault1 = contact_fault(
+        cars[race, 0],
+        cars[race, 1],
+        0.5 * vehicles[0, _vehicle.LENGTH],
+        0.5 * vehicles[0, _vehicle.WIDTH],
+        0.5 * vehicles[1, _vehicle.LENGTH],
+        0.5 * vehicles[1, _vehicle.WIDTH],
+    )
+    crash[race, 0] = _state.CAR_CRASH
+    crash[race, 1] = _state.CAR_CRASH
+    fault[race, 0] = 1 if fault0 else 0
+    fault[race, 1] = 1 if fault1 else 0
+
+
+@kernel
+def _touch(cars, race, vehicles):  # type: ignore[no-untyped-def]
+    """Whether the two cars of a race overlap."""
+    return rectangles_overlap(
+        cars[race, 0, _vehicle.X],
+        cars[race, 0, _vehicle.Y],
+        cars[race, 0, _vehicle.PSI],
+        cars[race, 1, _vehicle.X],
+        cars[race, 1, _vehicle.Y],
+        cars[race, 1, _vehicle.PSI],
+        0.5 * vehicles[0, _vehicle.LENGTH],
+        0.5 * vehicles[0, _vehicle.WIDTH],
+        0.5 * vehicles[1, _vehicle.LENGTH],
+        0.5 * vehicles[1, _vehicle.WIDTH],
+    )
+
+
+@kernel
+def collide(  # type: ignore[no-untyped-def]
+    distance,
+    origin_x,
+    origin_y,
+    cell,
+    walls,
+    seen_start,
+    seen,
+    seen_distance,
+    seen_middle,
+    seen_stretch,
+    cars,
+    frenet,
+    crash,
+    fault,
+    race,
+    vehicles,
+):
     """Latch crashes and their faults; returns whether there is one."""
-    crashed = False
+    wall0 = False
+    wall1 = False
     for car in range(2):
-        own = state.cars[race, car]
-        if car_hits_wall(
-            track,
-            own[_vehicle.X],
-            own[_vehicle.Y],
-            own[_vehicle.PSI],
+        hit = hits_wall(
+            distance,
+            origin_x,
+            origin_y,
+            cell,
+            walls,
+            seen_start,
+            seen,
+            seen_distance,
+            seen_middle,
+            frenet[race, car, 0] / seen_stretch,
+            cars[race, car, _vehicle.X],
+            cars[race, car, _vehicle.Y],
+            cars[race, car, _vehicle.PSI],
             0.5 * vehicles[car, _vehicle.LENGTH],
             0.5 * vehicles[car, _vehicle.WIDTH],
-            state.frenet[race, car, 0],
-        ):
-            state.crash[race, car] = _state.WALL_CRASH
-            state.fault[race, car] = 1
-            crashed = True
-    if not crashed:
-        a = state.cars[race, 0]
-        b = state.cars[race, 1]
-        half_length0 = 0.5 * vehicles[0, _vehicle.LENGTH]
-        half_width0 = 0.5 * vehicles[0, _vehicle.WIDTH]
-        half_length1 = 0.5 * vehicles[1, _vehicle.LENGTH]
-        half_width1 = 0.5 * vehicles[1, _vehicle.WIDTH]
-        if rectangles_overlap(
-            a[_vehicle.X],
-            a[_vehicle.Y],
-            a[_vehicle.PSI],
-            b[_vehicle.X],
-            b[_vehicle.Y],
-            b[_vehicle.PSI],
-            half_length0,
-            half_width0,
-            half_length1,
-            half_width1,
-        ):
-            fault0, fault1 = contact_fault(a, b, half_length0, half_width0, half_length1, half_width1)
-            state.crash[race, 0] = _state.CAR_CRASH
-            state.crash[race, 1] = _state.CAR_CRASH
-            state.fault[race, 0] = 1 if fault0 else 0
-            state.fault[race, 1] = 1 if fault1 else 0
-            crashed = True
+        )
+        wall0 = hit if car == 0 else wall0
+        wall1 = hit if car == 1 else wall1
+    crashed = wall0 or wall1 or _touch(cars, race, vehicles)
+    if crashed:
+        _latch(cars, crash, fault, race, vehicles, wall0, wall1)
     return crashed
 
 
-@compiled
-def _measure_ittc(track, state, race, vehicles, horizon):  # type: ignore[no-untyped-def]
+@kernel
+def _measure_ittc(  # type: ignore[no-untyped-def]
+    walls, seen_start, seen, seen_distance, seen_middle, seen_stretch, cars, frenet, sums, race, vehicles, horizon
+):
+    """Sample the minimum time to collision of both cars."""
+    sine0, cosine0 = _vehicle.sine_cosine(cars[race, 0, _vehicle.PSI] + cars[race, 0, _vehicle.BETA])
+    sine1, cosine1 = _vehicle.sine_cosine(cars[race, 1, _vehicle.PSI] + cars[race, 1, _vehicle.BETA])
+    v0x = cars[race, 0, _vehicle.V] * cosine0
+    v0y = cars[race, 0, _vehicle.V] * sine0
+    v1x = cars[race, 1, _vehicle.V] * cosine1
+    v1y = cars[race, 1, _vehicle.V] * sine1
     for car in range(2):
-        own = state.cars[race, car]
-        opponent = state.cars[race, 1 - car]
-        course = own[_vehicle.PSI] + own[_vehicle.BETA]
-        other_course = opponent[_vehicle.PSI] + opponent[_vehicle.BETA]
-        state.sums[race, car, _state.ITTC] += minimum_ittc(
-            track,
-            own[_vehicle.X],
-            own[_vehicle.Y],
-            own[_vehicle.V] * np.cos(course),
-            own[_vehicle.V] * np.sin(course),
-            state.frenet[race, car, 0],
-            opponent[_vehicle.X],
-            opponent[_vehicle.Y],
-            opponent[_vehicle.PSI],
-            0.5 * vehicles[1 - car, _vehicle.LENGTH],
-            0.5 * vehicles[1 - car, _vehicle.WIDTH],
-            opponent[_vehicle.V] * np.cos(other_course),
-            opponent[_vehicle.V] * np.sin(other_course),
-            True,
-            horizon,
+        other = 1 - car
+        x = cars[race, car, _vehicle.X]
+        y = cars[race, car, _vehicle.Y]
+        vx = v0x if car == 0 else v1x
+        vy = v0y if car == 0 else v1y
+        stretch = int(frenet[race, car, 0] / seen_stretch) % seen_middle.shape[0]
+        time = walls_ittc(walls, seen_start, seen, seen_distance, seen_middle, stretch, x, y, vx, vy, horizon)
+        time = rectangle_ittc(
+            cars[race, other, _vehicle.X] - x,
+            cars[race, other, _vehicle.Y] - y,
+            cars[race, other, _vehicle.PSI],
+            0.5 * vehicles[other, _vehicle.LENGTH],
+            0.5 * vehicles[other, _vehicle.WIDTH],
+            vx - (v1x if car == 0 else v0x),
+            vy - (v1y if car == 0 else v0y),
+            time,
         )
-        state.sums[race, car, _state.ITTC_SAMPLES] += 1.0
+        sums[race, car, _state.ITTC] += time
+        sums[race, car, _state.ITTC_SAMPLES] += 1.0
 
 
-@compiled
-def _measure_driving(state, race, vehicles, steering_before):  # type: ignore[no-untyped-def]
+@kernel
+def _measure_driving(cars, frenet, progress, sums, race, vehicles, steering_before):  # type: ignore[no-untyped-def]
     """Add what one control period contributes to the running sums."""
     period = CONTROL_EVERY * DT
-    lead = state.progress[race, 0] - state.progress[race, 1]
-    beside = abs(state.frenet[race, 0, 1] - state.frenet[race, 1, 1])
+    lead = progress[race, 0] - progress[race, 1]
+    beside = abs(frenet[race, 0, 1] - frenet[race, 1, 1])
     in_the_way = 0.5 * (vehicles[0, _vehicle.WIDTH] + vehicles[1, _vehicle.WIDTH])
     if beside < in_the_way and 0.0 < abs(lead) < BLOCKING_REACH:
-        state.sums[race, 0 if lead > 0.0 else 1, _state.BLOCKING] += period
+        sums[race, 0 if lead > 0.0 else 1, _state.BLOCKING] += period
     for car in range(2):
-        sideways = state.cars[race, car, _vehicle.V] * state.cars[race, car, _vehicle.PSI_DOT]
-        state.sums[race, car, _state.STEERING] += abs(state.cars[race, car, _vehicle.DELTA] - steering_before[car])
-        state.sums[race, car, _state.LATERAL] += sideways * sideways * period
-        state.sums[race, car, _state.TIME] += period
+        sideways = cars[race, car, _vehicle.V] * cars[race, car, _vehicle.PSI_DOT]
+        sums[race, car, _state.STEERING] += abs(cars[race, car, _vehicle.DELTA] - steering_before[car])
+        sums[race, car, _state.LATERAL] += sideways * sideways * period
+        sums[race, car, _state.TIME] += period
 
 
-@compiled
-def advance_races(track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, first, last, scratch):  # type: ignore[no-untyped-def]
+@kernel
+def advance_races(
+    track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, first, last, scratch, work
+):  # type: ignore[no-untyped-def]
     """Advance races ``first`` to ``last - 1`` of a batch by ``ticks`` steps each, in place.
 
     A race that crashed or reached ``settings.end_tick`` stands still.
@@ -246,55 +317,95 @@ def advance_races(track, state, theta, vehicles, plan0, control0, plan1, control
         The part of the batch to advance.
     scratch : ndarray
         At least as large as the larger of the two planners' scratch.
+    work : ndarray, shape (WORK_SIZE,)
+        Scribbled on.
     """
-    view = np.zeros(_planner.VIEW_SIZE)
-    steering_before = np.zeros(2)
+    # Arrays are taken out of their tuples and cut once per race: in the loop each access would count references up and down.
+    distance, origin_x, origin_y, cell = track.distance, track.origin_x, track.origin_y, track.cell
+    walls, seen_start, seen = track.walls, track.seen_start, track.seen
+    seen_distance, seen_middle, seen_stretch = track.seen_distance, track.seen_middle, track.seen_stretch
+    line, ds, length = track.line, track.ds, track.length
+    cars, frenet, progress, sums = state.cars, state.frenet, state.progress, state.sums
+    crash, fault, leader, overtakes = state.crash, state.fault, state.leader, state.overtakes
+    view = work[: _planner.VIEW_SIZE]
+    steering_before = work[_planner.VIEW_SIZE : WORK_SIZE]
     noise_gain = settings.noise_sd * np.sqrt(1.0 - settings.noise_keep * settings.noise_keep)
     for race in range(first, last):
-        end = min(state.tick[race] + ticks, settings.end_tick)
-        crashed = state.crash[race, 0] != 0 or state.crash[race, 1] != 0
-        cars = vehicles[race]
-        while state.tick[race] < end and not crashed:
-            tick = state.tick[race]
+        tick = state.tick[race]
+        end = min(tick + ticks, settings.end_tick)
+        crashed = crash[race, 0] != 0 or crash[race, 1] != 0
+        params = vehicles[race]
+        params0, params1 = vehicles[race, 0], vehicles[race, 1]
+        own0, own1 = cars[race, 0], cars[race, 1]
+        command0, command1 = state.command[race, 0], state.command[race, 1]
+        path0, path1 = state.path[race, 0], state.path[race, 1]
+        memory0, memory1 = state.memory[race, 0], state.memory[race, 1]
+        theta0, theta1 = theta[race, 0], theta[race, 1]
+        disturbance = state.disturbance[race]
+        while tick < end and not crashed:
             if tick % CONTROL_EVERY == 0:
-                for car in range(2):
-                    fill_view(track, state, race, car, cars, settings, view)
-                    path = state.path[race, car]
-                    memory = state.memory[race, car]
-                    command = state.command[race, car]
-                    if car == 0:
-                        if tick % PLAN_EVERY == 0:
-                            plan0(track, theta[race, 0], view, memory, scratch, path)
-                        control0(track, theta[race, 0], view, memory, scratch, path, command)
-                    else:
-                        if tick % PLAN_EVERY == 0:
-                            plan1(track, theta[race, 1], view, memory, scratch, path)
-                        control1(track, theta[race, 1], view, memory, scratch, path, command)
-                    if settings.noise_sd > 0.0:
+                fill_view(track, state, race, 0, params, settings, view)
+                if tick % PLAN_EVERY == 0:
+                    plan0(track, theta0, view, memory0, scratch, path0)
+                control0(track, theta0, view, memory0, scratch, path0, command0)
+                fill_view(track, state, race, 1, params, settings, view)
+                if tick % PLAN_EVERY == 0:
+                    plan1(track, theta1, view, memory1, scratch, path1)
+                control1(track, theta1, view, memory1, scratch, path1, command1)
+                if settings.noise_sd > 0.0:
+                    for car in range(2):
                         draw = steering_noise(state.seed[race], car, tick)
-                        state.disturbance[race, car] = (
-                            settings.noise_keep * state.disturbance[race, car] + noise_gain * draw
-                        )
-                        command[0] += state.disturbance[race, car]
-                    steering_before[car] = state.cars[race, car, _vehicle.DELTA]
-            for car in range(2):
-                own = state.cars[race, car]
-                rate, acceleration = _vehicle.target_inputs(
-                    own, state.command[race, car, 0], state.command[race, car, 1], cars[car], DT
-                )
-                _vehicle.step(own, rate, acceleration, cars[car], DT)
+                        disturbance[car] = settings.noise_keep * disturbance[car] + noise_gain * draw
+                    command0[0] += disturbance[0]
+                    command1[0] += disturbance[1]
+                steering_before[0] = own0[_vehicle.DELTA]
+                steering_before[1] = own1[_vehicle.DELTA]
+            rate, acceleration = _vehicle.target_inputs(own0, command0[0], command0[1], params0, DT)
+            _vehicle.step(own0, rate, acceleration, params0, DT)
+            rate, acceleration = _vehicle.target_inputs(own1, command1[0], command1[1], params1, DT)
+            _vehicle.step(own1, rate, acceleration, params1, DT)
             tick += 1
             state.tick[race] = tick
             if tick % CONTROL_EVERY == 0:
-                update_progress(track, state, race)
-                _measure_driving(state, race, cars, steering_before)
-                crashed = collide(track, state, race, cars)
-                _count_overtakes(state, race, cars[0, _vehicle.LENGTH])
+                update_progress(line, ds, length, cars, frenet, progress, race)
+                _measure_driving(cars, frenet, progress, sums, race, params, steering_before)
+                crashed = collide(
+                    distance,
+                    origin_x,
+                    origin_y,
+                    cell,
+                    walls,
+                    seen_start,
+                    seen,
+                    seen_distance,
+                    seen_middle,
+                    seen_stretch,
+                    cars,
+                    frenet,
+                    crash,
+                    fault,
+                    race,
+                    params,
+                )
+                _count_overtakes(progress, leader, overtakes, race, params[0, _vehicle.LENGTH])
             if tick % ITTC_EVERY == 0:
-                _measure_ittc(track, state, race, cars, settings.ittc_horizon)
+                _measure_ittc(
+                    walls,
+                    seen_start,
+                    seen,
+                    seen_distance,
+                    seen_middle,
+                    seen_stretch,
+                    cars,
+                    frenet,
+                    sums,
+                    race,
+                    params,
+                    settings.ittc_horizon,
+                )
 
 
-@compiled
+@kernel
 def place_cars(track, state, vehicles):  # type: ignore[no-untyped-def]
     """Set the Frenet coordinates of freshly placed cars; marks as crashed those that stand in a wall or in each other."""
     for race in range(state.tick.shape[0]):
@@ -302,4 +413,21 @@ def place_cars(track, state, vehicles):  # type: ignore[no-untyped-def]
             s, d = locate(track, state.cars[race, car, _vehicle.X], state.cars[race, car, _vehicle.Y])
             state.frenet[race, car, 0] = s
             state.frenet[race, car, 1] = d
-        collide(track, state, race, vehicles[race])
+        collide(
+            track.distance,
+            track.origin_x,
+            track.origin_y,
+            track.cell,
+            track.walls,
+            track.seen_start,
+            track.seen,
+            track.seen_distance,
+            track.seen_middle,
+            track.seen_stretch,
+            state.cars,
+            state.frenet,
+            state.crash,
+            state.fault,
+            race,
+            vehicles[race],
+        )

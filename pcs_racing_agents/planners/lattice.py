@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pcs_racing import frenet as _frenet
 from pcs_racing import planner as _view
-from pcs_racing.compilation import compiled
-from pcs_racing.frenet import angle_between, to_cartesian, wrap_s
+from pcs_racing.compilation import kernel
+from pcs_racing.frenet import angle_between, offset
 from pcs_racing.planner import PATH_POINTS, Parameter, Planner
 from pcs_racing_agents.planners import spiral
 from pcs_racing_agents.planners.spiral import SEGMENTS, sample_spirals, sine_cosine, solve_spirals, spiral_curvature
@@ -28,6 +28,7 @@ CANDIDATES = GOALS * SPEEDS
 
 HORIZON_STEPS = 10
 HORIZON_STEP = 0.15  # s
+ALONE_STEPS = 5  # enough to compare speeds when there is nobody to meet
 REJECT_STEPS = 7  # overlaps within about a second reject a candidate, later ones cost
 REJECTED = 1e6  # costs from here on mean that a candidate was rejected
 FAR = 1.6
@@ -102,17 +103,17 @@ SCRATCH = _OPP_D + HORIZON_STEPS
 _PATH_BASIS = np.array([spiral.heading_basis(j / (PATH_POINTS - 1)) for j in range(1, PATH_POINTS)])
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def _near(v):  # type: ignore[no-untyped-def]
     """Distance of the near goals in m; the far ones are ``FAR`` times as far."""
     return 1.5 + 0.16 * v
 
 
-@compiled(inline="always")
-def _sample_at(track, s):  # type: ignore[no-untyped-def]
+@kernel(inline="always")
+def _sample_at(line, ds, s):  # type: ignore[no-untyped-def]
     """Index of the line's sample at an arc length in (-length, 2 length)."""
-    n = track.line.shape[0]
-    i = int(s / track.ds + n) - n
+    n = line.shape[0]
+    i = int(s / ds + n) - n
     if i < 0:
         i += n
     elif i >= n:
@@ -120,19 +121,19 @@ def _sample_at(track, s):  # type: ignore[no-untyped-def]
     return i
 
 
-@compiled(inline="always")
-def _speed_at(track, s):  # type: ignore[no-untyped-def]
+@kernel(inline="always")
+def _speed_at(line, ds, s):  # type: ignore[no-untyped-def]
     """Speed of the profile at an arc length in (-length, 2 length)."""
-    return track.line[_sample_at(track, s), _frenet.SPEED]
+    return line[_sample_at(line, ds, s), _frenet.SPEED]
 
 
-@compiled(inline="always")
-def _target_speed(track, s, v, late_braking):  # type: ignore[no-untyped-def]
+@kernel(inline="always")
+def _target_speed(line, ds, s, v, late_braking):  # type: ignore[no-untyped-def]
     """Speed of the profile, the braking point put off, the acceleration out of corners not."""
-    return max(_speed_at(track, s), _speed_at(track, s - v * late_braking))
+    return max(_speed_at(line, ds, s), _speed_at(line, ds, s - v * late_braking))
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def _power_of_ten(x):  # type: ignore[no-untyped-def]
     """10**x for x in [-2, 1] to a relative 1e-9, cheaper than the library's power."""
     t = x * (2.302585092994046 / 16.0)
@@ -143,7 +144,7 @@ def _power_of_ten(x):  # type: ignore[no-untyped-def]
     return t * t
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def _hermite(u, d0, slope0, d1):  # type: ignore[no-untyped-def]
     """Cubic from d0 with slope0 (per unit of u) to d1 with slope 0; constant from u = 1 on."""
     u = min(max(u, 0.0), 1.0)
@@ -151,20 +152,21 @@ def _hermite(u, d0, slope0, d1):  # type: ignore[no-untyped-def]
     return d1 + q * q * ((1.0 + 2.0 * u) * (d0 - d1) + u * slope0)
 
 
-@compiled
-def _lay_goals(track, view, distance, first, course, scratch):  # type: ignore[no-untyped-def]
+@kernel
+def _lay_goals(line, ds, length, view, distance, first, course, scratch):  # type: ignore[no-untyped-def]
     """Put one row of goals across the track, ``distance`` ahead, in the frame of the car's velocity."""
     s = view[_view.OWN_S] + distance
-    sample = track.line[int(wrap_s(track, s) / track.ds) % track.line.shape[0]]
+    i = _sample_at(line, ds, s)
+    kappa = line[i, _frenet.KAPPA]
     keep = 0.5 * view[_view.OWN_WIDTH] + BODY_AIR
-    right = -max(sample[_frenet.RIGHT] - keep, 0.0)
-    left = max(sample[_frenet.LEFT] - keep, 0.0)
+    right = -max(line[i, _frenet.RIGHT] - keep, 0.0)
+    left = max(line[i, _frenet.LEFT] - keep, 0.0)
     step = (left - right) / (ACROSS - 1)
     on_line = int(-right / step + 0.5) if step > 1e-9 else 0
     c = np.cos(course)
     sn = np.sin(course)
     # The same for the whole row: where the line is, and which way across the track.
-    x, y, psi = to_cartesian(track, s, 0.0)
+    x, y, psi = offset(line, ds, length, s, 0.0)
     heading = angle_between(psi, course)
     dx = x - view[_view.OWN_X]
     dy = y - view[_view.OWN_Y]
@@ -178,11 +180,11 @@ def _lay_goals(track, view, distance, first, course, scratch):  # type: ignore[n
         scratch[spiral.GOAL_X + g] = line_x + d * across_x
         scratch[spiral.GOAL_Y + g] = line_y + d * across_y
         scratch[spiral.GOAL_HEADING + g] = heading
-        scratch[spiral.GOAL_KAPPA + g] = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * d, 0.25)
+        scratch[spiral.GOAL_KAPPA + g] = kappa / max(1.0 - kappa * d, 0.25)
         scratch[_GOAL_D + g] = d
 
 
-@compiled
+@kernel
 def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
     """Air beside each spiral's points, from the distance field."""
     height, width = track.distance.shape
@@ -203,25 +205,25 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
         scratch[_PER_LENGTH + g] = 1.0 / scratch[spiral.LENGTH + g]
 
 
-@compiled
-def _predict(track, s, v, target_scale, late_braking, keep, scratch, f):  # type: ignore[no-untyped-def]
+@kernel
+def _predict(line, ds, s, v, target_scale, late_braking, keep, steps, scratch, f):  # type: ignore[no-untyped-def]
     """Drive along the race line from (s, v) towards the scaled profile.
 
     Keeps arc lengths (unwrapped), speeds, and how far right and left the track lets the car be by then.
     """
     first = f * HORIZON_STEPS
-    for k in range(HORIZON_STEPS):
-        target = target_scale * _target_speed(track, s, v, late_braking)
+    for k in range(steps):
+        target = target_scale * _target_speed(line, ds, s, v, late_braking)
         v += min(max(target - v, -6.0 * HORIZON_STEP), 3.5 * HORIZON_STEP)
         s += v * HORIZON_STEP
-        i = _sample_at(track, s)
+        i = _sample_at(line, ds, s)
         scratch[_OWN_S + first + k] = s
         scratch[_OWN_V + first + k] = v
-        scratch[_OWN_LOW + first + k] = min(keep - track.line[i, _frenet.RIGHT], 0.0)
-        scratch[_OWN_HIGH + first + k] = max(track.line[i, _frenet.LEFT] - keep, 0.0)
+        scratch[_OWN_LOW + first + k] = min(keep - line[i, _frenet.RIGHT], 0.0)
+        scratch[_OWN_HIGH + first + k] = max(line[i, _frenet.LEFT] - keep, 0.0)
 
 
-@compiled(fastmath=spiral.FAST)
+@kernel(fastmath=spiral.FAST)
 def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side, gives_way):  # type: ignore[no-untyped-def]
     """Trouble (overlap within a second) and proximity of all spirals at one speed with the predicted opponent."""
     for g in range(GOALS):
@@ -253,7 +255,7 @@ def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side
         fade *= 0.85
 
 
-@compiled(fastmath=spiral.FAST)
+@kernel(fastmath=spiral.FAST)
 def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend, opponent_d):  # type: ignore[no-untyped-def]
     """Sum up what a spiral costs whatever the speed, rejections by walls included, into the base row."""
     w_length = 2.5 * _power_of_ten(theta[LENGTH])
@@ -286,15 +288,17 @@ def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend,
         )
 
 
-@compiled
+@kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
     """Choose a candidate and write its path."""
     v = max(view[_view.OWN_V], 0.5)
     s0 = view[_view.OWN_S]
     d0 = view[_view.OWN_D]
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
-    here = track.line[int(s0 / track.ds) % track.line.shape[0]]
-    slope = np.tan(min(max(angle_between(course, here[_frenet.PSI]), -1.2), 1.2))
+    line = track.line
+    ds = track.ds
+    line_psi = line[_sample_at(line, ds, s0), _frenet.PSI]
+    slope = np.tan(min(max(angle_between(course, line_psi), -1.2), 1.2))
     scale = view[_view.SPEED_LOW] + theta[PACE] * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
     # The yaw rate lags the steering; half of each is where the car is about to be.
     kappa0 = 0.5 * (view[_view.OWN_PSI_DOT] / v + np.tan(view[_view.OWN_DELTA]) / view[_view.WHEELBASE])
@@ -302,8 +306,8 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     late = theta[LATE_BRAKING]
 
     near = _near(v)
-    _lay_goals(track, view, near, 0, course, scratch)
-    _lay_goals(track, view, FAR * near, ACROSS, course, scratch)
+    _lay_goals(line, ds, track.length, view, near, 0, course, scratch)
+    _lay_goals(line, ds, track.length, view, FAR * near, ACROSS, course, scratch)
     solve_spirals(scratch, kappa0)
     sample_spirals(scratch, kappa0, view[_view.OWN_X], view[_view.OWN_Y], course)
     _measure_track(track, scratch, 0.5 * view[_view.OWN_WIDTH])
@@ -317,11 +321,11 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     gives_way = gap + 0.5 * (abs(d0) - abs(view[_view.OPP_D])) > 0.0
     if meets:
         opp_v = view[_view.OPP_V]
-        carried = opp_v / max(_speed_at(track, view[_view.OPP_S]), 0.5)
+        carried = opp_v / max(_speed_at(line, ds, view[_view.OPP_S]), 0.5)
         s = s0 + gap
         for k in range(HORIZON_STEPS):
             s += (
-                min(max(carried * _speed_at(track, s), opp_v - 6.0 * HORIZON_STEP * (k + 1)), opp_v + 3.0)
+                min(max(carried * _speed_at(line, ds, s), opp_v - 6.0 * HORIZON_STEP * (k + 1)), opp_v + 3.0)
                 * HORIZON_STEP
             )
             scratch[_OPP_S + k] = s
@@ -330,17 +334,18 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
             if gives_way:
                 # A driver with the right of way finishes its move and then comes back to the race line.
                 d = (d + min(t, 0.25) * view[_view.OPP_D_DOT]) * max(1.0 - t / RETURN_TIME, 0.0)
-            row = _sample_at(track, s)
-            low = min(0.5 * view[_view.OPP_WIDTH] - track.line[row, _frenet.RIGHT], 0.0)
-            high = max(track.line[row, _frenet.LEFT] - 0.5 * view[_view.OPP_WIDTH], 0.0)
+            row = _sample_at(line, ds, s)
+            low = min(0.5 * view[_view.OPP_WIDTH] - line[row, _frenet.RIGHT], 0.0)
+            high = max(line[row, _frenet.LEFT] - 0.5 * view[_view.OPP_WIDTH], 0.0)
             scratch[_OPP_D + k] = min(max(d, low), high)
         if gap > 0.0:
             wanted = opp_v + 1.2 * (gap - 1.1)
-            follow = min(max(wanted / max(scale * _speed_at(track, s0), 0.5), 0.0), 0.65)
+            follow = min(max(wanted / max(scale * _speed_at(line, ds, s0), 0.5), 0.0), 0.65)
     keep = 0.5 * view[_view.OWN_WIDTH] + BODY_AIR
+    steps = HORIZON_STEPS if meets else ALONE_STEPS
     for f in range(SPEEDS):
         factor = _SPEED_FACTORS[f] if f < SPEEDS - 1 else follow
-        _predict(track, s0, v, scale * factor, late, keep, scratch, f)
+        _predict(line, ds, s0, v, scale * factor, late, keep, steps, scratch, f)
     long_reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.12
     body = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
     margin = theta[SIDE_MARGIN] if gives_way else 0.5 * theta[SIDE_MARGIN]
@@ -364,14 +369,14 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         for g in range(GOALS):
             scratch[_TROUBLE + g] = 0.0
             scratch[_PROXIMITY + g] = 0.0
-    w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + HORIZON_STEPS - 1] - s0)
+    w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + steps - 1] - s0)
     w_braking = _power_of_ten(theta[BRAKING]) / (3.0 * HORIZON_STEP * 10.0)
     w_overtaking = _power_of_ten(theta[OVERTAKING]) / 5.0
     w_lateral = 0.1 * _power_of_ten(theta[LATERAL])
     w_rate = 0.1 * _power_of_ten(theta[CURVATURE_RATE])
     w_proximity = _power_of_ten(theta[PROXIMITY]) / 6.0
     for f in range(SPEEDS):
-        driven = max(scratch[_OWN_S + (f + 1) * HORIZON_STEPS - 1] - s0, 0.1)
+        driven = max(scratch[_OWN_S + f * HORIZON_STEPS + steps - 1] - s0, 0.1)
         fast = max(v, scratch[_OWN_V + f * HORIZON_STEPS + 4])
         speed_cost = w_progress / driven + w_braking * abs(scratch[_OWN_V + f * HORIZON_STEPS + 2] - v)
         if meets:
@@ -406,11 +411,11 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     memory[_M_LENGTH] = scratch[spiral.LENGTH + best_goal]
     memory[_M_GOAL] = scratch[_GOAL_D + best_goal]
     factor = _SPEED_FACTORS[best_speed] if best_speed < SPEEDS - 1 else follow
-    _write_path(track, view, scratch, best_goal, kappa0, course, scale, factor, late, path)
+    _write_path(line, ds, view, scratch, best_goal, kappa0, course, scale, factor, late, path)
 
 
-@compiled
-def _write_path(track, view, scratch, g, kappa0, course, scale, factor, late, path):  # type: ignore[no-untyped-def]
+@kernel
+def _write_path(line, ds, view, scratch, g, kappa0, course, scale, factor, late, path):  # type: ignore[no-untyped-def]
     """Sample the chosen spiral, with a speed at each point that its curvature allows."""
     c0 = np.cos(course)
     s0 = np.sin(course)
@@ -449,7 +454,7 @@ def _write_path(track, view, scratch, g, kappa0, course, scale, factor, late, pa
             s = sn
             kappa = new
         at = view[_view.OWN_S] + distance * j / (PATH_POINTS - 1)
-        speed = scale * factor * _target_speed(track, at, view[_view.OWN_V], late)
+        speed = scale * factor * _target_speed(line, ds, at, view[_view.OWN_V], late)
         path[j, _view.PATH_X] = view[_view.OWN_X] + x * c0 - y * s0
         path[j, _view.PATH_Y] = view[_view.OWN_Y] + x * s0 + y * c0
         path[j, _view.PATH_SPEED] = min(speed, np.sqrt(grip / max(abs(kappa), 1e-6)))

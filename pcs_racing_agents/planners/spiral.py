@@ -14,7 +14,7 @@ References
 
 import numpy as np
 
-from pcs_racing.compilation import compiled
+from pcs_racing.compilation import kernel
 
 __all__ = ["SEGMENTS", "SPIRALS", "heading_basis", "sample_spirals", "sine_cosine", "solve_spirals", "spiral_curvature"]
 
@@ -55,7 +55,7 @@ _BASIS = np.array([heading_basis(u) for u in _NODES])
 _SEGMENT_BASIS = np.array([heading_basis(j / SEGMENTS) for j in range(1, SEGMENTS + 1)])
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def sine_cosine(angle):  # type: ignore[no-untyped-def]
     """Sine and cosine of an angle in [-pi, pi], free of branches; the error stays below 1e-7.
 
@@ -73,7 +73,7 @@ def sine_cosine(angle):  # type: ignore[no-untyped-def]
     return 2.0 * s * c, 1.0 - 2.0 * s * s
 
 
-@compiled(inline="always")
+@kernel(inline="always")
 def spiral_curvature(u, length, w, end_heading, kappa0, kappa1):  # type: ignore[no-untyped-def]
     """Curvature of a solved spiral at ``u`` in [0, 1], 1/m."""
     total = (8.0 * end_heading / length - kappa0 - kappa1) / 3.0  # p1 + p2
@@ -85,7 +85,7 @@ def spiral_curvature(u, length, w, end_heading, kappa0, kappa1):  # type: ignore
     return kappa0 + u * (a1 + u * (a2 + u * a3))
 
 
-@compiled(fastmath=FAST)
+@kernel(fastmath=FAST)
 def solve_spirals(block, kappa0):  # type: ignore[no-untyped-def]
     """Find the spirals from the origin, heading along x, to the goals of a block.
 
@@ -147,7 +147,7 @@ def solve_spirals(block, kappa0):  # type: ignore[no-untyped-def]
             block[W + g] -= min(max(step_w, -4.0), 4.0)
 
 
-@compiled
+@kernel
 def _mark_missed(block):  # type: ignore[no-untyped-def]
     """Mark the spirals that Newton's method did not bring to their goal; strict arithmetic, so that NaN counts as missed."""
     last = SEGMENTS * SPIRALS
@@ -156,7 +156,7 @@ def _mark_missed(block):  # type: ignore[no-untyped-def]
         block[BROKEN + g] = 0.0 if miss < MISSED else 1.0
 
 
-@compiled(fastmath=FAST)
+@kernel(fastmath=FAST)
 def sample_spirals(block, kappa0, x0, y0, course):  # type: ignore[no-untyped-def]
     """Fill in the points of solved spirals, in the frame of the map, and what their curvature is like.
 
