@@ -1,0 +1,1 @@
+"""Environments for reinforcement learning: strategy level, single agent, and control level."""
