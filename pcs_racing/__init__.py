@@ -10,7 +10,13 @@ Examples
 (10,)
 """
 
+from typing import Any
+
+from pcs_racing.archive import PolicyArchive, list_archives, load_archive
+from pcs_racing.envs.registration import register_environments
 from pcs_racing.errors import ConfigError, InputError, MapError, UnknownNameError
+from pcs_racing.game import GameState, RaceGame, make_game
+from pcs_racing.game_config import GameConfig, load_game_config
 from pcs_racing.lidar import Lidar
 from pcs_racing.maps import list_tracks
 from pcs_racing.planner import Parameter, Planner, Policy
@@ -28,13 +34,17 @@ __all__ = [
     "F1TENTH",
     "PAPER",
     "ConfigError",
+    "GameConfig",
+    "GameState",
     "InputError",
     "Lidar",
     "MapError",
     "Parameter",
     "Planner",
     "Policy",
+    "PolicyArchive",
     "RaceConfig",
+    "RaceGame",
     "RaceResult",
     "RaceSetup",
     "RaceState",
@@ -46,11 +56,17 @@ __all__ = [
     "advance",
     "build_track",
     "draw_starts",
+    "env",
     "get_planner",
+    "list_archives",
     "list_tracks",
+    "load_archive",
+    "load_game_config",
     "load_race_config",
     "load_state",
     "load_track",
+    "make_game",
+    "parallel_env",
     "parse_policy",
     "planner_names",
     "read_replay",
@@ -62,3 +78,14 @@ __all__ = [
     "simulate",
     "start_races",
 ]
+
+register_environments()
+
+
+def __getattr__(name: str) -> Any:
+    """Import the makers of environments when they are asked for, as the registries do."""
+    if name in ("env", "parallel_env"):
+        from pcs_racing.envs import head_to_head
+
+        return getattr(head_to_head, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -35,6 +35,8 @@ __all__ = [
     "load_game",
     "load_game_config",
     "make_game",
+    "observation_elements",
+    "observation_table",
     "save_game",
     "take_games",
 ]
@@ -74,6 +76,38 @@ class ObservationElement(NamedTuple):
     low: float
     high: float
     meaning: str
+
+
+def observation_elements(characteristics: Sequence[Characteristic], moves: int) -> tuple[ObservationElement, ...]:
+    """What each number of an observation is, for these axes and so many moves."""
+    elements = []
+    for k in range(moves + 1):
+        for axis in characteristics:
+            meaning = f"the own policy's {axis.name} in step {k}, from the archive"
+            elements.append(ObservationElement(f"own_{axis.name}_{k}", "range", LOW, HIGH, meaning))
+        for axis in characteristics:
+            meaning = f"the opponent's {axis.name} as measured in step {k} alone"
+            elements.append(ObservationElement(f"opponent_{axis.name}_{k}", "range", LOW, HIGH, meaning))
+        meaning = f"own lead at the end of step {k}"
+        elements.append(ObservationElement(f"lead_{k}", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning))
+        meaning = f"1 once step {k} is over; until then it and the numbers above are 0"
+        elements.append(ObservationElement(f"seen_{k}", "1", 0.0, 1.0, meaning))
+    return (*elements, ObservationElement("step", "1", 0.0, 1.0, "share of the moves that have been made"))
+
+
+def observation_table(elements: Sequence[ObservationElement], moves: int | None = None) -> str:
+    """Table of an observation's elements in Markdown; with ``moves``, those of all steps ``k`` share a row."""
+    rows = [(str(i), *element) for i, element in enumerate(elements)]
+    if moves is not None:
+        block = (len(elements) - 1) // (moves + 1)
+        shared = [
+            element._replace(name=element.name[:-1] + "k", meaning=element.meaning.replace("step 0", "step k"))
+            for element in elements[:block]
+        ]
+        rows = [(f"{block}k + {i}", *element) for i, element in enumerate(shared)] + rows[-1:]
+    head = ("index", "name", "unit", "low", "high", "meaning")
+    cells = [head, ("---",) * len(head), *((*row[:3], f"{row[3]:g}", f"{row[4]:g}", row[5]) for row in rows)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in cells)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,21 +192,7 @@ class RaceGame:
     @cached_property
     def observation_elements(self) -> tuple[ObservationElement, ...]:
         """What each of the D numbers of an observation is."""
-        elements = []
-        for k in range(self.config.moves + 1):
-            when = "the step of watching" if k == 0 else f"the step after move {k}"
-            for axis in self.characteristics:
-                meaning = f"archive coordinate of the own policy in {when}: {axis.meaning}"
-                elements.append(ObservationElement(f"own_{axis.name}_{k}", "archive range", LOW, HIGH, meaning))
-            for axis in self.characteristics:
-                meaning = f"the opponent's coordinate, measured in {when} alone: {axis.meaning}"
-                elements.append(ObservationElement(f"opponent_{axis.name}_{k}", "archive range", LOW, HIGH, meaning))
-            meaning = f"own lead at the end of {when}"
-            elements.append(ObservationElement(f"lead_{k}", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning))
-            elements.append(
-                ObservationElement(f"seen_{k}", "1", 0.0, 1.0, f"1 once {when} is over; 0 before, as all above")
-            )
-        return (*elements, ObservationElement("step", "1", 0.0, 1.0, "share of the moves that have been made"))
+        return observation_elements(self.characteristics, self.config.moves)
 
     # Playing
 

@@ -1,0 +1,30 @@
+"""Names of the environments in the registries of Gymnasium and PettingZoo."""
+
+import gymnasium
+import pettingzoo
+
+__all__ = ["GYMNASIUM_IDS", "PETTINGZOO_ID", "register_environments"]
+
+PETTINGZOO_ID = "pcs_racing/head_to_head-v0"
+
+GYMNASIUM_IDS = {
+    "pcs_racing/Duel-v0": ("pcs_racing.envs.duel:DuelEnv", "pcs_racing.envs.duel:DuelVectorEnv"),
+    "pcs_racing/Drive-v0": ("pcs_racing.envs.drive:DriveEnv", "pcs_racing.envs.drive_vector:DriveVectorEnv"),
+}
+"""Where the environment and its vector environment are, by name."""
+
+
+def register_environments() -> None:
+    """Make the environments known to ``gymnasium.make``, ``gymnasium.make_vec`` and ``pettingzoo.make``.
+
+    Names that are known already are left as they are, so that it can be called any number of times.
+    """
+    for name, (single, vector) in GYMNASIUM_IDS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(name, entry_point=single, vector_entry_point=vector)
+    if not hasattr(pettingzoo, "register"):  # releases before 1.27 have no registry
+        return
+    if PETTINGZOO_ID not in pettingzoo.parallel_registry:
+        pettingzoo.register("parallel", PETTINGZOO_ID, "pcs_racing.envs.head_to_head:parallel_env")
+    if PETTINGZOO_ID not in pettingzoo.aec_registry:
+        pettingzoo.register("aec", PETTINGZOO_ID, "pcs_racing.envs.head_to_head:env")
