@@ -6,11 +6,12 @@ to the pursuit error of a look-ahead point, with a derivative part on straights.
 the lane; fifty times a second ``control`` steers. Its numbers are parameters; 20 variants, named "0" to "19",
 surround the default.
 
-It differs from the original in four ways. The car crosses from lane to lane at a limited speed, not at once. Beside
-an opponent that is nearer to the race line it keeps its place. The pursuit error is measured from the car's course,
-and what the car understeers is added to the steering. The farthest look-ahead is 1.3 m instead of 2.0 m, and the
-second lane lies 0.38 m from the wall instead of 0.3 m: race lines with 0.15 m of air leave little room for cutting
-corners.
+It differs from the original in what it takes to race against cars that move. It crosses from lane to lane at a
+limited speed, and closes up on the opponent no faster than that allows. It changes lanes only where the second one
+goes on for 10 m, and drops back behind the opponent where it ends early. Beside an opponent that is nearer to the
+race line it keeps its place. The pursuit error is measured from the car's course, and what the car understeers is
+added to the steering. The farthest look-ahead is 1.3 m instead of 2.0 m, and the second lane lies 0.38 m from the
+wall instead of 0.3 m: race lines with 0.15 m of air leave little room for cutting corners.
 """
 
 import numpy as np
@@ -20,7 +21,16 @@ from pcs_racing import planner as _view
 from pcs_racing.compilation import compiled
 from pcs_racing.frenet import project, to_cartesian
 from pcs_racing.planner import PATH_POINTS, Parameter, Planner, calm_speed
-from pcs_racing_agents.planners.pure_pursuit import WALL_MARGIN, gap_ahead, gives_way, line_index, within_walls
+from pcs_racing_agents.planners.pure_pursuit import (
+    FOLLOW_GAIN,
+    IN_THE_WAY,
+    WALL_MARGIN,
+    gap_ahead,
+    gives_way,
+    line_index,
+    side_air,
+    within_walls,
+)
 
 __all__ = ["LANE_SWITCHER", "lane_offset"]
 
@@ -60,7 +70,10 @@ FAST = 7.0  # m/s at which the look-ahead and the gain reach their second value
 NOTICE_SPEED = 3.0  # m/s
 STEER_LIMIT = 0.3  # rad
 CORNER = 0.3  # 1/m, curvature from which the line is a corner
-ZONE = 6  # m of race line ahead that must be free of corners for a change of lanes
+ZONE = 6  # m of race line ahead that must be free of corners on the overtaking lane
+ENTRY = 10  # m of it, and of room for a second lane, for a change to it
+FOLLOW_DISTANCE = 0.9  # m between the cars' middles that is kept while crossing behind the opponent
+YIELD = 0.8  # share of the opponent's speed at which the car drops back behind it
 MOST_OFFSET = 1.0  # m between the two lanes
 LEAST_OFFSET = 0.45  # m; where the track has no room for it there is no second lane
 SMOOTHING = 1.5  # m either way over which the lane is averaged
@@ -72,8 +85,8 @@ SPEED_PREVIEW = 0.1  # s
 RACE_LINE, OVERTAKING, OWN_PLACE = 0.0, 1.0, 2.0
 
 # Memory: the lane; side of the overtaking lane (-1 right, 1 left); the place across the track that is steered for, on
-# its way from lane to lane, m from the race line; decisions in a row with a free race line; highest speed while following
-# (below 0: none); the previous error; and whether the race has begun.
+# its way from lane to lane, m from the race line; decisions in a row with a free race line; highest speed while
+# following (below 0: none); the previous error; and whether the race has begun.
 _LANE, _SIDE, _PLACE, _FREE_COUNT, _MOST_SPEED, _ERROR, _BEGUN = range(7)
 MEMORY = 7
 
@@ -96,19 +109,19 @@ def lane_offset(track, s, side):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _room(track, s, side):  # type: ignore[no-untyped-def]
-    """Least offset of the overtaking lane along the zone ahead, m."""
+def _room(track, s, side, reach):  # type: ignore[no-untyped-def]
+    """Least offset of the overtaking lane within so many metres ahead, m."""
     least = MOST_OFFSET
-    for k in range(ZONE + 1):
+    for k in range(reach + 1):
         least = min(least, lane_offset(track, s + k, side))
     return least
 
 
 @compiled
-def _in_zone(track, s):  # type: ignore[no-untyped-def]
-    """Whether the race line is free of corners from here on for long enough to overtake."""
+def _in_zone(track, s, reach):  # type: ignore[no-untyped-def]
+    """Whether the race line is free of corners for so many metres."""
     sharpest = 0.0
-    for k in range(4 * ZONE):
+    for k in range(4 * reach):
         sharpest = max(sharpest, abs(track.line[line_index(track, s + 0.25 * k), _frenet.KAPPA]))
     return sharpest <= CORNER
 
@@ -142,31 +155,34 @@ def _choose_lane(track, theta, view, memory):  # type: ignore[no-untyped-def]
     """Return the lane to drive on, and update the count, the side and the speed limit in the memory."""
     s = view[_view.OWN_S]
     gap = gap_ahead(track, view)
-    zone = _in_zone(track, s)
     ahead = 0.0 < gap < theta[NOTICE_TIME] * max(view[_view.OWN_V], NOTICE_SPEED)
     beside = abs(gap) < view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]
     line_blocked = (ahead or beside) and _blocked(track, theta, view, memory, RACE_LINE)
     memory[_FREE_COUNT] = 0.0 if line_blocked else memory[_FREE_COUNT] + 1.0
-    follow = theta[FOLLOW_FACTOR] * view[_view.OPP_V]
     memory[_MOST_SPEED] = -1.0
     lane = memory[_LANE]
     if lane == OVERTAKING:
+        narrow = gap > 0.0 and _room(track, s, memory[_SIDE], ZONE) < LEAST_OFFSET
+        if narrow or (ahead and _blocked(track, theta, view, memory, OVERTAKING)):
+            memory[_MOST_SPEED] = min(theta[FOLLOW_FACTOR], YIELD) * view[_view.OPP_V]
+        elif ahead and side_air(view) < IN_THE_WAY:
+            # Not across yet: no faster than leaves the time for it.
+            memory[_MOST_SPEED] = max(view[_view.OPP_V] + FOLLOW_GAIN * (gap - FOLLOW_DISTANCE), 0.0)
         if beside and line_blocked:
             return OVERTAKING
-        if not zone or memory[_FREE_COUNT] >= theta[RETURN_COUNT]:
-            return RACE_LINE
-        if ahead and _blocked(track, theta, view, memory, OVERTAKING):
-            memory[_MOST_SPEED] = follow
-        return OVERTAKING
+        free = memory[_FREE_COUNT] >= theta[RETURN_COUNT]
+        return RACE_LINE if free or narrow or not _in_zone(track, s, ZONE) else OVERTAKING
     if gives_way(view, gap):
-        memory[_MOST_SPEED] = follow
+        memory[_MOST_SPEED] = min(theta[FOLLOW_FACTOR], YIELD) * view[_view.OPP_V]
         return OWN_PLACE
     if ahead and line_blocked:
-        if zone:
-            memory[_SIDE] = 1.0 if _room(track, s, 1.0) > _room(track, s, -1.0) else -1.0
-            if _room(track, s, memory[_SIDE]) > LEAST_OFFSET and not _blocked(track, theta, view, memory, OVERTAKING):
+        if _in_zone(track, s, ENTRY):
+            right, left = _room(track, s, -1.0, ENTRY), _room(track, s, 1.0, ENTRY)
+            memory[_SIDE] = 1.0 if left + view[_view.OWN_D] > right - view[_view.OWN_D] else -1.0
+            room = left if memory[_SIDE] > 0.0 else right
+            if room > LEAST_OFFSET and not _blocked(track, theta, view, memory, OVERTAKING):
                 return OVERTAKING
-        memory[_MOST_SPEED] = follow
+        memory[_MOST_SPEED] = theta[FOLLOW_FACTOR] * view[_view.OPP_V]
     return RACE_LINE
 
 

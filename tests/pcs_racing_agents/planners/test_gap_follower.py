@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcs_racing import Lidar, list_tracks, load_track
+from pcs_racing.planner import PATH_POINTS
+from pcs_racing_agents.planners import GAP_FOLLOWER
+from pcs_racing_agents.planners.gap_follower import BEAMS, FIELD_OF_VIEW, MAX_RANGE, free_distances, widest_gap
+
+ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
+
+
+def path(track, view, parameters=None):
+    """The path, and the ranges that the planner left in its scratch."""
+    written = np.full((PATH_POINTS, 4), np.nan)
+    scratch = np.full(GAP_FOLLOWER.scratch_size, np.nan)
+    theta = GAP_FOLLOWER.policy(parameters).parameters
+    GAP_FOLLOWER.plan(track.arrays, theta, view, np.zeros(0), scratch, written)
+    return written, scratch[-2 * BEAMS : -BEAMS]
+
+
+def free(ranges, bubble):
+    found = np.empty(BEAMS)
+    free_distances(np.asarray(ranges, dtype=float), bubble, found)
+    return found
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.05, 5.0), st.floats(0.2, 0.45))
+def test_the_free_distance_keeps_out_of_every_bubble(seed, nearest, bubble):
+    ranges = np.random.default_rng(seed).uniform(nearest, 12.0, BEAMS)
+    found = free(ranges, bubble)
+    assert (found >= 0.0).all()
+    assert (found <= ranges).all()
+    direction = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=-1)
+    hits = (ranges[:, None] * direction)[ranges > bubble]
+    for share in (0.25, 0.5, 0.75, 0.999):
+        points = share * found[:, None] * direction
+        assert np.hypot(*(points[found > 0.0, None] - hits[None]).T).min(initial=np.inf) > bubble - 1e-6
+    # Out of a bubble that the car is in already, only away from its middle.
+    for k in np.flatnonzero(ranges <= bubble):
+        assert not found[np.abs(ANGLES - ANGLES[k]) < 0.5 * np.pi - 0.05].any()
+
+
+def test_one_post_ahead_blocks_the_directions_that_its_bubble_covers():
+    ranges = np.full(BEAMS, 10.0)
+    post = BEAMS // 2
+    ranges[post] = 2.0
+    found = free(ranges, 0.3)
+    covered = np.abs(ANGLES - ANGLES[post]) < np.arcsin(0.3 / 2.0)
+    assert (found[covered] < 2.0).all()
+    assert found[post] == pytest.approx(1.7)
+    # The others are only limited by the points far away, which have bubbles of their own.
+    assert (found[~covered] > 9.0).all()
+
+
+def test_the_middle_of_the_widest_gap():
+    found = np.full(BEAMS, 1.0)
+    found[60:81] = 5.0
+    found[70] = 6.0
+    angle, longest = widest_gap(found, 0.8)
+    assert angle == pytest.approx(ANGLES[70])
+    assert longest == 6.0
+    # Nothing but free: straight on.
+    angle, longest = widest_gap(np.full(BEAMS, 12.0), 0.8)
+    assert angle == pytest.approx(0.0, abs=1e-9)
+
+
+def test_it_sees_what_the_lidar_sees(oval, view_at):
+    lidar = Lidar(oval, beams=BEAMS, fov=FIELD_OF_VIEW, max_range=MAX_RANGE)
+    view = view_at(oval, 3.0, 0.2, turned=0.1, gap=1.5, opp_d=-0.3)
+    x, y, psi = oval.to_cartesian([3.0, 0.2])
+    opponent = oval.to_cartesian([4.5, -0.3])
+    expected = lidar.scan([x, y, psi + 0.1], opponents=opponent)
+    np.testing.assert_allclose(path(oval, view)[1], expected, rtol=0, atol=1e-9)
+
+
+def test_the_path_is_an_arc_from_the_car_along_its_course(oval, view_at):
+    view = view_at(oval, 3.0, 0.2, turned=0.2)
+    written, _ = path(oval, view)
+    x, y, psi = oval.to_cartesian([3.0, 0.2])
+    np.testing.assert_allclose(written[0, :2], [x, y], atol=1e-9)
+    steps = np.diff(written[:, :2], axis=0)
+    headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    np.testing.assert_allclose(np.diff(headings) / np.hypot(*steps[0]), written[0, 3], rtol=1e-2)
+    assert headings[0] - psi - 0.2 == pytest.approx(0.5 * (headings[1] - headings[0]), abs=1e-6)
+    assert written[0, 3] < 0.0  # turned to the left on a straight, it steers back to the right
+
+
+@pytest.mark.parametrize("opp_d", [-0.5, 0.5])
+def test_it_avoids_an_opponent_that_it_sees(oval, view_at, opp_d):
+    written, _ = path(oval, view_at(oval, 3.0, gap=2.0, opp_d=opp_d))
+    assert np.sign(written[0, 3]) == -np.sign(opp_d)
+
+
+def test_it_slows_down_in_front_of_what_it_sees(oval, view_at):
+    free_road = path(oval, view_at(oval, 3.0))[0][0, 2]
+    behind = path(oval, view_at(oval, 3.0, gap=1.2))[0][0, 2]
+    assert behind < 0.6 * free_road
+    assert path(oval, view_at(oval, 3.0), {"top_speed": 2.5})[0][0, 2] == 2.5
+
+
+@pytest.mark.parametrize("name", list_tracks())
+def test_it_drives_shipped_circuits_by_its_lidar_alone(name, drive_alone):
+    track = load_track(name)
+    result = drive_alone(track, [GAP_FOLLOWER.policy()], duration=60.0)
+    assert not result.crashed.any()
+    driven = result.state.progress[0] + [0.0, min(0.5 * track.length, 50.0)]
+    assert (driven > track.length).all()
+    assert (driven > 3.0 * 60.0).all()  # at more than 3 m/s

@@ -1,0 +1,166 @@
+import math
+
+import numpy as np
+import pytest
+
+from pcs_racing import CONTEST, PAPER, Planner, RaceConfig, RaceSetup, Starts, advance, list_tracks, load_track
+from pcs_racing import planner as view_index
+from pcs_racing.compilation import compiled
+from pcs_racing.frenet import KAPPA, SPEED, to_cartesian
+from pcs_racing.planner import OWN_D, PATH_POINTS, TIME, calm_speed, pursuit_steering
+from pcs_racing.race import run_races, start_races
+from pcs_racing_agents.planners import PURE_PURSUIT
+
+
+def path(track, view, parameters=None):
+    written = np.full((PATH_POINTS, 4), np.nan)
+    PURE_PURSUIT.plan(track.arrays, PURE_PURSUIT.policy(parameters).parameters, view, np.zeros(0), np.zeros(0), written)
+    return written
+
+
+def test_the_path_eases_from_the_car_onto_the_race_line(oval, view_at):
+    view = view_at(oval, 3.0, 0.5, speed=4.0)
+    written = path(oval, view)
+    sd = oval.to_frenet(written[:, :2])
+    np.testing.assert_allclose(sd[0], [3.0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(sd[-1], [3.0 + 1.5 + 0.2 * 4.0, 0.0], atol=1e-3)
+    assert (np.diff(sd[:, 1]) <= 1e-9).all()
+    # It starts along the car's course and ends along the line.
+    assert abs(sd[1, 1] - 0.5) < 0.02
+    assert abs(sd[-2, 1]) < 0.02
+
+
+def test_the_path_starts_along_the_cars_course(oval, view_at):
+    written = path(oval, view_at(oval, 3.0, 0.3, turned=0.3))
+    sd = oval.to_frenet(written[:2, :2])
+    assert np.arctan2(sd[1, 1] - sd[0, 1], sd[1, 0] - sd[0, 0]) == pytest.approx(0.3, abs=0.1)
+
+
+def test_the_paths_curvature_is_that_of_its_points(oval, view_at):
+    written = path(oval, view_at(oval, 3.0, 0.4, turned=-0.1, speed=5.0))
+    steps = np.diff(written[:, :2], axis=0)
+    headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    bends = np.diff(headings) / np.hypot(*(0.5 * (steps[1:] + steps[:-1])).T)
+    np.testing.assert_allclose(written[1:-1, 3], bends, atol=0.06)
+
+
+def test_pace_scales_the_profile(oval, view_at):
+    view = view_at(oval, 3.0)
+    low, high = RaceSetup(oval, PAPER, (PURE_PURSUIT, PURE_PURSUIT)).speed_range
+    profile = oval.line[
+        np.round(oval.to_frenet(path(oval, view)[:, :2])[:, 0] / oval.arrays.ds - 0.5).astype(int), SPEED
+    ]
+    for pace in (0.0, 0.5, 1.0):
+        expected = (low + pace * (high - low)) * profile
+        np.testing.assert_allclose(path(oval, view, {"pace": pace})[:, 2], expected, rtol=0.05)
+
+
+def test_it_slows_down_behind_an_opponent_unless_told_not_to(oval, view_at):
+    free = path(oval, view_at(oval, 3.0))[:, 2]
+    close = view_at(oval, 3.0, gap=1.0, opp_speed=2.0)
+    assert (path(oval, close)[:, 2] <= 2.0).all()
+    np.testing.assert_array_equal(path(oval, close, {"follow_distance": 0.0})[:, 2], free)
+    beside_the_line = view_at(oval, 3.0, gap=1.0, opp_d=0.7, opp_speed=2.0)
+    np.testing.assert_array_equal(path(oval, beside_the_line)[:, 2], free)
+
+
+def test_it_leaves_the_line_to_a_car_beside_it_that_is_nearer_to_it(oval, view_at):
+    yields = path(oval, view_at(oval, 3.0, 0.6, gap=0.1, opp_d=0.1, opp_speed=4.0))
+    assert oval.to_frenet(yields[-1, :2])[1] == pytest.approx(0.6, abs=1e-3)
+    goes = path(oval, view_at(oval, 3.0, 0.1, gap=0.1, opp_d=0.6, opp_speed=4.0))
+    assert oval.to_frenet(goes[-1, :2])[1] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", list_tracks())
+def test_it_drives_shipped_circuits_at_any_pace(name, drive_alone):
+    track = load_track(name)
+    policies = [PURE_PURSUIT.policy({"pace": pace}) for pace in (0.0, 0.5, 1.0)]
+    result = drive_alone(track, policies, speed_range=(0.7, 0.95))
+    assert not result.crashed.any()
+    progress = result.state.progress[:, 0]
+    assert (np.diff(progress) > 10.0).all()
+
+
+@pytest.mark.parametrize("name", ["Catalunya", "Oschersleben", "Spielberg"])
+def test_it_drives_real_circuits(name, real_maps, drive_alone):
+    track = load_track(real_maps / name)
+    result = drive_alone(track, [PURE_PURSUIT.policy({"pace": 0.5})], speed_range=(0.7, 0.95))
+    assert not result.crashed.any()
+
+
+def test_it_keeps_to_the_line(views):
+    track = load_track("Larkmoor")
+    config = RaceConfig(duration=20.0, start="staggered", start_gap=50.0, start_spacing=0.0)
+    seen = views(track, PURE_PURSUIT.policy(), config, Starts(np.array([60.0]), np.zeros(1, np.int64)))
+    settled = seen[:, TIME] > 3.0  # the start is in the middle of the track
+    assert settled.sum() > 100
+    assert np.abs(seen[settled, OWN_D]).max() < 0.1
+
+
+def test_two_of_them_sort_themselves_out_at_the_start(shipped):
+    for config in (PAPER, CONTEST):
+        crashes = [
+            run_races(track, [PURE_PURSUIT.policy()] * 10, PURE_PURSUIT.policy(), config).crashed for track in shipped
+        ]
+        assert np.mean(crashes) < 0.15
+
+
+# A driver written twice: compiled for numba, and in plain Python with the math module.
+
+
+@compiled
+def twin_control(track, theta, view, memory, scratch, path, command):
+    v = view[view_index.OWN_V]
+    s = view[view_index.OWN_S] + 0.8 + 0.2 * v
+    x, y, _ = to_cartesian(track, s, 0.0)
+    row = track.line[int(s / track.ds) % track.line.shape[0]]
+    here = track.line[int(view[view_index.OWN_S] / track.ds)]
+    speed, acceleration = calm_speed(v, theta[0] * here[SPEED])
+    command[0] = pursuit_steering(view, x, y, row[KAPPA], acceleration)
+    command[1] = speed
+    memory[0] += command[0]
+
+
+def twin_drive(track, theta, view, memory):
+    seen = dict(zip(view_index.VIEW, view, strict=True))
+    line, ds = track.line, track.arrays.ds
+    v = seen["V"]
+    s = seen["S"] + 0.8 + 0.2 * v
+    x, y, _ = track.to_cartesian([s, 0.0])
+    kappa = line[int(s / ds) % len(line), KAPPA]
+    speed = max(theta[0] * line[int(seen["S"] / ds), SPEED], v - 0.55)
+    acceleration = min(10.0 * (speed - v), 9.5)
+    course = seen["PSI"] + seen["BETA"]
+    dx, dy = x - seen["X"], y - seen["Y"]
+    arc = 2.0 * (dy * math.cos(course) - dx * math.sin(course)) / (dx * dx + dy * dy)
+    understeer = seen["UNDERSTEER"] + seen["UNDERSTEER_GAIN"] * acceleration
+    steer = math.atan(seen["WHEELBASE"] * arc) + understeer * v * v * kappa
+    steer = min(max(steer, -seen["STEER_MAX"]), seen["STEER_MAX"])
+    memory[0] += steer
+    return steer, speed
+
+
+SCALE = (view_index.Parameter("scale", 0.3, 1.0, 0.7, "share of the profile's speed"),)
+COMPILED_TWIN = Planner("compiled-twin", SCALE, control=twin_control, memory_size=1)
+PYTHON_TWIN = Planner("python-twin", SCALE, drive=twin_drive, memory_size=1)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_python_planner_drives_like_its_compiled_twin(noise):
+    track = load_track("Pipkin")
+    config = RaceConfig(duration=6.0, steering_noise=noise, start="staggered", start_gap=25.0, start_spacing=0.0)
+    states = []
+    for planner in (COMPILED_TWIN, PYTHON_TWIN):
+        setup = RaceSetup(track, config, (planner, PURE_PURSUIT))
+        starts = Starts(np.full(2, 10.0), np.array([0, 1]))
+        state = start_races(setup, starts, np.array([1, 2], np.uint64))
+        theta = np.zeros((2, 2, setup.theta_size))
+        theta[:, 0, 0] = 0.6
+        theta[:, 1] = PURE_PURSUIT.default
+        advance(setup, state, theta, config.ticks)
+        states.append(state)
+    a, b = states
+    assert (a.tick == config.ticks).all()
+    np.testing.assert_allclose(a.cars, b.cars, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(a.progress, b.progress, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(a.memory[:, 0, 0], b.memory[:, 0, -1], rtol=0, atol=1e-9)
