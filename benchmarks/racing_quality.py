@@ -3,7 +3,8 @@
     python benchmarks/racing_quality.py                              # all shipped circuits, both presets
     python benchmarks/racing_quality.py --tracks Tarnfjord --preset contest --picture docs/images/racing_quality.png
 
-Every policy races the same opponents from the same starts. "Non-dominated" are the policies of the random sample that no
+Every policy races the same opponents from the same starts. "Non-dominated" are the policies of the random sample that
+no
 other one beats in both aggressiveness and restraint.
 """
 

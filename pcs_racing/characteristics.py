@@ -1,6 +1,7 @@
 """Policy characteristics: numbers that say how a policy drives, estimated from the trajectories that it produced.
 
-A characteristic maps a piece of racing (the state before and after it) to one value per race and car; a policy's coordinate in
+A characteristic maps a piece of racing (the state before and after it) to one value per race and car; a policy's
+coordinate in
 the Policy Characteristic Space is the mean over races (Remark 1 of the paper). All axes point up: more is more.
 """
 
@@ -55,7 +56,10 @@ class Segment:
     def between(cls, before: RaceState, after: RaceState, duration: float) -> "Segment":
         """Return the piece between two states of the same races."""
         return cls(
-            after.progress - before.progress, after.sums - before.sums, (after.tick - before.tick) * DT, float(duration)
+            after.progress - before.progress,
+            after.sums - before.sums,
+            np.asarray((after.tick - before.tick) * DT, np.float64),
+            float(duration),
         )
 
 

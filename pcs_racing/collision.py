@@ -135,7 +135,9 @@ def hits_wall(  # type: ignore[no-untyped-def]
     half_length,
     half_width,
 ):
-    """Do the work of `car_hits_wall`, on single arrays: branches beside a whole track cost more than the test itself."""
+    """Do the work of `car_hits_wall`, on single arrays: branches beside a whole track cost more than the test
+    itself.
+    """
     per_cell = 1.0 / cell
     u = (x - origin_x) * per_cell
     v = (y - origin_y) * per_cell

@@ -144,10 +144,11 @@ _CONTROL_SIGNATURE = types.void(_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MAT
 def _pointer(function: Callable[..., None], signature: types.Type) -> Any:
     """Compile a planner's function behind the one signature that the race kernel calls."""
     python = getattr(function, "py_func", function)
+    options: dict[str, Any] = {"cache": True, "error_model": "numpy"}
     try:  # without reference counts where the function allocates nothing: see pcs_racing.compilation.kernel
-        return cfunc(signature, cache=True, error_model="numpy", _nrt=False)(python)  # type: ignore[arg-type]
+        return cfunc(signature, **options, _nrt=False)(python)
     except (RuntimeError, NumbaError):
-        return cfunc(signature, cache=True, error_model="numpy")(python)  # type: ignore[arg-type]
+        return cfunc(signature, **options)(python)
 
 
 @kernel

@@ -22,7 +22,8 @@ class RaceConfig:
     duration : float
         Length of a race in s, a multiple of 0.1 s in (0, 3600].
     start : {"side-by-side", "staggered", "rolling"}
-        Both cars on one line; one ``start_gap`` behind the other; or one behind the other at the speed of the race line.
+        Both cars on one line; one ``start_gap`` behind the other; or one behind the other at the speed of the race
+        line.
     start_gap : float
         Distance between the cars along the track for staggered and rolling starts, m.
     start_spacing : float
@@ -40,7 +41,8 @@ class RaceConfig:
     crash_rule : {"nobody", "fault-loses"}
         Who is paid after a crash: nobody (the paper), or the car that was not at fault.
     aggressiveness : {"lead", "pace"}
-        Mean lead in m (the paper), or lead per time driven scaled to the full duration, which does not charge a crash twice.
+        Mean lead in m (the paper), or lead per time driven scaled to the full duration, which does not charge a crash
+        twice.
     ittc_horizon : float
         Largest time to collision that counts, s; without a cap the mean is infinite.
     stay_move : bool
@@ -137,7 +139,8 @@ PRESETS = {preset.name: preset for preset in (PAPER, CONTEST)}
 def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceConfig:
     """Return a race configuration from a preset's name, a YAML file or a configuration, with some fields changed.
 
-    A YAML file is a mapping of the fields of :class:`RaceConfig`; a field that is absent takes the default, and ``preset``
+    A YAML file is a mapping of the fields of :class:`RaceConfig`; a field that is absent takes the default, and
+    ``preset``
     names the preset that the defaults come from.
 
     Raises

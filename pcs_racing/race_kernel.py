@@ -25,6 +25,7 @@ __all__ = [
     "advance_races",
     "collide",
     "fill_view",
+    "measure_ittc",
     "place_cars",
     "steering_noise",
     "update_progress",
@@ -243,7 +244,7 @@ def collide(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _measure_ittc(  # type: ignore[no-untyped-def]
+def measure_ittc(  # type: ignore[no-untyped-def]
     walls, seen_start, seen, seen_distance, seen_middle, seen_stretch, cars, frenet, sums, race, vehicles, horizon
 ):
     """Sample the minimum time to collision of both cars."""
@@ -292,9 +293,9 @@ def _measure_driving(cars, frenet, progress, sums, race, vehicles, steering_befo
 
 
 @kernel
-def advance_races(
+def advance_races(  # type: ignore[no-untyped-def]
     track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, first, last, scratch, work
-):  # type: ignore[no-untyped-def]
+):
     """Advance races ``first`` to ``last - 1`` of a batch by ``ticks`` steps each, in place.
 
     A race that crashed or reached ``settings.end_tick`` stands still.
@@ -320,7 +321,8 @@ def advance_races(
     work : ndarray, shape (WORK_SIZE,)
         Scribbled on.
     """
-    # Arrays are taken out of their tuples and cut once per race: in the loop each access would count references up and down.
+    # Arrays are taken out of their tuples and cut once per race: in the loop each access would count references up
+    # and down.
     distance, origin_x, origin_y, cell = track.distance, track.origin_x, track.origin_y, track.cell
     walls, seen_start, seen = track.walls, track.seen_start, track.seen
     seen_distance, seen_middle, seen_stretch = track.seen_distance, track.seen_middle, track.seen_stretch
@@ -389,7 +391,7 @@ def advance_races(
                 )
                 _count_overtakes(progress, leader, overtakes, race, params[0, _vehicle.LENGTH])
             if tick % ITTC_EVERY == 0:
-                _measure_ittc(
+                measure_ittc(
                     walls,
                     seen_start,
                     seen,
@@ -407,7 +409,9 @@ def advance_races(
 
 @kernel
 def place_cars(track, state, vehicles):  # type: ignore[no-untyped-def]
-    """Set the Frenet coordinates of freshly placed cars; marks as crashed those that stand in a wall or in each other."""
+    """Set the Frenet coordinates of freshly placed cars; marks as crashed those that stand in a wall or in each
+    other.
+    """
     for race in range(state.tick.shape[0]):
         for car in range(2):
             s, d = locate(track, state.cars[race, car, _vehicle.X], state.cars[race, car, _vehicle.Y])

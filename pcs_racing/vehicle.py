@@ -1,12 +1,14 @@
 """The single-track vehicle model of CommonRoad [1]_ and the controllers that turn commands into its inputs.
 
 A vehicle's state is a row of seven numbers: x, y (m), steering angle delta (rad), speed v (m/s), heading psi (rad), yaw
-rate psi_dot (rad/s) and slip angle beta (rad), all at the centre of gravity. Its inputs are the steering rate (rad/s) and
+rate psi_dot (rad/s) and slip angle beta (rad), all at the centre of gravity. Its inputs are the steering rate (rad/s)
+and
 the longitudinal acceleration (m/s^2).
 
 References
 ----------
-.. [1] M. Althoff, M. Koschi and S. Manzinger, "CommonRoad: Composable benchmarks for motion planning on roads", IV 2017,
+.. [1] M. Althoff, M. Koschi and S. Manzinger, "CommonRoad: Composable benchmarks for motion planning on roads", IV
+2017,
    single-track model with load transfer.
 """
 
@@ -210,7 +212,8 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
     state : ndarray, shape (7,)
         The vehicle's state, overwritten.
     rate, acceleration : float
-        Steering rate in rad/s and longitudinal acceleration in m/s^2; limited inside the derivative, in all four stages.
+        Steering rate in rad/s and longitudinal acceleration in m/s^2; limited inside the derivative, in all four
+        stages.
     p : ndarray, shape (16,)
         Parameter row (:meth:`VehicleParams.as_row`).
     dt : float
@@ -243,7 +246,8 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
 def target_inputs(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
     """Inputs that lead to a target steering angle and speed without chatter or overshoot.
 
-    The steering moves at its full rate and arrives exactly; the speed error decays with a time constant of 0.1 s where the
+    The steering moves at its full rate and arrives exactly; the speed error decays with a time constant of 0.1 s
+    where the
     engine and the brakes allow it.
     """
     steer = min(max(steer, -p[STEER_MAX]), p[STEER_MAX])
@@ -254,7 +258,9 @@ def target_inputs(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
 
 @kernel
 def _gym_inputs(state, steer, speed, p):  # type: ignore[no-untyped-def]
-    """Inputs of the established simulator's controllers: bang-bang steering and a speed gain that depends on the case."""
+    """Inputs of the established simulator's controllers: bang-bang steering and a speed gain that depends on the
+    case.
+    """
     error = steer - state[DELTA]
     rate = np.sign(error) * p[STEER_RATE_MAX] if abs(error) > 1e-4 else 0.0
     v = state[V]
@@ -302,9 +308,11 @@ def simulate(
     initial_state : array_like, shape (7,) or (B, 7)
         x, y (m), delta (rad), v (m/s), psi (rad), psi_dot (rad/s), beta (rad).
     controls : array_like, shape (T, 2) or (B, T, 2)
-        ``"rates"``: steering rate (rad/s) and acceleration (m/s^2). Otherwise: target steering angle (rad) and speed (m/s).
+        ``"rates"``: steering rate (rad/s) and acceleration (m/s^2). Otherwise: target steering angle (rad) and speed
+        (m/s).
     control_mode : {"target", "rates", "f1tenth_gym"}
-        ``"target"`` steers at full rate and arrives without overshoot; ``"f1tenth_gym"`` reproduces the controllers of that
+        ``"target"`` steers at full rate and arrives without overshoot; ``"f1tenth_gym"`` reproduces the controllers
+        of that
         simulator, its two-step steering delay included.
     dt : float
         Length of a step in s, in (0, 0.05].

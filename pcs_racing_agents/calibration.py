@@ -1,4 +1,6 @@
-"""How fast is too fast on a circuit: the hazard of a car that drives alone, and the speed range that follows from it."""
+"""How fast is too fast on a circuit: the hazard of a car that drives alone, and the speed range that follows from
+it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -69,7 +71,8 @@ def hazard_scan(
 ) -> NDArray[np.float64]:
     """Probability that a car alone crashes within 40 s, at each speed scale.
 
-    Cars start on the race line at its speed, spread evenly around the circuit; each race holds two of them, half a lap apart.
+    Cars start on the race line at its speed, spread evenly around the circuit; each race holds two of them, half a
+    lap apart.
 
     Parameters
     ----------
@@ -127,8 +130,10 @@ def calibrate(
 ) -> CalibrationReport:
     """Find the speed range of a circuit for a race configuration.
 
-    Without steering noise (preset ``paper``) the hazard is a step, and racing needs room to it: pace 1 lies 0.06 below the scale
-    at which a car alone begins to crash, pace 0 another 0.20 below. With noise (``contest``) pace 1 is the scale at which a
+    Without steering noise (preset ``paper``) the hazard is a step, and racing needs room to it: pace 1 lies 0.06
+    below the scale
+    at which a car alone begins to crash, pace 0 another 0.20 below. With noise (``contest``) pace 1 is the scale at
+    which a
     car alone crashes in 38 % of 40 s, and pace 0 lies 0.32 below.
 
     Raises
@@ -142,7 +147,7 @@ def calibrate(
     allowed = HAZARD_WITH_NOISE if noisy else HAZARD_WITHOUT_NOISE
     if hazard[0] > allowed:
         raise InputError(
-            f"track {track.name!r}: even at speed scale {scales[0]:.2f} a car alone crashes in {hazard[0]:.0%} of 40 s; "
+            f"track {track.name!r}: at speed scale {scales[0]:.2f} a car alone crashes in {hazard[0]:.0%} of 40 s; "
             "widen the track or lower steering_noise"
         )
     high = _crossing(scales, hazard, allowed) - (0.0 if noisy else BELOW_IT)

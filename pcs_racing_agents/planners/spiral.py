@@ -1,15 +1,19 @@
 """Cubic curvature spirals: smooth paths from a pose to a goal pose, curvature matched at both ends [1]_.
 
-Along the path, u in [0, 1], the curvature is the cubic through p0, p1, p2, p3 at u = 0, 1/3, 2/3, 1. With the end heading
-eliminated, two unknowns are left: the length and ``w = length (p1 - p2)``. In them the heading is linear, so that Newton's
+Along the path, u in [0, 1], the curvature is the cubic through p0, p1, p2, p3 at u = 0, 1/3, 2/3, 1. With the end
+heading
+eliminated, two unknowns are left: the length and ``w = length (p1 - p2)``. In them the heading is linear, so that
+Newton's
 method needs one sine and cosine per quadrature node and a 2 x 2 solve; three rounds do.
 
-A *block* is a flat array of rows, one number per spiral in each row. The number of spirals is fixed when the code is compiled:
+A *block* is a flat array of rows, one number per spiral in each row. The number of spirals is fixed when the code is
+compiled:
 with known distances between rows the compiler proves that they do not overlap, and uses vector instructions throughout.
 
 References
 ----------
-.. [1] A. Kelly and B. Nagy, "Reactive nonholonomic trajectory generation via parametric optimal control", IJRR 22(7-8), 2003.
+.. [1] A. Kelly and B. Nagy, "Reactive nonholonomic trajectory generation via parametric optimal control", IJRR
+22(7-8), 2003.
 """
 
 import numpy as np
@@ -23,7 +27,8 @@ SEGMENTS = 8
 NEWTON_ROUNDS = 3
 MISSED = 0.1  # m; a spiral that ends farther from its goal than this has not been found
 
-# Where each row of a block starts. Filled by the caller: the goals in the frame of the start (x, y, heading, curvature).
+# Where each row of a block starts. Filled by the caller: the goals in the frame of the start (x, y, heading,
+# curvature).
 GOAL_X, GOAL_Y, GOAL_HEADING, GOAL_KAPPA = (SPIRALS * k for k in range(4))
 # Filled by solve_spirals: the length and w.
 LENGTH, W = (SPIRALS * k for k in range(4, 6))
@@ -35,7 +40,8 @@ POINT_Y = POINT_X + SPIRALS * (SEGMENTS + 1)
 _A, _B, _C, _D, _E, _F = (POINT_Y + SPIRALS * (SEGMENTS + 1 + k) for k in range(6))
 BLOCK = _F + SPIRALS
 
-# Reassociation and contraction only change the last bits; with no NaN about, minima and maxima become single instructions.
+# Reassociation and contraction only change the last bits; with no NaN about, minima and maxima become single
+# instructions.
 FAST = {"contract", "reassoc", "nsz", "arcp", "nnan"}
 
 _NODES = 0.5 * (np.polynomial.legendre.leggauss(8)[0] + 1.0)
@@ -149,7 +155,9 @@ def solve_spirals(block, kappa0):  # type: ignore[no-untyped-def]
 
 @kernel
 def _mark_missed(block):  # type: ignore[no-untyped-def]
-    """Mark the spirals that Newton's method did not bring to their goal; strict arithmetic, so that NaN counts as missed."""
+    """Mark the spirals that Newton's method did not bring to their goal; strict arithmetic, so that NaN counts as
+    missed.
+    """
     last = SEGMENTS * SPIRALS
     for g in range(SPIRALS):
         miss = abs(block[POINT_X + last + g] - block[GOAL_X + g]) + abs(block[POINT_Y + last + g] - block[GOAL_Y + g])

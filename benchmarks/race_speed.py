@@ -1,0 +1,181 @@
+"""How long a 40 s race between two lattice cars takes on one core, and where the time goes.
+
+    python benchmarks/race_speed.py                    # on a shipped circuit
+    python benchmarks/race_speed.py --track DIR --json # ends with one JSON line holding ms_per_race_per_core
+
+Processor time, the best of several repeats, scaled to 40 s (races end early in a crash). The parts are timed alone
+on states from
+the middle of the same races, and multiplied by how often a race calls them; what they leave over is the loop itself.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+
+from pcs_racing import vehicle as _vehicle
+from pcs_racing.planner import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE, follow_path
+from pcs_racing.race import RaceSetup, advance, draw_starts, race_seeds, start_races
+from pcs_racing.race_config import load_race_config
+from pcs_racing.race_kernel import (
+    CONTROL_EVERY,
+    ITTC_EVERY,
+    PLAN_EVERY,
+    collide,
+    fill_view,
+    measure_ittc,
+    update_progress,
+)
+from pcs_racing.race_state import RaceState, take
+from pcs_racing.track import load_track
+from pcs_racing_agents.planners import lattice
+from pcs_racing_agents.planners.lattice import LATTICE
+
+REPEATS = 8
+CALLS = 4000
+
+
+@njit(error_model="numpy")
+def _plans(n, track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    for _ in range(n):
+        lattice.plan(track, theta, view, memory, scratch, path)
+
+
+@njit(error_model="numpy")
+def _controls(n, track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+    for _ in range(n):
+        follow_path(track, theta, view, memory, scratch, path, command)
+
+
+@njit(error_model="numpy")
+def _steps(n, state, params):  # type: ignore[no-untyped-def]
+    for _ in range(n):
+        _vehicle.step(state, 0.0, 0.0, params, 0.01)
+
+
+@njit(error_model="numpy")
+def _progresses(n, line, ds, length, cars, frenet, progress):  # type: ignore[no-untyped-def]
+    for _ in range(n):
+        update_progress(line, ds, length, cars, frenet, progress, 0)
+
+
+@njit(error_model="numpy")
+def _collisions(n, t, cars, frenet, crash, fault, params):  # type: ignore[no-untyped-def]
+    distance, walls, start, seen, far, middle = (
+        t.distance,
+        t.walls,
+        t.seen_start,
+        t.seen,
+        t.seen_distance,
+        t.seen_middle,
+    )
+    x, y, cell, stretch = t.origin_x, t.origin_y, t.cell, t.seen_stretch
+    for _ in range(n):
+        collide(distance, x, y, cell, walls, start, seen, far, middle, stretch, cars, frenet, crash, fault, 0, params)
+
+
+@njit(error_model="numpy")
+def _ittcs(n, t, cars, frenet, sums, params):  # type: ignore[no-untyped-def]
+    walls, start, seen, far, middle = t.walls, t.seen_start, t.seen, t.seen_distance, t.seen_middle
+    stretch = t.seen_stretch
+    for _ in range(n):
+        measure_ittc(walls, start, seen, far, middle, stretch, cars, frenet, sums, 0, params, 10.0)
+
+
+def best_of(action: Callable[[], object]) -> float:
+    """Least processor time of several repeats, s; the first call, which compiles, does not count."""
+    action()
+    times = []
+    for _ in range(REPEATS):
+        start = time.process_time()
+        action()
+        times.append(time.process_time() - start)
+    return min(times)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--track", default="Tarnfjord", help="name or folder of a circuit")
+    parser.add_argument("--races", type=int, default=40)
+    parser.add_argument("--json", action="store_true", help="end with one JSON line")
+    arguments = parser.parse_args()
+    track = load_track(arguments.track)
+    config = load_race_config("paper")
+    races = arguments.races
+    setup = RaceSetup(track, config, (LATTICE, LATTICE))
+    starts = draw_starts(track, config, races, 0)
+    rng = np.random.default_rng(0)
+    theta = np.tile(LATTICE.default, (races, 2, 1))
+    theta[:, :, LATTICE.parameter_names.index("pace")] = rng.uniform(0.0, 1.0, (races, 2))
+
+    def run(threads: int) -> float:
+        state = start_races(setup, starts, race_seeds(0, races))
+        advance(setup, state, theta, config.ticks, threads=threads)
+        return float(state.tick.sum()) / config.ticks
+
+    full = run(1)
+    per_race = 1e3 * best_of(lambda: run(1)) / full
+    wall = []
+    for threads in (1, 2):
+        start = time.perf_counter()
+        for _ in range(3):
+            run(threads)
+        wall.append(time.perf_counter() - start)
+
+    state = start_races(setup, starts, race_seeds(0, races))
+    advance(setup, state, theta, 600, threads=1)
+    going = take(state, np.flatnonzero(~state.crashed)[:8])
+    params = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
+    t = track.arrays
+    scratch, path = np.empty(LATTICE.scratch_size), np.zeros((PATH_POINTS, PATH_COLUMNS))
+    ticks = config.ticks
+
+    def parts(one: RaceState) -> dict[str, float]:
+        """Milliseconds that each part takes in a 40 s race, timed on one race."""
+        view, command = np.zeros(VIEW_SIZE), np.zeros(2)
+        fill_view(t, one, 0, 0, params, setup.settings, view)
+        memory = one.memory[0, 0]
+        theta = LATTICE.default
+        lattice.plan(t, theta, view, memory, scratch, path)
+        arrays = (one.cars, one.frenet)
+        timed: dict[str, tuple[int, Callable[[], object]]] = {
+            "planner": (2 * ticks // PLAN_EVERY, lambda: _plans(CALLS, t, theta, view, memory, scratch, path)),
+            "pursuit": (
+                2 * ticks // CONTROL_EVERY,
+                lambda: _controls(CALLS, t, theta, view, memory, scratch, path, command),
+            ),
+            # A copy drives on in each repeat, so that its speed stays what it was.
+            "dynamics (RK4)": (2 * ticks, lambda: _steps(CALLS, one.cars[0, 0].copy(), params[0])),
+            "Frenet projection": (
+                ticks // CONTROL_EVERY,
+                lambda: _progresses(CALLS, t.line, t.ds, t.length, *arrays, one.progress),
+            ),
+            "collisions": (
+                ticks // CONTROL_EVERY,
+                lambda: _collisions(CALLS, t, *arrays, one.crash, one.fault, params),
+            ),
+            "minimum iTTC": (ticks // ITTC_EVERY, lambda: _ittcs(CALLS, t, *arrays, one.sums, params)),
+        }
+        return {name: 1e3 * best_of(action) / CALLS * calls for name, (calls, action) in timed.items()}
+
+    every = [parts(take(going, [i])) for i in range(going.races)]
+    rows = {name: float(np.mean([one[name] for one in every])) for name in every[0]}
+    print(f"{track.name}: {per_race:.2f} ms per 40 s race and core ({races} races, {full:.1f} of full length)")
+    print(f"two threads: {wall[0] / wall[1]:.2f} times as fast as one")
+    for name, value in rows.items():
+        print(f"  {name:18s} {value:5.2f} ms  {value / per_race:4.0%}")
+    rest = per_race - sum(rows.values())
+    print(f"  {'loop and views':18s} {rest:5.2f} ms  {rest / per_race:4.0%}")
+    if arguments.json:
+        print(
+            json.dumps(
+                {"ms_per_race_per_core": round(per_race, 3), "parts_ms": {k: round(v, 3) for k, v in rows.items()}}
+            )
+        )
+
+
+if __name__ == "__main__":
+    main()
