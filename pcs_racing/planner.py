@@ -144,11 +144,12 @@ _CONTROL_SIGNATURE = types.void(_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MAT
 def _pointer(function: Callable[..., None], signature: types.Type) -> Any:
     """Compile a planner's function behind the one signature that the race kernel calls."""
     python = getattr(function, "py_func", function)
+    compile_pointer: Any = cfunc
     options: dict[str, Any] = {"cache": True, "error_model": "numpy"}
     try:  # without reference counts where the function allocates nothing: see pcs_racing.compilation.kernel
-        return cfunc(signature, **options, _nrt=False)(python)
+        return compile_pointer(signature, **options, _nrt=False)(python)
     except (RuntimeError, NumbaError):
-        return cfunc(signature, **options)(python)
+        return compile_pointer(signature, **options)(python)
 
 
 @kernel
