@@ -23,8 +23,6 @@ from pcs_racing.vehicle import F1TENTH, VehicleParams
 __all__ = ["record_race"]
 
 FRAME_EVERY = 4  # steps: 25 frames a second; the loop can be stopped after every second step
-CANDIDATES_EVERY = 5  # plans whose candidates are kept: two a second
-
 Floats = NDArray[np.float64]
 
 
@@ -53,7 +51,7 @@ def record_race(
     vehicles : tuple of two VehicleParams
         The cars.
     candidates : bool
-        Whether to keep, twice a second, the paths that each planner chose from (if it can tell).
+        Whether to keep the paths that each planner chose from (if it can tell).
 
     Returns
     -------
@@ -99,34 +97,37 @@ class _Log:
     progress: list[Floats] = field(default_factory=list)
     ittc: list[Floats] = field(default_factory=list)
     paths: list[Floats] = field(default_factory=list)
-    choices: dict[int, list[tuple[Floats, Floats] | None]] = field(default_factory=dict)
+    choices: list[list[tuple[Floats, Floats] | None]] = field(default_factory=list)
     events: list[ReplayEvent] = field(default_factory=list)
 
 
 def _drive(setup: RaceSetup, state: RaceState, theta: Floats, candidates: bool) -> _Log:
     """Drive a race to its end, in place, and write down what can be seen on the way."""
     log = _Log()
-    ittc = np.full(2, setup.config.ittc_horizon)
+    ittc = None
     while True:
         tick = int(state.tick[0])
         over = tick >= setup.config.ticks or bool(state.crashed[0])
         if over or tick % FRAME_EVERY == 0:
             log.cars.append(state.cars[0].copy())
             log.progress.append(state.progress[0].copy())
-            log.ittc.append(ittc)
+            log.ittc.append(np.zeros(2) if ittc is None else ittc)
         if over:
             return log
         plans = tick % PLAN_EVERY == 0
-        if plans and candidates and len(log.paths) % CANDIDATES_EVERY == 0:
+        if plans and candidates:
             # Asked before the step: afterwards the planner's memory already holds this plan.
-            log.choices[len(log.paths)] = [_choices(setup, state, theta, car) for car in range(2)]
+            log.choices.append([_choices(setup, state, theta, car) for car in range(2)])
         sums, overtakes = state.sums[0].copy(), state.overtakes[0].copy()
         advance(setup, state, theta, CONTROL_EVERY, threads=1)
         if plans:
             log.paths.append(_followed(state.path[0]))
         added = state.sums[0] - sums
         if added[0, ITTC_SAMPLES] > 0.0:
+            first = ittc is None
             ittc = added[:, ITTC] / added[:, ITTC_SAMPLES]
+            if first:  # frames before the first sample show it too
+                log.ittc[:] = [ittc] * len(log.ittc)
         log.events.extend(_happened(state, overtakes))
 
 
@@ -140,7 +141,14 @@ def _choices(setup: RaceSetup, state: RaceState, theta: Floats, car: int) -> tup
     fill_view(setup.track.arrays, state, 0, car, vehicles, setup.settings, view)
     first = COMMAND_SLOTS if planner.drive is not None else 0
     memory = state.memory[0, car, first : first + planner.memory_size].copy()
-    return planner.candidates(setup.track.arrays, theta[0, car, : len(planner.parameters)].copy(), view, memory)
+    points, costs = planner.candidates(
+        setup.track.arrays, theta[0, car, : len(planner.parameters)].copy(), view, memory
+    )
+    # Several speeds on one path look alike: the cheapest stands for them.
+    _, first, place = np.unique(points.reshape(len(points), -1), axis=0, return_index=True, return_inverse=True)
+    cheapest = np.full(len(first), np.inf)
+    np.minimum.at(cheapest, place.ravel(), costs)
+    return points[first], cheapest
 
 
 def _plans(log: _Log) -> dict[str, Any]:
@@ -148,19 +156,19 @@ def _plans(log: _Log) -> dict[str, Any]:
     paths = np.array(log.paths)
     if np.isnan(paths).all():
         return {}
-    known = [choice for pair in log.choices.values() for choice in pair if choice is not None]
+    known = [choice for pair in log.choices for choice in pair if choice is not None]
     if not known:
         return {"paths": paths}
     shape = (len(log.choices), 2, max(len(costs) for _, costs in known))
     places = np.full((*shape, max(points.shape[1] for points, _ in known), 2), np.nan)
     prices = np.full(shape, np.inf)
-    for row, pair in enumerate(log.choices.values()):
+    for row, pair in enumerate(log.choices):
         for car, choice in enumerate(pair):
             if choice is not None:
                 points, costs = choice
                 places[row, car, : len(costs), : points.shape[1]] = points
                 prices[row, car, : len(costs)] = costs
-    return {"paths": paths, "candidate_steps": np.array(list(log.choices)), "candidates": places, "costs": prices}
+    return {"paths": paths, "candidates": places, "costs": prices}
 
 
 def _followed(path: Floats) -> Floats:
