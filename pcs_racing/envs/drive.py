@@ -125,7 +125,7 @@ class DriveEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         "lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a list of policies of one planner, of which one
         is drawn for each episode. With None the agent is alone on the track: the second car is not simulated, can't be
         touched or seen, and its elements are 0.
-    preset : str, Path or RaceConfig
+    race : str, Path or RaceConfig
         Rules of the race: "paper", "contest", a YAML file or a configuration.
     duration : float, optional
         Length of an episode in s, a multiple of 0.1 s; the preset's by default.
@@ -181,7 +181,7 @@ class DriveEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self,
         track: str | Path | Track = "Tarnfjord",
         opponent: Opponent = "lattice",
-        preset: str | Path | RaceConfig = "paper",
+        race: str | Path | RaceConfig = "paper",
         *,
         duration: float | None = None,
         time_step: float = 0.1,

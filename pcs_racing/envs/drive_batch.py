@@ -55,7 +55,7 @@ class DriveOptions:
 
     track: str | Path | Track = "Tarnfjord"
     opponent: Opponent = "lattice"
-    preset: str | Path | RaceConfig = "paper"
+    race: str | Path | RaceConfig = "paper"
     duration: float | None = None
     time_step: float = 0.1
     top_speed: float = 8.0
@@ -198,7 +198,7 @@ class DriveBatch:
         changes: dict[str, Any] = {"start_lines": options.start_lines}
         if options.duration is not None:
             changes["duration"] = options.duration
-        config = load_race_config(options.preset, **changes)
+        config = load_race_config(options.race, **changes)
         self.alone = options.opponent is None
         self.opponents = [] if self.alone else _policies(options.opponent)
         planner = EXTERNAL if self.alone else self.opponents[0].planner

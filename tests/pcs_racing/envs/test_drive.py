@@ -1,0 +1,327 @@
+import copy
+import gc
+import pickle
+import re
+import tracemalloc
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from pcs_racing import InputError, Lidar, Planner, UnknownNameError, get_planner, load_race_config
+from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.envs.drive_vector import DriveVectorEnv
+from pcs_racing.envs.registration import register_environments
+
+SHORT = load_race_config("contest", duration=3.0)
+
+
+def follow_the_line(observation):
+    """A driver that reads the observation by its documented order: back to the race line, a bit slower than it."""
+    steer = 0.6 * -observation[7] - 0.35 * observation[6] + 0.33 * observation[12]
+    return np.array([steer / 0.4189, 2.0 * 0.7 * observation[13] / 8.0 - 1.0], np.float32)
+
+
+def episode(env, seed, steps=400, policy=follow_the_line):
+    """Observations, rewards and the last info of an episode."""
+    observation, info = env.reset(seed=seed)
+    observations, rewards = [observation], []
+    for _ in range(steps):
+        observation, reward, terminated, truncated, info = env.step(policy(observation))
+        observations.append(observation)
+        rewards.append(reward)
+        if terminated or truncated:
+            break
+    return np.array(observations), np.array(rewards), terminated, truncated, info
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{}, {"opponent": None, "beams": 20, "lidar_noise": 0.02}, {"normalize": True, "beams": 5, "race": "contest"}],
+)
+def test_the_checkers_of_gymnasium_and_sb3_are_content(arguments):
+    env = DriveEnv(render_mode="rgb_array", **arguments)
+    check_env(env, skip_render_check=True)
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(env)
+
+
+def test_it_is_made_by_name():
+    register_environments()
+    env = gym.make("pcs_racing/Drive-v0", opponent=None)
+    assert isinstance(env.unwrapped, DriveEnv)
+    envs = gym.make_vec("pcs_racing/Drive-v0", num_envs=3, opponent=None)
+    assert isinstance(envs, DriveVectorEnv)
+    assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.SAME_STEP
+
+
+def test_a_driver_that_reads_the_observation_gets_around(oval):
+    _, rewards, terminated, truncated, info = episode(DriveEnv(oval, opponent=None, duration=20.0), seed=2)
+    assert truncated
+    assert not terminated
+    assert info["time"] == pytest.approx(20.0)
+    assert info["progress"] > 50.0
+    assert rewards.sum() == pytest.approx(info["progress"])
+
+
+def test_the_end_in_a_wall_is_the_agents_fault_and_costs(oval):
+    env = DriveEnv(oval, opponent=None, crash_penalty=25.0)
+    _, rewards, terminated, truncated, info = episode(env, 0, policy=lambda seen: np.array([1.0, 0.5]))
+    assert terminated
+    assert not truncated
+    assert (info["crash"], info["at_fault"], info["opponent_crash"]) == ("wall", True, "none")
+    assert rewards[-1] < -20.0
+    with pytest.raises(InputError, match="has ended"):
+        env.step([0.0, 0.0])
+
+
+def test_rivalry_makes_the_return_the_lead():
+    env = DriveEnv(rivalry=1.0, crash_penalty=0.0, duration=4.0)
+    _, rewards, _, _, info = episode(env, seed=5)
+    start = env.reset(seed=5)[1]["lead"]
+    assert rewards.sum() == pytest.approx(info["lead"] - start)
+
+
+def test_every_element_keeps_to_its_bounds_and_says_what_it_is():
+    env = DriveEnv(beams=4)
+    names = [element.name for element in env.elements]
+    assert len(set(names)) == len(names) == env.observation_space.shape[0]
+    seen, *_ = episode(env, 1)
+    assert all(env.observation_space.contains(one) for one in seen)
+    # The table of the class's page is the space.
+    rows = re.findall(r"^ +\| (\d+) \| ([\w ]+?)(?: \(\w+\))? \| (\S+) \| (\S+) \| (\S+) \|$", DriveEnv.__doc__, re.M)
+    assert len(rows) >= 17
+    for index, name, unit, low, high in rows:
+        element = env.elements[int(index)]
+        assert (element.name, element.unit) == (name, unit)
+        assert (element.low, element.high) == pytest.approx((float(low), float(high)), abs=1e-3)
+
+
+def test_the_observation_says_where_the_cars_are():
+    env = DriveEnv(beams=9)
+    env.reset(seed=4)
+    for _ in range(8):
+        seen, _, _, _, info = env.step([0.0, 0.2])
+    at = {element.name: value for element, value in zip(env.elements, seen, strict=True)}
+    own, other = env.get_state().races.cars[0]
+    d = env.track.to_frenet(own[:2])[1]
+    turned = (other[:2] - own[:2]) @ np.array([[np.cos(own[4]), -np.sin(own[4])], [np.sin(own[4]), np.cos(own[4])]])
+    assert at["speed"] == pytest.approx(own[3], rel=1e-6)
+    assert at["offset"] == pytest.approx(d, abs=1e-5)
+    assert [at["opponent x"], at["opponent y"]] == pytest.approx(list(turned), abs=1e-5)
+    assert at["lead"] == pytest.approx(info["lead"], rel=1e-5)
+    assert at["target speed"] == pytest.approx(0.6 * 8.0)
+    scan = Lidar(env.track, 9).scan(own[[0, 1, 4]], other[[0, 1, 4]])
+    np.testing.assert_allclose(seen[-9:], scan, rtol=1e-5)
+
+
+def test_alone_means_alone():
+    seen, *_ = episode(DriveEnv(opponent=None), 3, steps=30)
+    assert (seen[:, 32:41] == 0.0).all()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"race": SHORT, "beams": 12, "lidar_noise": 0.05},
+        {"race": SHORT, "opponent": ["lattice:pace=0.1", "lattice:pace=0.9"], "time_step": 0.06},
+        {"race": SHORT, "opponent": None, "normalize": True},
+    ],
+)
+def test_vector_and_scalar_environment_agree_to_the_last_bit(arguments):
+    count = 37  # more than one thread's share
+    envs = DriveVectorEnv(count, threads=2, **arguments)
+    single = [DriveEnv(**arguments) for _ in range(count)]
+    batch, info = envs.reset(seed=11)
+    alone = [env.reset(seed=11 + i) for i, env in enumerate(single)]
+    np.testing.assert_array_equal(batch, [seen for seen, _ in alone])
+    assert list(info["opponent"]) == [facts["opponent"] for _, facts in alone]
+    rng = np.random.default_rng(0)
+    ends = 0
+    for _ in range(60):
+        actions = rng.uniform(-0.5, 1.0, (count, 2)).astype(np.float32)
+        batch, rewards, terminated, truncated, info = envs.step(actions)
+        for i, env in enumerate(single):
+            seen, reward, end, late, facts = env.step(actions[i])
+            assert (reward, end, late) == (rewards[i], terminated[i], truncated[i])
+            where = info
+            if end or late:
+                ends += 1
+                np.testing.assert_array_equal(info["final_obs"][i], seen)
+                where = info["final_info"]
+                for name, value in facts.items():
+                    assert where[name][i] == value
+                seen, facts = env.reset()
+            np.testing.assert_array_equal(batch[i], seen)
+            for name, value in facts.items():
+                assert info[name][i] == value
+    assert ends > count
+
+
+def test_whole_episodes_repeat():
+    for arguments in ({"race": "contest"}, {"opponent": None, "beams": 7, "lidar_noise": 0.1, "race": "contest"}):
+        first, second = (episode(DriveEnv(**arguments), 9) for _ in range(2))
+        np.testing.assert_array_equal(first[0], second[0])
+        np.testing.assert_array_equal(first[1], second[1])
+        other = episode(DriveEnv(**arguments), 10)
+        assert first[0].shape != other[0].shape or (first[0] != other[0]).any()
+
+
+def test_a_python_driver_may_be_the_opponent(oval):
+    planner = Planner("crawler", (), drive=lambda track, theta, view, memory: (0.0, 0.5))
+    _, rewards, _, _, info = episode(DriveEnv(oval, planner.policy(), duration=1.0), 1)
+    assert info["opponent"] == "crawler"
+    assert info["lead"] > 1.0
+    assert rewards.sum() > 1.0
+
+
+@pytest.mark.parametrize("kind", [DriveEnv, lambda **arguments: DriveVectorEnv(5, **arguments)])
+def test_a_moment_can_be_kept_copied_and_pickled(kind):
+    env = kind(race=SHORT, beams=3, lidar_noise=0.1)
+    shape = env.action_space.shape
+    env.reset(seed=1)
+    env.step(np.full(shape, 0.1))
+    state = pickle.loads(pickle.dumps(env.get_state()))
+    others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), kind(race=SHORT, beams=3, lidar_noise=0.1)]
+    others[2].reset(seed=77)
+    others[2].set_state(state)
+    for _ in range(5):
+        expected = env.step(np.full(shape, -0.2))
+        for other in others:
+            for left, right in zip(other.step(np.full(shape, -0.2))[:4], expected[:4], strict=True):
+                np.testing.assert_array_equal(left, right)
+    expected = env.reset()[0]  # the random stream went along, as a copy
+    for other in others:
+        np.testing.assert_array_equal(other.reset()[0], expected)
+
+
+def test_two_tracks_in_one_process_do_not_disturb_each_other(oval):
+    alone = episode(DriveEnv(oval, opponent=None), 1, steps=20)[0]
+    one, two = DriveEnv(oval, opponent=None), DriveEnv("Pipkin", opponent=None)
+    seen, _ = one.reset(seed=1)
+    two.reset(seed=1)
+    for expected in alone:
+        np.testing.assert_array_equal(seen, expected)
+        seen, *_ = one.step(follow_the_line(seen))
+        two.step([0.0, -0.5])
+
+
+def test_resets_leak_nothing():
+    envs = DriveVectorEnv(4, beams=8, threads=1)
+    env = DriveEnv()
+
+    def turn():
+        env.reset()
+        env.step([0.0, 0.0])
+        envs.reset()
+        envs.step(np.zeros((4, 2)))
+
+    for _ in range(20):
+        turn()
+    gc.collect()
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(200):
+        turn()
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 50_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"time_step": 0.03}, "time_step is 0.03"),
+        ({"time_step": float("nan")}, "time_step is nan"),
+        ({"beams": -1}, "beams is -1"),
+        ({"beams": 2.5}, "beams is 2.5"),
+        ({"top_speed": 0.0}, "top_speed is 0.0"),
+        ({"look_ahead": ()}, "look_ahead"),
+        ({"crash_penalty": -1.0}, "crash_penalty is -1.0"),
+        ({"opponent": 3}, "opponent is 3"),
+        ({"opponent": []}, "opponent is \\[\\]"),
+        ({"opponent": ["lattice", "pure-pursuit"]}, "share a planner"),
+        ({"duration": 0.05}, "duration"),
+        ({"race": 5}, "race"),
+        ({"render_mode": "ansi"}, "render_mode is 'ansi'"),
+        ({"view": "top"}, "view is 'top'"),
+    ],
+)
+def test_impossible_arguments_are_named(arguments, message):
+    for kind in (DriveEnv, DriveVectorEnv):
+        with pytest.raises(InputError, match=message):
+            kind(**arguments)
+
+
+def test_unknown_names_are_named():
+    with pytest.raises(UnknownNameError, match="nowhere"):
+        DriveEnv("nowhere")
+    with pytest.raises(UnknownNameError, match="nobody"):
+        DriveEnv(opponent="nobody")
+    with pytest.raises(InputError, match="'colour' is unknown"):
+        DriveVectorEnv(2, colour="red")
+    with pytest.raises(InputError, match="num_envs is 0"):
+        DriveVectorEnv(0)
+
+
+def test_impossible_actions_are_refused_and_change_nothing():
+    env = DriveEnv(opponent=None)
+    with pytest.raises(InputError, match="not begun"):
+        env.step([0.0, 0.0])
+    env.reset(seed=0)
+    before = env.get_state().races
+    for action, message in (
+        ([np.nan, 0.0], "nan"),
+        ([0.0, np.inf], "inf"),
+        ([0.0], "shape"),
+        ("left", "numbers"),
+        (None, "shape|finite"),
+    ):
+        with pytest.raises(InputError, match=message):
+            env.step(action)
+    np.testing.assert_array_equal(env.get_state().races.cars, before.cars)
+    envs = DriveVectorEnv(3, opponent=None)
+    with pytest.raises(InputError, match="not begun"):
+        envs.step(np.zeros((3, 2)))
+    envs.reset(seed=0)
+    actions = np.zeros((3, 2))
+    actions[2, 1] = np.nan
+    with pytest.raises(InputError, match="environment 2"):
+        envs.step(actions)
+    with pytest.raises(InputError, match=re.escape("(3, 2)")):
+        envs.step(np.zeros((2, 2)))
+    with pytest.raises(InputError, match="seed of environment 1"):
+        envs.reset(seed=[0, -1, 2])
+    with pytest.raises(InputError, match="2 seeds for 3"):
+        envs.reset(seed=[0, 1])
+
+
+def test_unknown_reset_options_are_ignored():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        DriveEnv(opponent=None).reset(seed=0, options={"weather": "rain"})
+
+
+def test_a_frame_shows_the_race():
+    env = DriveEnv(render_mode="rgb_array")
+    with pytest.raises(InputError, match="before reset"):
+        env.render()
+    env.reset(seed=0)
+    first = env.render()
+    assert first.dtype == np.uint8
+    assert first.shape == (640, 960, 3)
+    for _ in range(5):
+        env.step([0.0, 0.5])
+    assert (env.render() != first).any()
+    env.close()
+    with pytest.raises(InputError, match="render_mode is None"):
+        DriveEnv(opponent=None).render()
+
+
+def test_a_policy_object_drives_as_its_text_does():
+    policy = get_planner("lattice").policy({"pace": 0.2})
+    by_text = episode(DriveEnv(opponent="lattice:pace=0.2"), 6)[0]
+    np.testing.assert_array_equal(episode(DriveEnv(opponent=policy), 6)[0], by_text)
