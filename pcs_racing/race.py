@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing import vehicle as _vehicle
 from pcs_racing.compilation import announce_compilation
 from pcs_racing.errors import InputError
-from pcs_racing.frenet import SPEED, X, Y
+from pcs_racing.frenet import KAPPA, LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.planner import COMMAND_SLOTS, VIEW_SIZE, Planner, Policy
 from pcs_racing.race_config import PAPER, RaceConfig
 from pcs_racing.race_kernel import CONTROL_EVERY, DT, WORK_SIZE, KernelSettings, advance_races, fill_view, place_cars
@@ -24,6 +24,8 @@ __all__ = ["RaceResult", "RaceSetup", "Starts", "advance", "draw_starts", "run_r
 
 DEFAULT_SPEED_RANGE = {"paper": (0.80, 1.0), "contest": (0.90, 1.14)}
 TIE_WITHIN = 0.01  # m of lead
+CENTRAL = 0.2  # m that the race line may run beside the middle at a start line
+BEND_REACH = 15.0  # m after the start in which the first bend counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,14 +106,16 @@ class Starts:
 def _places(track: Track, config: RaceConfig) -> NDArray[np.intp]:
     """Samples of the race line that are straight and wide enough for the start, the room behind them included."""
     line = track.arrays.line
-    bend = np.abs(line[:, 5])
-    room = line[:, 7] + line[:, 8]
+    bend = np.abs(line[:, KAPPA])
+    room = line[:, RIGHT] + line[:, LEFT]
     need = config.start_spacing + F1TENTH.width + 0.3
     good = (bend < 0.15) & (room > need)
     behind = round((config.start_gap + 1.0) / track.arrays.ds)
     ahead = round(2.0 / track.arrays.ds)
     every = np.logical_and.reduce([np.roll(good, shift) for shift in range(-ahead, behind + 1, 5)])
-    return np.flatnonzero(every)
+    # The car nearer to the race line has the right of way, so where it can be had the line runs in the middle.
+    central = every & (np.abs(line[:, LEFT] - line[:, RIGHT]) < 2.0 * CENTRAL)
+    return np.flatnonzero(central if central.any() else every)
 
 
 def start_lines(track: Track, config: RaceConfig, seed: int | np.random.SeedSequence) -> NDArray[np.float64]:
@@ -129,10 +133,27 @@ def start_lines(track: Track, config: RaceConfig, seed: int | np.random.SeedSequ
             f"{config.start_gap:g} m and spacing {config.start_spacing:g} m; make them smaller"
         )
     rng = np.random.default_rng(seed)
-    # One line from each of as many equal parts of the good places: random, yet never two in one spot.
-    edges = np.linspace(0.0, len(places), config.start_lines + 1)
-    chosen = rng.uniform(edges[:-1], edges[1:]).astype(np.intp)
-    return places[np.minimum(chosen, len(places) - 1)].astype(np.float64) * track.arrays.ds
+    # The car on the inside of the next bend has an advantage, so half of the lines lead into bends of either side.
+    line = track.arrays.line
+    reach = round(BEND_REACH / track.arrays.ds)
+    turned = np.cumsum(np.concatenate([line[:, KAPPA], line[:, KAPPA]]))
+    leftward = (turned[places + reach] - turned[places]) > 0.0
+    sides = [places[leftward], places[~leftward]]
+    count = config.start_lines
+    first = int(rng.integers(2))
+    wanted = [count // 2, count // 2]
+    wanted[first] += count % 2
+    if min(len(side) for side in sides) == 0:
+        sides, wanted = [places, places[:0]], [count, 0]
+    chosen = [_spread(side, number, rng) for side, number in zip(sides, wanted, strict=True)]
+    return np.sort(np.concatenate(chosen)) * track.arrays.ds
+
+
+def _spread(places: NDArray[np.intp], number: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """One random place from each of as many equal parts: random, yet never two in one spot where there is room."""
+    edges = np.linspace(0.0, len(places), number + 1)
+    at = rng.uniform(edges[:-1], edges[1:]).astype(np.intp)
+    return places[np.minimum(at, len(places) - 1)] if number else places[:0]
 
 
 def draw_starts(track: Track, config: RaceConfig, races: int, seed: int) -> Starts:
@@ -194,7 +215,7 @@ def start_races(setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64]) -> 
         behind = 0.0 if config.start == "side-by-side" else place * config.start_gap
         s = np.mod(starts.s - behind, arrays.length)
         sample = arrays.line[(s / arrays.ds).astype(np.intp) % len(arrays.line)]
-        middle = 0.5 * (sample[:, 8] - sample[:, 7])
+        middle = 0.5 * (sample[:, LEFT] - sample[:, RIGHT])
         d = middle + (0.5 if place == 0 else -0.5) * config.start_spacing
         pose = track.to_cartesian(np.stack([s, d], axis=-1))
         profile = low * sample[:, SPEED]

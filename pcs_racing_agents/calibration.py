@@ -22,7 +22,7 @@ from pcs_racing_agents.planners.lattice import LATTICE
 __all__ = ["CalibrationReport", "calibrate", "hazard_scan"]
 
 SCALES = tuple(np.round(np.arange(0.60, 1.301, 0.05), 2).tolist())
-HAZARD_WITHOUT_NOISE, BELOW_IT, WIDTH_WITHOUT_NOISE = 0.01, 0.06, 0.20
+HAZARD_WITHOUT_NOISE, BELOW_IT, WIDTH_WITHOUT_NOISE = 0.01, 0.09, 0.20
 HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.38, 0.32
 
 
@@ -130,7 +130,7 @@ def calibrate(
 ) -> CalibrationReport:
     """Find the speed range of a circuit for a race configuration.
 
-    Without steering noise (preset ``paper``) the hazard is a step, and racing needs room to it: pace 1 lies 0.06
+    Without steering noise (preset ``paper``) the hazard is a step, and racing needs room to it: pace 1 lies 0.09
     below the scale
     at which a car alone begins to crash, pace 0 another 0.20 below. With noise (``contest``) pace 1 is the scale at
     which a
