@@ -248,7 +248,8 @@ def test_going_backwards_over_the_line_gives_the_progress_back():
 
 
 def test_driving_into_a_wall_is_the_drivers_own_fault_and_ends_the_race(oval):
-    result = run_races(oval, STRAIGHT.policy(), lattice(), PAPER)
+    ahead = load_race_config("paper", start="staggered", start_gap=4.0, start_spacing=0.5)
+    result = run_races(oval, STRAIGHT.policy(), lattice(), ahead)
     assert result.state.crash[0].tolist() == [WALL_CRASH, NO_CRASH]
     assert result.state.fault[0].tolist() == [1, 0]
     assert result.crashed.all()
