@@ -71,6 +71,10 @@ class DriveOptions:
     start_lines: int = 100
 
     def __post_init__(self) -> None:
+        for name, kind in (("track", Track), ("race", RaceConfig)):
+            value = getattr(self, name)
+            if not isinstance(value, str | Path | kind):
+                raise InputError(f"{name} is {value!r}; it must be a name, a path or a {kind.__name__}")
         _number("time_step", self.time_step, CONTROL_EVERY * DT, 1.0)
         if abs(self.time_step / (CONTROL_EVERY * DT) - round(self.time_step / (CONTROL_EVERY * DT))) > 1e-9:
             raise InputError(f"time_step is {self.time_step!r} s; it must be a multiple of {CONTROL_EVERY * DT:g} s")

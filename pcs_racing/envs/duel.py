@@ -51,14 +51,15 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
     ## Observation Space
 
     ``Box(float32)`` with ``(moves + 1) (2 G + 2) + 1`` elements, 31 by default; ``env.unwrapped.elements`` holds name,
-    unit, bounds and meaning of each. Step 0 is the one in which the players only watch, step ``k`` follows move ``k``.
+    unit, bounds and meaning of each. Step 0 is the one in which the players only watch, step ``k`` follows move ``k``. "Range" means that 0 is the
+    archive's smallest and 1 its largest value.
 
     | Index | Element | Unit | Low | High |
     |---|---|---|---|---|
-    | 6k | own_aggressiveness_k | archive range | -1 | 2 |
-    | 6k + 1 | own_restraint_k | archive range | -1 | 2 |
-    | 6k + 2 | opponent_aggressiveness_k | archive range | -1 | 2 |
-    | 6k + 3 | opponent_restraint_k | archive range | -1 | 2 |
+    | 6k | own_aggressiveness_k | range | -1 | 2 |
+    | 6k + 1 | own_restraint_k | range | -1 | 2 |
+    | 6k + 2 | opponent_aggressiveness_k | range | -1 | 2 |
+    | 6k + 3 | opponent_restraint_k | range | -1 | 2 |
     | 6k + 4 | lead_k | 20 m | -5 | 5 |
     | 6k + 5 | seen_k | 1 | 0 | 1 |
     | 30 | step | 1 | 0 | 1 |

@@ -218,7 +218,7 @@ def test_resets_leak_nothing():
         envs.reset()
         envs.step(np.zeros((4, 2)))
 
-    for _ in range(20):
+    for _ in range(400):  # until caches and free lists are filled
         turn()
     gc.collect()
     tracemalloc.start()

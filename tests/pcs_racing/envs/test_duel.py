@@ -1,0 +1,268 @@
+import copy
+import pickle
+import re
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from pcs_racing import InputError, UnknownNameError
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
+from pcs_racing.envs.duel_vector import SelfPlayVectorEnv
+from pcs_racing.envs.registration import register_environments
+from pcs_racing.game import make_game
+
+SHORT = {"step_seconds": 1.0, "moves": 3}
+MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
+
+
+class Careful:
+    """A strategy with SB3's interface that writes down how it was asked."""
+
+    def __init__(self):
+        self.asked = []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.asked.append((observation.shape, deterministic))
+        return np.full(len(observation), 2), None
+
+
+class Counting:
+    """One that remembers: its k-th move in a game is move k."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        assert (state is None) == bool(episode_start[0])
+        count = 0 if state is None else state
+        return np.full(len(observation), count % 4), count + 1
+
+
+def by_lead(observation, generator):
+    return int(observation[4] < 0.0) + 2 * int(generator.integers(2))
+
+
+def episode(env, seed, action=1):
+    observation, info = env.reset(seed=seed)
+    rows = [(observation, 0.0, info)]
+    while True:
+        observation, reward, terminated, truncated, info = env.step(action)
+        rows.append((observation, reward, info))
+        assert not truncated
+        if terminated:
+            return rows
+
+
+@pytest.mark.parametrize("opponent", ["random-moves", "lane-switcher:3", MIXTURE])
+def test_the_checkers_of_gymnasium_and_sb3_are_content(opponent):
+    env = DuelEnv(opponent=opponent, render_mode="rgb_array", **SHORT)
+    check_env(env, skip_render_check=True)
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(env)
+
+
+def test_it_is_made_by_name():
+    register_environments()
+    assert isinstance(gym.make("pcs_racing/Duel-v0", **SHORT).unwrapped, DuelEnv)
+    envs = gym.make_vec("pcs_racing/Duel-v0", num_envs=3, **SHORT)
+    assert isinstance(envs, DuelVectorEnv)
+    assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.SAME_STEP
+
+
+def test_it_is_the_view_of_car_0():
+    """The same key and moves, played through the rules themselves."""
+    env = DuelEnv(opponent="always-aggressiveness +", **SHORT)
+    observation, _ = env.reset(seed=8)
+    game = make_game("Tarnfjord", **SHORT)
+    key = np.random.default_rng(8).integers(2**63)  # what the environment draws first
+    state = game.reset(np.array([key], np.uint64))
+    np.testing.assert_array_equal(observation, game.observation(state)[0, 0])
+    for move in (3, 1, 0):
+        observation, reward, terminated, _, info = env.step(move)
+        state = game.step(state, np.array([[move, 0]]))
+        np.testing.assert_array_equal(observation, game.observation(state)[0, 0])
+        assert reward == game.utility(state)[0, 0]
+        assert terminated == game.done(state)[0]
+        assert info["policy"] == state.policy[0, 0]
+        assert (info["move"], info["opponent_move"]) == (game.move_names[move], "aggressiveness +")
+        if terminated:
+            break
+
+
+def test_the_table_of_its_page_is_its_space():
+    env = DuelEnv()
+    rows = re.findall(r"^ +\| (6k|30)(?: \+ (\d))? \| (\w+) \| ([\w ]+) \| (\S+) \| (\S+) \|$", DuelEnv.__doc__, re.M)
+    assert len(rows) == 7
+    for start, offset, name, unit, low, high in rows:
+        for k in range(5 if start == "6k" else 1):
+            element = env.elements[6 * k + int(offset or 0) if start == "6k" else 30]
+            assert (element.name, element.unit) == (name.removesuffix("_k") + (f"_{k}" if start == "6k" else ""), unit)
+            assert (element.low, element.high) == (float(low), float(high))
+    seen = [row[0] for row in episode(env, 2)]
+    assert all(env.observation_space.contains(one) for one in seen)
+
+
+@pytest.mark.parametrize("opponent", ["random-moves", MIXTURE, by_lead, Counting(), "lane-switcher:3"])
+def test_vector_and_scalar_environment_agree_to_the_last_bit(opponent):
+    count = 6
+    envs = DuelVectorEnv(count, opponent=opponent, race="contest", **SHORT)
+    single = [DuelEnv(opponent=opponent, race="contest", **SHORT) for _ in range(count)]
+    batch, info = envs.reset(seed=21)
+    np.testing.assert_array_equal(batch, [env.reset(seed=21 + i)[0] for i, env in enumerate(single)])
+    rng = np.random.default_rng(1)
+    ends = 0
+    for _ in range(7):
+        actions = rng.integers(0, 5, count)
+        batch, rewards, terminated, truncated, info = envs.step(actions)
+        for i, env in enumerate(single):
+            seen, reward, end, late, facts = env.step(actions[i])
+            assert (reward, end, late) == (rewards[i], terminated[i], truncated[i])
+            where = info
+            if end:
+                ends += 1
+                np.testing.assert_array_equal(info["final_obs"][i], seen)
+                for name, value in facts.items():
+                    np.testing.assert_array_equal(info["final_info"][name][i], value)
+                seen, facts = env.reset()
+            np.testing.assert_array_equal(batch[i], seen)
+            for name, value in facts.items():
+                np.testing.assert_array_equal(where[name][i], value)
+    assert ends >= count
+
+
+def test_opponents_do_what_they_are_called():
+    for name, expected in (("always-restraint -", {"restraint -"}), ("never-switch", {""})):
+        infos = [row[2] for row in episode(DuelEnv(opponent=name, **SHORT), 4)[1:]]
+        assert {info["opponent_move"] for info in infos} == expected
+        assert {info["opponent"] for info in infos} == {name}
+    moves = {row[2]["opponent_move"] for seed in range(6) for row in episode(DuelEnv(**SHORT), seed)[1:]}
+    assert len(moves) == 4
+    careful = Careful()
+    assert episode(DuelEnv(opponent=careful, **SHORT), 4)[1][2]["opponent_move"] == "restraint +"
+    assert set(careful.asked) == {((1, 25), True)}
+
+
+def test_a_mixture_is_drawn_by_weight():
+    envs = DuelVectorEnv(60, opponent=[(1, "random-moves"), (3, "never-switch")], step_seconds=0.2, moves=1)
+    names = list(envs.reset(seed=0)[1]["opponent"])
+    assert 34 < names.count("never-switch") < 56
+
+
+def test_whole_episodes_repeat():
+    first, second = (episode(DuelEnv(opponent=MIXTURE, race="contest", **SHORT), 5) for _ in range(2))
+    assert len(first) == len(second)
+    for left, right in zip(first, second, strict=True):
+        np.testing.assert_array_equal(left[0], right[0])
+        assert left[1] == right[1]
+
+
+@pytest.mark.parametrize("kind", [DuelEnv, lambda **a: DuelVectorEnv(3, **a), lambda **a: SelfPlayVectorEnv(4, **a)])
+def test_a_moment_can_be_kept_copied_and_pickled(kind):
+    extra = {} if kind is not DuelEnv else {"opponent": Counting()}
+    env = kind(**extra, **SHORT)
+    actions = np.full(env.action_space.shape, 1)
+    env.reset(seed=1)
+    env.step(actions)
+    others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), kind(**extra, **SHORT)]
+    others[2].reset(seed=9)
+    others[2].set_state(pickle.loads(pickle.dumps(env.get_state())))
+    expected = env.step(actions)
+    for other in others:
+        for left, right in zip(other.step(actions)[:4], expected[:4], strict=True):
+            np.testing.assert_array_equal(left, right)
+    expected = env.reset()[0]
+    for other in others:
+        np.testing.assert_array_equal(other.reset()[0], expected)
+
+
+def test_in_self_play_the_rows_of_a_pair_are_the_two_cars():
+    envs = SelfPlayVectorEnv(6, **SHORT)
+    seen, info = envs.reset(seed=2)
+    assert seen.shape == (6, 25)
+    np.testing.assert_allclose(info["lead"][::2], -info["lead"][1::2])
+    for _ in range(3):
+        seen, rewards, terminated, _, info = envs.step(np.array([0, 1, 2, 3, 0, 1]))
+        np.testing.assert_array_equal(rewards[::2], -rewards[1::2])
+        np.testing.assert_array_equal(terminated[::2], terminated[1::2])
+    assert info["final_info"]["move"][1] == "aggressiveness -"
+    assert envs.action_masks().shape == (6, 4)
+
+
+def test_masks_rule_out_moves_that_lead_to_the_same_place():
+    env = DuelEnv(mask_duplicates=True, epsilon=2.0, **SHORT)
+    _, info = env.reset(seed=0)
+    assert env.action_masks().dtype == np.bool_
+    np.testing.assert_array_equal(info["action_mask"], env.action_masks())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"opponent": None}, "opponent is None"),
+        ({"opponent": 5}, "opponent 5 is no opponent"),
+        ({"opponent": []}, "empty"),
+        ({"opponent": ["random-moves"]}, "pair"),
+        ({"opponent": [(-1.0, "random-moves")]}, "weight of opponent 0 is -1.0"),
+        ({"opponent": [(1, "lane-switcher:3"), (1, "random-moves")]}, "share a planner"),
+        ({"epsilon": -1.0}, "epsilon is -1.0"),
+        ({"render_mode": "ansi"}, "render_mode is 'ansi'"),
+    ],
+)
+def test_impossible_arguments_are_named(arguments, message):
+    for kind in (DuelEnv, DuelVectorEnv):
+        with pytest.raises(InputError, match=message):
+            kind(**arguments)
+
+
+def test_unknown_names_are_named():
+    for arguments in ({"opponent": "nobody"}, {"opponent": "always-left"}, {"track": "nowhere"}, {"archive": "none"}):
+        with pytest.raises(UnknownNameError, match=r"nobody|always-left|nowhere|none"):
+            DuelEnv(**arguments)
+    with pytest.raises(InputError, match="colour"):
+        DuelEnv(colour="red")
+    with pytest.raises(InputError, match="num_envs is 3"):
+        SelfPlayVectorEnv(3)
+
+
+def test_impossible_actions_are_refused():
+    env = DuelEnv(**SHORT)
+    with pytest.raises(InputError, match="not begun"):
+        env.step(0)
+    env.reset(seed=0)
+    for action in (4, -1, 0.5, np.nan, None, "left", [0, 1]):
+        with pytest.raises(InputError, match="action"):
+            env.step(action)
+    envs = DuelVectorEnv(3, **SHORT)
+    with pytest.raises(InputError, match="not begun"):
+        envs.step(np.zeros(3, int))
+    envs.reset(seed=0)
+    with pytest.raises(InputError, match="environment 1 is 9"):
+        envs.step(np.array([0, 9, 0]))
+    wrong = DuelEnv(opponent=wrong_move, **SHORT)
+    wrong.reset(seed=0)
+    with pytest.raises(InputError, match="environment 0: opponent 'wrong' chose 7"):
+        wrong.step(0)
+
+
+def wrong_move(observation, generator):
+    return 7
+
+
+wrong_move.__name__ = "wrong"
+
+
+def test_after_the_end_comes_a_reset_and_unknown_options_are_ignored():
+    env = DuelEnv(**SHORT)
+    episode(env, 1)
+    with pytest.raises(InputError, match="has ended"):
+        env.step(0)
+    env.reset(options={"weather": "rain"})
+
+
+def test_a_frame_shows_the_game():
+    env = DuelEnv(render_mode="rgb_array", **SHORT)
+    env.reset(seed=0)
+    first = env.render()
+    assert first.shape == (640, 960, 3)
+    env.step(0)
+    assert (env.render() != first).any()
+    env.close()

@@ -1,0 +1,100 @@
+import warnings
+
+import numpy as np
+import pytest
+
+from pcs_racing import InputError, UnknownNameError
+
+sb3 = pytest.importorskip("stable_baselines3")
+
+from pcs_racing.envs.duel import DuelEnv  # noqa: E402
+from pcs_racing.envs.sb3 import make_sb3_vec_env  # noqa: E402
+
+SHORT = {"step_seconds": 0.5, "moves": 2}
+
+
+def learn(kind, **arguments):
+    """A tiny PPO; everything that its weights were made of is in them."""
+    env = make_sb3_vec_env(kind, 4, **arguments)
+    model = sb3.PPO("MlpPolicy", env, seed=0, n_steps=16, batch_size=32, n_epochs=2, device="cpu")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model.learn(128)
+    assert all(np.isfinite(info["r"]) for info in model.ep_info_buffer)
+    return np.concatenate([value.numpy().ravel() for value in model.policy.state_dict().values()])
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [("duel", SHORT), ("self-play", SHORT), ("pcs_racing/Drive-v0", {"opponent": None, "duration": 1.0})],
+)
+def test_ppo_learns_without_a_warning_and_repeatably(kind, arguments):
+    np.testing.assert_array_equal(learn(kind, **arguments), learn(kind, **arguments))
+
+
+def test_ends_are_told_apart():
+    env = make_sb3_vec_env("drive", 3, opponent=None, duration=0.3)
+    env.seed(5)
+    env.reset()
+    assert env.seed(5) == [5, 6, 7]
+    first = env.reset()
+    assert len(env.reset_infos) == 3
+    for _ in range(3):
+        seen, rewards, done, infos = env.step(np.zeros((3, 2), np.float32))
+    assert done.all()
+    assert rewards.dtype == np.float32
+    for i, info in enumerate(infos):
+        assert info["TimeLimit.truncated"] is True
+        assert info["episode"]["l"] == 3
+        assert info["episode"]["r"] == pytest.approx(info["progress"], abs=0.5)
+        assert (info["terminal_observation"] != seen[i]).any()
+    env.seed(5)
+    np.testing.assert_array_equal(env.reset(), first)
+    crash = make_sb3_vec_env("drive", 2, opponent=None)
+    crash.reset()
+    for _ in range(400):
+        _, _, done, infos = crash.step(np.tile([1.0, 0.0], (2, 1)))
+        if done.any():
+            assert infos[int(np.argmax(done))]["TimeLimit.truncated"] is False
+            return
+    pytest.fail("a car that only turns left must end in a wall")
+
+
+def test_a_trained_model_can_be_the_opponent():
+    model = sb3.PPO("MlpPolicy", make_sb3_vec_env("duel", 2, **SHORT), seed=0, device="cpu")
+    env = DuelEnv(opponent=model, **SHORT)
+    _, info = env.reset(seed=0)
+    assert info["opponent"] == "PPO"
+    *_, info = env.step(0)
+    assert info["opponent_move"] in env.game.move_names
+
+
+def test_evaluation_needs_no_monitor():
+    from stable_baselines3.common.evaluation import evaluate_policy
+
+    env = make_sb3_vec_env("duel", 2, **SHORT)
+    model = sb3.PPO("MlpPolicy", env, seed=0, device="cpu")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mean, _ = evaluate_policy(model, env, 4)
+    assert np.isfinite(mean)
+
+
+def test_masks_reach_maskable_ppo():
+    env = make_sb3_vec_env("duel", 3, mask_duplicates=True, **SHORT)
+    env.reset()
+    assert env.has_attr("action_masks")
+    assert np.stack(env.env_method("action_masks")).shape == (3, 4)
+    assert len(env.env_method("action_masks", indices=[1])) == 1
+    assert not make_sb3_vec_env("drive", 2, opponent=None).has_attr("nothing_like_it")
+    contrib = pytest.importorskip("sb3_contrib", reason="sb3-contrib is not installed")
+    contrib.MaskablePPO("MlpPolicy", env, seed=0, n_steps=8, batch_size=8, device="cpu").learn(24)
+
+
+def test_unknown_kinds_and_attributes_are_named():
+    with pytest.raises(UnknownNameError, match="'triathlon' is unknown"):
+        make_sb3_vec_env("triathlon")
+    env = make_sb3_vec_env("duel", 2, **SHORT)
+    with pytest.raises(InputError, match="'track' can't be set"):
+        env.set_attr("track", "Pipkin")
+    env.close()
