@@ -139,8 +139,8 @@ def _choices(setup: RaceSetup, state: RaceState, theta: Floats, car: int) -> tup
     view = np.zeros(VIEW_SIZE)
     vehicles = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
     fill_view(setup.track.arrays, state, 0, car, vehicles, setup.settings, view)
-    first = COMMAND_SLOTS if planner.drive is not None else 0
-    memory = state.memory[0, car, first : first + planner.memory_size].copy()
+    begin = COMMAND_SLOTS if planner.drive is not None else 0
+    memory = state.memory[0, car, begin : begin + planner.memory_size].copy()
     points, costs = planner.candidates(
         setup.track.arrays, theta[0, car, : len(planner.parameters)].copy(), view, memory
     )

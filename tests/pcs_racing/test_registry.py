@@ -17,6 +17,7 @@ from pcs_racing import (
     register_planner,
     registry,
 )
+from pcs_racing_agents.planners import BUILT_IN
 
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
 
@@ -76,8 +77,9 @@ def test_an_unknown_name_lists_the_names_and_the_nearest():
 
 
 def test_every_planner_of_the_zoo_loads_under_its_own_name():
-    for name in pcs_racing_agents.PLANNERS:
-        assert get_planner(name).name == name
+    assert BUILT_IN.keys() == pcs_racing_agents.PLANNERS.keys()
+    for name, planner in BUILT_IN.items():
+        assert get_planner(name) is planner
 
 
 def test_an_installation_declares_the_same_planners_as_the_zoo():
