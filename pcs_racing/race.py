@@ -146,7 +146,7 @@ def start_lines(track: Track, config: RaceConfig, seed: int | np.random.SeedSequ
     if min(len(side) for side in sides) == 0:
         sides, wanted = [places, places[:0]], [count, 0]
     chosen = [_spread(side, number, rng) for side, number in zip(sides, wanted, strict=True)]
-    return np.sort(np.concatenate(chosen)) * track.arrays.ds
+    return np.sort(np.concatenate(chosen)).astype(np.float64) * track.arrays.ds
 
 
 def _spread(places: NDArray[np.intp], number: int, rng: np.random.Generator) -> NDArray[np.intp]:
