@@ -83,8 +83,8 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     | index | name | unit | low | high | meaning |
     | --- | --- | --- | --- | --- | --- |
-    | 6k + 0 | own_aggressiveness_k | range | -1 | 2 | the own policy's aggressiveness in step k, as the archive has
-    it | | 6k + 1 | own_restraint_k | range | -1 | 2 | the own policy's restraint in step k, from the archive |
+    | 6k + 0 | own_aggressiveness_k | range | -1 | 2 | the own policy's aggressiveness in step k, from the archive |
+    | 6k + 1 | own_restraint_k | range | -1 | 2 | the own policy's restraint in step k, from the archive |
     | 6k + 2 | opponent_aggressiveness_k | range | -1 | 2 | the opponent's aggressiveness as measured in step k alone |
     | 6k + 3 | opponent_restraint_k | range | -1 | 2 | the opponent's restraint as measured in step k alone |
     | 6k + 4 | lead_k | 20 m | -5 | 5 | own lead at the end of step k |
