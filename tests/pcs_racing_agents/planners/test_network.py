@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -18,7 +20,7 @@ def inputs(track, view) -> dict[str, float]:
 def layers(hidden, weights):
     """The weights as matrices, biases in the last column."""
     sizes = [len(INPUTS), *hidden, 2]
-    for below, above in zip(sizes[:-1], sizes[1:], strict=True):
+    for below, above in pairwise(sizes):
         yield weights[: (below + 1) * above].reshape(above, below + 1)
         weights = weights[(below + 1) * above :]
 
@@ -123,12 +125,10 @@ def lessons(track, races=12, seconds=12.0):
 
 
 def test_a_network_learns_to_drive_from_pure_pursuit(drive_alone):
-    """Random features and least squares: the weights of a driver, found in a second, that drives on other circuits too."""
+    """Random features and least squares make a driver in a second, that drives on other circuits too."""
     hidden = (48,)
-    x, y = (
-        np.concatenate(part)
-        for part in zip(*(lessons(load_track(name)) for name in ("Larkmoor", "Pipkin")), strict=True)
-    )
+    examples = [lessons(load_track(name)) for name in ("Larkmoor", "Pipkin")]
+    x, y = (np.concatenate(part) for part in zip(*examples, strict=True))
     rng = np.random.default_rng(0)
     first = rng.normal(0.0, 0.8, (hidden[0], len(INPUTS) + 1))
     features = np.column_stack([np.tanh(x @ first[:, :-1].T + first[:, -1]), np.ones(len(x))])

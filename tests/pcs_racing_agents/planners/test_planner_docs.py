@@ -1,0 +1,69 @@
+"""docs/planners.md says what the code says, and its code runs."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pcs_racing import get_planner, planner
+from pcs_racing.planner import VIEW
+from pcs_racing_agents.planners import BUILT_IN
+from pcs_racing_agents.planners.network import INPUTS
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+PAGE = (REPOSITORY / "docs" / "planners.md").read_text(encoding="utf-8")
+
+
+def table(heading: str, level: str = "###") -> list[list[str]]:
+    """Cells of the first table under a heading, without its head."""
+    section = PAGE.split(f"\n{level} {heading}\n")[1].split("\n#")[0]
+    rows = [line for line in section.splitlines() if line.startswith("|")]
+    return [[cell.strip().strip("`") for cell in row.strip("|").split(" | ")] for row in rows[2:]]
+
+
+def test_the_table_of_the_view_is_the_view():
+    rows = table("The view")
+    assert {name: meaning for _, name, meaning in rows} == VIEW
+    assert [name for _, name, _ in rows] == list(VIEW)
+    assert [getattr(planner, constant) for constant, _, _ in rows] == list(range(len(VIEW)))
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_the_tables_of_parameters_are_the_parameters(name):
+    expected = [
+        [parameter.name, f"{parameter.low:g}", f"{parameter.high:g}", f"{parameter.default:g}", parameter.meaning]
+        for parameter in BUILT_IN[name].parameters
+    ]
+    assert table(name) == expected
+
+
+def test_the_table_of_network_inputs_is_the_inputs():
+    assert dict(table("A neural network", "##")) == INPUTS
+
+
+def test_every_built_in_planner_is_on_the_page_and_registered():
+    for name, built_in in BUILT_IN.items():
+        assert f"| `{name}` |" in PAGE
+        assert get_planner(name) is built_in
+
+
+def run(*command: str) -> list[str]:
+    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=REPOSITORY, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_the_pages_code_runs(tmp_path):
+    blocks = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    assert len(blocks) >= 5
+    page = tmp_path / "page.py"
+    page.write_text("\n".join([*blocks, "print(result.state.memory[0, 0].max() > 10, policy.planner.name)\n"]))
+    assert run(str(page))[-1] == "True follower"
+
+
+def test_the_example_runs():
+    rows = run("examples/custom_planner.py", "--races", "4", "--track", "Pipkin")
+    assert len(rows) == 7
+    assert rows[0].startswith("Pipkin, contest: 4 races")
