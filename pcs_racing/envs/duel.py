@@ -51,8 +51,8 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
     ## Observation Space
 
     ``Box(float32)`` with ``(moves + 1) (2 G + 2) + 1`` elements, 31 by default; ``env.unwrapped.elements`` holds name,
-    unit, bounds and meaning of each. Step 0 is the one in which the players only watch, step ``k`` follows move ``k``. "Range" means that 0 is the
-    archive's smallest and 1 its largest value.
+    unit, bounds and meaning of each. Step 0 is the one in which the players only watch, step ``k`` follows move ``k``.
+    "Range" means that 0 is the archive's smallest and 1 its largest value.
 
     | Index | Element | Unit | Low | High |
     |---|---|---|---|---|

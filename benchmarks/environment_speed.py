@@ -1,0 +1,159 @@
+"""Steps per second of the environments: batches against scalar environments, with and without a lidar, on one core.
+
+    python benchmarks/environment_speed.py [--track NAME_OR_FOLDER] [--envs 256] [--seconds 1.0]
+
+Everything is measured in one run, the variants in turn for several rounds, and the best round of each counts. Times are
+the thread's own, so other work on the machine disturbs little. All on one thread. "Control level" steps last 0.02 s, the period at which
+planners steer; the cars roll straight on at 1 m/s, and begin anew when they crash. "Both cars" adds a scan for the
+opponent to that of the agent. SuperSuit's path is measured where it is installed.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from pcs_racing import Lidar
+from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.envs.drive_vector import DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv
+from pcs_racing.envs.duel_vector import DuelVectorEnv
+
+ROUNDS = 5
+STEPS = 100  # between two looks at the clock
+
+Work = tuple[Callable[[], None], int]  # something to repeat, and the steps in it
+
+
+def drive_batch(track: str, envs: int, both: bool = False, **arguments) -> Work:
+    """Steps of a batch; it begins anew every two seconds of driving, before most cars reach a wall."""
+    env = DriveVectorEnv(envs, track=track, time_step=0.02, threads=1, **arguments)
+    env.reset(seed=0)
+    actions = np.tile(np.array([0.0, -0.75], np.float32), (envs, 1))
+    lidar = Lidar(env.track, arguments["beams"]) if both else None
+
+    def work() -> None:
+        env.reset()
+        for _ in range(STEPS):
+            env.step(actions)
+            if lidar is not None:
+                cars = env.get_state().races.cars
+                lidar.scan(cars[:, 1][:, [0, 1, 4]], cars[:, 0][:, [0, 1, 4]])
+
+    return work, STEPS * envs
+
+
+def drive_scalar(track: str, inner: bool = False, **arguments) -> Work:
+    """Steps of the scalar environment; ``inner`` leaves out all but the compiled call."""
+    env = DriveEnv(track, time_step=0.02, **arguments)
+    action = np.array([0.0, -0.75], np.float32)
+    env.reset(seed=0)
+    env.step(action)
+    batch = env._batch
+    command = np.array([[0.0, -0.75]])
+    results = (np.zeros((1, 2)), np.empty(1), np.empty(1, np.bool_), np.empty(1, np.bool_))
+    results += (np.empty((1, len(env.elements)), np.float32),)
+
+    def work() -> None:
+        env.reset()
+        for _ in range(STEPS):
+            if inner:
+                batch._step_part(command, 2, 0, 1, 0, results)
+            elif env.step(action)[2]:
+                env.reset()
+
+    return work, STEPS
+
+
+def duel_batch(track: str, envs: int) -> Work:
+    """Moves of a batch of games against random moves, with all that begins anew."""
+    env = DuelVectorEnv(envs, track=track, threads=1)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+
+    def work() -> None:
+        for _ in range(2):
+            env.step(rng.integers(0, 4, envs))
+
+    return work, 2 * envs
+
+
+def duel_scalar(track: str) -> Work:
+    """Moves of one game after the other against random moves."""
+    env = DuelEnv(track)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+
+    def work() -> None:
+        for _ in range(100):
+            if env.step(int(rng.integers(4)))[2]:
+                env.reset()
+
+    return work, 100
+
+
+def supersuit_games(track: str) -> Work:
+    """Moves of both players by way of PettingZoo and SuperSuit, counted per game."""
+    import supersuit
+
+    from pcs_racing.envs.head_to_head import parallel_env
+
+    env = supersuit.concat_vec_envs_v1(
+        supersuit.pettingzoo_env_to_vec_env_v1(parallel_env(track=track)), 8, base_class="gymnasium"
+    )
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+
+    def work() -> None:
+        for _ in range(5):
+            env.step(rng.integers(0, 4, 16))
+
+    return work, 40
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--track", default="Tarnfjord")
+    parser.add_argument("--envs", type=int, default=256, help="environments in a batch")
+    parser.add_argument("--seconds", type=float, default=1.0, help="for each variant in each round")
+    given = parser.parse_args()
+    track, envs = given.track, given.envs
+    variants = {
+        "drive, batch, pure pursuit": drive_batch(track, envs, opponent="pure-pursuit"),
+        "drive, batch, lattice": drive_batch(track, envs),
+        "drive, batch, alone": drive_batch(track, envs, opponent=None),
+        "drive, batch, pure pursuit, 108 beams": drive_batch(track, envs, opponent="pure-pursuit", beams=108),
+        "drive, batch, pure pursuit, 1080 beams": drive_batch(track, envs, opponent="pure-pursuit", beams=1080),
+        "drive, batch, both cars 1080 beams": drive_batch(track, envs, both=True, opponent="pure-pursuit", beams=1080),
+        "drive, scalar, pure pursuit": drive_scalar(track, opponent="pure-pursuit"),
+        "drive, scalar, compiled call alone": drive_scalar(track, inner=True, opponent="pure-pursuit"),
+        "drive, scalar, 1080 beams": drive_scalar(track, opponent="pure-pursuit", beams=1080),
+        "duel, batch": duel_batch(track, envs),
+        "duel, scalar": duel_scalar(track),
+    }
+    try:
+        variants["duel, SuperSuit (games)"] = supersuit_games(track)
+    except ImportError:
+        print("SuperSuit is not installed: its path is left out")
+    best = dict.fromkeys(variants, 0.0)
+    for work, _ in variants.values():
+        work()  # compiles
+    for _ in range(ROUNDS):
+        for name, (work, steps) in variants.items():
+            done, start = 0, time.thread_time()
+            while time.thread_time() - start < given.seconds:
+                work()
+                done += steps
+            best[name] = max(best[name], done / (time.thread_time() - start))
+    print(f"{track}, {envs} environments in a batch, one thread")
+    print(f"{'':42} {'steps/s':>10} {'us/step':>9} {'ratio':>7}")
+    for name, rate in best.items():
+        scalar = best["duel, scalar" if name.startswith("duel") else "drive, scalar, pure pursuit"]
+        print(f"{name:42} {rate:10.0f} {1e6 / rate:9.2f} {rate / scalar:7.2f}")
+    wrapper = 1e6 / best["drive, scalar, pure pursuit"] - 1e6 / best["drive, scalar, compiled call alone"]
+    print(f"what Gymnasium's interface adds to the compiled call: {wrapper:.1f} us a step")
+
+
+if __name__ == "__main__":
+    main()

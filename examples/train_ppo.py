@@ -1,0 +1,154 @@
+"""Train PPO on the game of moves against an opponent, and draw its learning curve.
+
+    python examples/train_ppo.py
+    python examples/train_ppo.py --steps 100000 --games 1000
+    python examples/train_ppo.py --steps 100000 --opponent never-switch --race contest
+
+It prints how the trained player does against the opponent beside players that never look at the race, all in the same
+games, and writes learning_curve.png and the model. The default is a look at how it works, in less than a minute.
+"""
+
+import argparse
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+
+from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.sb3 import make_sb3_vec_env
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What can be chosen on the command line."""
+
+    steps: int = 10_000
+    """moves to learn from"""
+    track: str = "Tarnfjord"
+    """name of a shipped circuit or a map folder"""
+    race: str = "paper"
+    """rules of the race: paper, contest or a YAML file"""
+    opponent: str = "random-moves"
+    """random-moves, never-switch, always-<move>, or a driver such as lane-switcher:3"""
+    envs: int = 64
+    """games that are played at once"""
+    learning_rate: float = 1e-3
+    """step size of the optimiser"""
+    games: int = 300
+    """games in which the trained player is measured"""
+    seed: int = 0
+    """root of everything random"""
+    out: Path = Path("out/train_ppo")
+    """folder for learning_curve.png and model.zip"""
+
+
+class Curve(BaseCallback):
+    """Keeps the return of every game and the step at which it ended."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.steps: list[int] = []
+        self.returns: list[float] = []
+
+    def _on_step(self) -> bool:
+        for info in self.locals["infos"]:
+            if "episode" in info:
+                self.steps.append(self.num_timesteps)
+                self.returns.append(info["episode"]["r"])
+        return True
+
+
+def main() -> None:
+    arguments = parse(Arguments)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    game = {"track": arguments.track, "race": arguments.race, "opponent": arguments.opponent}
+    envs = make_sb3_vec_env("duel", arguments.envs, **game)
+    model = PPO(
+        "MlpPolicy",
+        envs,
+        seed=arguments.seed,
+        learning_rate=arguments.learning_rate,
+        n_steps=max(8, 2048 // arguments.envs),
+        batch_size=512,
+        gamma=1.0,  # a game has four moves: nothing needs discounting
+        ent_coef=0.01,
+        policy_kwargs={"net_arch": [64, 64]},
+        device="cpu",
+    )
+    curve = Curve()
+    model.learn(arguments.steps, callback=curve)
+    model.save(arguments.out / "model.zip")
+
+    print(f"against {arguments.opponent} on {arguments.track}, rules {arguments.race}, {arguments.games} games each:")
+    print(f"{'player':28} {'utility':>8} {'+-':>6} {'won':>6} {'crashed':>8}")
+    constant = {f"always {name}": move for move, name in enumerate(envs.envs.game.move_names)}
+    rng = np.random.default_rng(arguments.seed)
+    moves = len(constant)
+    players = {
+        "PPO": lambda seen: model.predict(seen, deterministic=True)[0],
+        "random moves": lambda seen: rng.integers(moves, size=len(seen)),
+        **{name: lambda seen, move=move: np.full(len(seen), move) for name, move in constant.items()},
+    }
+    means = {}
+    for name, player in players.items():
+        returns, results = measure(player, arguments, game)
+        means[name] = returns.mean()
+        error = returns.std() / np.sqrt(len(returns))
+        print(
+            f"{name:28} {returns.mean():8.2f} {error:6.2f} {np.mean(results == 'win'):6.1%} "
+            f"{np.mean(results == 'crash'):8.1%}"
+        )
+    draw(curve, means, arguments)
+    print(f"{arguments.out / 'learning_curve.png'}")
+
+
+def measure(player, arguments: Arguments, game: dict) -> tuple[np.ndarray, np.ndarray]:
+    """Returns and results of the first game of each of many environments: the same starts for every player."""
+    envs = DuelVectorEnv(arguments.games, **game)
+    seen, _ = envs.reset(seed=1_000_000 + arguments.seed)
+    returns, results = np.zeros(arguments.games), np.full(arguments.games, "", dtype="<U5")
+    going = np.ones(arguments.games, bool)
+    while going.any():
+        seen, rewards, done, _, info = envs.step(player(seen))
+        ended = going & done
+        returns[ended] = rewards[ended]
+        if ended.any():
+            results[ended] = info["final_info"]["result"][ended]
+        going &= ~done
+    return returns, results
+
+
+def draw(curve: Curve, means: dict[str, float], arguments: Arguments) -> None:
+    """The mean return of the games of each of up to fifty stretches of training, and the level of others."""
+    steps, returns = np.array(curve.steps), np.array(curve.returns)
+    parts = np.array_split(np.arange(len(steps)), min(50, max(1, len(steps) // 50)))
+    at = [steps[part].mean() for part in parts]
+    mean = np.array([returns[part].mean() for part in parts])
+    error = np.array([returns[part].std() / np.sqrt(len(part)) for part in parts])
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    axes = figure.subplots()
+    axes.fill_between(at, mean - error, mean + error, alpha=0.25, linewidth=0, color="tab:blue")
+    axes.plot(at, mean, color="tab:blue", label="PPO while it learns (mean, standard error)")
+    axes.axhline(means["PPO"], color="tab:blue", linestyle="--", label="PPO, trained, its best moves")
+    best = max((name for name in means if name.startswith("always")), key=means.__getitem__)
+    axes.axhline(means[best], color="tab:orange", linestyle="--", label=best)
+    axes.axhline(means["random moves"], color="gray", linestyle=":", label="random moves")
+    axes.set_title(f"Duel on {arguments.track} against {arguments.opponent}")
+    axes.set(xlabel="moves", ylabel="utility of a game")
+    axes.legend(frameon=False)
+    figure.savefig(arguments.out / "learning_curve.png", dpi=120)
+
+
+def parse(kind: type[Arguments]) -> Arguments:
+    """Turn every field of the arguments into an option, its default and type taken from the field."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for field in fields(kind):
+        parser.add_argument(f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default)
+    return kind(**vars(parser.parse_args()))
+
+
+if __name__ == "__main__":
+    main()
