@@ -20,7 +20,7 @@ from pcs_racing.errors import InputError
 from pcs_racing.game_config import UTILITIES, GameConfig, load_game_config
 from pcs_racing.game_state import GameState, empty_game, join_games, load_game, put_games, save_game, take_games
 from pcs_racing.planner import Planner, Policy
-from pcs_racing.race import RaceResult, RaceSetup, Starts, advance, race_seeds, start_lines, start_races
+from pcs_racing.race import RaceSetup, Starts, advance, race_seeds, start_lines, start_races, winners
 from pcs_racing.race_config import RaceConfig
 from pcs_racing.registry import get_planner
 from pcs_racing.track import Track, load_track
@@ -325,8 +325,7 @@ class RaceGame:
 
     def winner(self, state: GameState) -> NDArray[np.int8]:
         """The car that won (0 or 1), shape (B,); -1 for a tie, a crash that pays nobody, and while a game goes on."""
-        nowhere = Starts(np.zeros(state.games), np.zeros(state.games, np.int64))  # where it began has no say
-        ahead = RaceResult(self.setup.config, state.race, nowhere).winner
+        ahead = winners(self.setup.config, state.race)
         return np.where(self.done(state), ahead, -1).astype(np.int8)
 
     def observation(self, state: GameState) -> NDArray[np.float32]:

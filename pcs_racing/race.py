@@ -3,8 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +19,19 @@ from pcs_racing.race_state import RaceState, concatenate, empty_state, take
 from pcs_racing.track import Track
 from pcs_racing.vehicle import F1TENTH, VehicleParams
 
-__all__ = ["RaceResult", "RaceSetup", "Starts", "advance", "draw_starts", "run_races", "start_races"]
+__all__ = [
+    "RaceResult",
+    "RaceSetup",
+    "Starts",
+    "advance",
+    "draw_starts",
+    "pad_parameters",
+    "race_seeds",
+    "run_races",
+    "start_lines",
+    "start_races",
+    "winners",
+]
 
 DEFAULT_SPEED_RANGE = {"paper": (0.80, 1.0), "contest": (0.90, 1.14)}
 TIE_WITHIN = 0.01  # m of lead
@@ -375,14 +386,8 @@ class RaceResult:
 
     @property
     def winner(self) -> NDArray[np.int8]:
-        """The car that won, 0 or 1, or -1 for a tie and for a crash that pays nobody, shape (B,)."""
-        ahead = np.where(self.lead > TIE_WITHIN, 0, np.where(self.lead < -TIE_WITHIN, 1, -1))
-        if self.config.crash_rule == "nobody":
-            after_crash = np.full(len(ahead), -1)
-        else:
-            fault = self.state.fault
-            after_crash = np.where(fault[:, 0] == fault[:, 1], -1, np.where(fault[:, 0] == 1, 1, 0))
-        return np.where(self.crashed, after_crash, ahead).astype(np.int8)
+        """The car that won, shape (B,): see :func:`winners`."""
+        return winners(self.config, self.state)
 
     @property
     def own_crash(self) -> NDArray[np.bool_]:
@@ -393,6 +398,17 @@ class RaceResult:
     def time(self) -> NDArray[np.float64]:
         """How long each race lasted, s, shape (B,)."""
         return self.state.tick.astype(np.float64) * DT
+
+
+def winners(config: RaceConfig, state: RaceState) -> NDArray[np.int8]:
+    """The car that won each race, 0 or 1, or -1 for a tie and for a crash that pays nobody, shape (B,)."""
+    ahead = np.where(state.lead > TIE_WITHIN, 0, np.where(state.lead < -TIE_WITHIN, 1, -1))
+    if config.crash_rule == "nobody":
+        after_crash = np.full(len(ahead), -1)
+    else:
+        fault = state.fault
+        after_crash = np.where(fault[:, 0] == fault[:, 1], -1, np.where(fault[:, 0] == 1, 1, 0))
+    return np.where(state.crashed, after_crash, ahead).astype(np.int8)
 
 
 def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]:
@@ -479,10 +495,3 @@ def run_races(
 def _widen_memory(state: RaceState, size: int) -> RaceState:
     extra = size - state.memory.shape[2]
     return state._replace(memory=np.pad(state.memory, ((0, 0), (0, 0), (0, extra)))) if extra else state
-
-
-def with_vehicle(setup: RaceSetup, car: int, vehicle: VehicleParams) -> RaceSetup:
-    """Return the setup with another vehicle for one car."""
-    vehicles: list[Any] = list(setup.vehicles)
-    vehicles[car] = vehicle
-    return replace(setup, vehicles=(vehicles[0], vehicles[1]))

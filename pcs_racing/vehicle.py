@@ -12,7 +12,7 @@ References
    single-track model with load transfer.
 """
 
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -98,7 +98,7 @@ class VehicleParams:
 
     def as_row(self) -> NDArray[np.float64]:
         """Return the parameters as the row of numbers that compiled code reads, shape (16,)."""
-        return np.array(astuple(self), dtype=np.float64)
+        return np.array([getattr(self, field.name) for field in fields(self)], dtype=np.float64)
 
 
 F1TENTH = VehicleParams()

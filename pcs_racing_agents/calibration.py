@@ -23,7 +23,7 @@ __all__ = ["CalibrationReport", "calibrate", "hazard_scan"]
 
 SCALES = tuple(np.round(np.arange(0.60, 1.301, 0.05), 2).tolist())
 HAZARD_WITHOUT_NOISE, BELOW_IT, WIDTH_WITHOUT_NOISE = 0.01, 0.09, 0.20
-HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.38, 0.32
+HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.45, 0.32
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def calibrate(
     below the scale
     at which a car alone begins to crash, pace 0 another 0.20 below. With noise (``contest``) pace 1 is the scale at
     which a
-    car alone crashes in 38 % of 40 s, and pace 0 lies 0.32 below.
+    car alone crashes in 45 % of 40 s, and pace 0 lies 0.32 below.
 
     Raises
     ------
