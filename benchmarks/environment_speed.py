@@ -2,10 +2,10 @@
 
     python benchmarks/environment_speed.py [--track NAME_OR_FOLDER] [--envs 256] [--seconds 1.0]
 
-Everything is measured in one run, the variants in turn for several rounds, and the best round of each counts. Times are
-the thread's own, so other work on the machine disturbs little. All on one thread. "Control level" steps last 0.02 s, the period at which
-planners steer; the cars roll straight on at 1 m/s, and begin anew when they crash. "Both cars" adds a scan for the
-opponent to that of the agent. SuperSuit's path is measured where it is installed.
+Everything is measured in one run, the variants in turn for several rounds, and the best round of each counts. Times
+are the thread's own, so other work on the machine disturbs little. All on one thread. "Control level" steps last 0.02
+s, the period at which planners steer; the cars roll straight on at 1 m/s, and begin anew when they crash. "Both cars"
+adds a scan for the opponent to that of the agent. SuperSuit's path is measured where it is installed.
 """
 
 import argparse

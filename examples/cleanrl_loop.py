@@ -1,0 +1,185 @@
+"""Learn to steer in one file, in the manner of CleanRL: PPO's loop over the vector environment, nothing hidden.
+
+    python examples/cleanrl_loop.py
+    python examples/cleanrl_loop.py --steps 3000000 --opponent lattice:pace=0.3
+
+The car learns to drive alone (default), or against a planner. It prints a line for every tenth of the training, then
+drives ten episodes with the policy's mean. Run with gymnasium 1.4.0 and torch 2.13.0.
+"""
+
+import argparse
+from dataclasses import dataclass, fields
+
+import gymnasium as gym
+import numpy as np
+import torch
+from torch import nn
+from torch.distributions import Normal
+
+import pcs_racing  # noqa: F401  registers the environments
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What can be chosen on the command line."""
+
+    steps: int = 400_000
+    """steps to learn from"""
+    track: str = "Tarnfjord"
+    """name of a shipped circuit or a map folder"""
+    opponent: str = "none"
+    """none, or a planner's policy such as lattice:pace=0.3"""
+    envs: int = 64
+    """races side by side"""
+    rollout: int = 64
+    """steps of each race between two updates"""
+    epochs: int = 5
+    """passes over a rollout"""
+    minibatches: int = 8
+    """parts of a pass"""
+    learning_rate: float = 1e-3
+    """step size of the optimiser, falling to 0"""
+    gamma: float = 0.99
+    """discount per step of 0.1 s"""
+    gae_lambda: float = 0.95
+    """decay of the advantage estimates"""
+    clip: float = 0.2
+    """how far the policy may move from the one that drove"""
+    entropy: float = 0.0
+    """weight of the entropy"""
+    seed: int = 0
+    """root of everything random"""
+
+
+class Agent(nn.Module):
+    """Mean and spread of the action, and the value of the state."""
+
+    def __init__(self, observations: int, actions: int) -> None:
+        super().__init__()
+        self.mean = network(observations, actions, 0.01)
+        self.value = network(observations, 1, 1.0)
+        self.log_spread = nn.Parameter(torch.full((actions,), -0.5))
+
+    def action(self, seen: torch.Tensor) -> Normal:
+        """What it would do, and how surely."""
+        return Normal(self.mean(seen), self.log_spread.exp())
+
+
+def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for size_in, size_out, scale in ((inputs, 64, 2**0.5), (64, 64, 2**0.5), (64, outputs, gain)):
+        layer = nn.Linear(size_in, size_out)
+        nn.init.orthogonal_(layer.weight, scale)
+        nn.init.zeros_(layer.bias)
+        layers += [layer, nn.Tanh()]
+    return nn.Sequential(*layers[:-1])
+
+
+def main() -> None:
+    a = parse(Arguments)
+    torch.manual_seed(a.seed)
+    torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
+    opponent = None if a.opponent == "none" else a.opponent
+    envs = gym.make_vec("pcs_racing/Drive-v0", num_envs=a.envs, track=a.track, opponent=opponent, normalize=True)
+    size, actions = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+    agent = Agent(size, actions)
+    optimiser = torch.optim.Adam(agent.parameters(), lr=a.learning_rate, eps=1e-5)
+    # The bounds are wide: most elements move in a small part of [-1, 1]. A running scale spreads them.
+    scale = RunningScale(size)
+    seen = torch.as_tensor(envs.reset(seed=a.seed)[0])
+    updates = max(1, a.steps // (a.envs * a.rollout))
+    ended: list[tuple[float, bool]] = []  # progress and crash of the episodes since the last line
+    for update in range(updates):
+        optimiser.param_groups[0]["lr"] = a.learning_rate * (1.0 - update / updates)
+        rows = (a.rollout, a.envs)
+        states, moves = torch.zeros((*rows, size)), torch.zeros((*rows, actions))
+        log_probs, rewards, values = torch.zeros(rows), torch.zeros(rows), torch.zeros((a.rollout + 1, a.envs))
+        dones, beyond = torch.zeros(rows), torch.zeros(rows)
+        for t in range(a.rollout):
+            with torch.no_grad():
+                states[t] = scale(seen, learn=True)
+                action = agent.action(states[t])
+                moves[t] = action.sample()
+                log_probs[t] = action.log_prob(moves[t]).sum(-1)
+                values[t] = agent.value(states[t]).squeeze(-1)
+            observation, reward, terminated, truncated, info = envs.step(moves[t].numpy())
+            seen, rewards[t] = torch.as_tensor(observation), torch.as_tensor(reward, dtype=torch.float32)
+            done = terminated | truncated
+            dones[t] = torch.as_tensor(done, dtype=torch.float32)
+            for i in np.flatnonzero(done):
+                ended.append((info["final_info"]["progress"][i], terminated[i]))
+                if truncated[i]:  # cut off by the clock: what would have come counts
+                    with torch.no_grad():
+                        beyond[t, i] = agent.value(scale(torch.as_tensor(info["final_obs"][i])))[0]
+        with torch.no_grad():
+            values[-1] = agent.value(scale(seen)).squeeze(-1)
+        advantages, last = torch.zeros(rows), torch.zeros(a.envs)
+        for t in reversed(range(a.rollout)):
+            going = 1.0 - dones[t]
+            error = rewards[t] + a.gamma * (going * values[t + 1] + beyond[t]) - values[t]
+            last = error + a.gamma * a.gae_lambda * going * last
+            advantages[t] = last
+        returns = advantages + values[:-1]
+        flat = [x.reshape(a.rollout * a.envs, -1).squeeze(-1) for x in (states, moves, log_probs, advantages, returns)]
+        for _ in range(a.epochs):
+            for part in torch.randperm(a.rollout * a.envs).chunk(a.minibatches):
+                s, m, old, advantage, target = (x[part] for x in flat)
+                action = agent.action(s)
+                ratio = (action.log_prob(m).sum(-1) - old).exp()
+                advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+                gain = torch.min(ratio * advantage, ratio.clamp(1 - a.clip, 1 + a.clip) * advantage).mean()
+                value_loss = (agent.value(s).squeeze(-1) - target).pow(2).mean()
+                loss = -gain + 0.5 * value_loss - a.entropy * action.entropy().sum(-1).mean()
+                optimiser.zero_grad()
+                loss.backward()
+                nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
+                optimiser.step()
+        if (update + 1) % max(1, updates // 10) == 0 and ended:
+            progress, crashes = np.mean(ended, axis=0)
+            steps = (update + 1) * a.envs * a.rollout
+            print(f"{steps:9d} steps: {progress:6.1f} m an episode, {crashes:5.1%} end in a crash", flush=True)
+            ended.clear()
+    drive(agent, scale, a, opponent)
+
+
+def drive(agent: Agent, scale: "RunningScale", a: Arguments, opponent: str | None) -> None:
+    """Ten episodes with the mean of the policy."""
+    env = gym.make("pcs_racing/Drive-v0", track=a.track, opponent=opponent, normalize=True)
+    for episode in range(10):
+        seen, _ = env.reset(seed=1_000_000 + episode)
+        over = False
+        while not over:
+            with torch.no_grad():
+                move = agent.mean(scale(torch.as_tensor(seen))).numpy()
+            seen, _, terminated, truncated, info = env.step(np.clip(move, -1.0, 1.0))
+            over = terminated or truncated
+        print(f"episode {episode}: {info['progress']:6.1f} m in {info['time']:4.1f} s, crash: {info['crash']}")
+
+
+class RunningScale:
+    """Mean and variance of all observations so far (Chan et al. 1979), to normalise with."""
+
+    def __init__(self, size: int) -> None:
+        self.mean, self.variance, self.count = torch.zeros(size), torch.ones(size), 1e-4
+
+    def __call__(self, seen: torch.Tensor, learn: bool = False) -> torch.Tensor:
+        """Normalise observations, after learning from them if asked."""
+        if learn:
+            count, total = len(seen), self.count + len(seen)
+            shift = seen.mean(0) - self.mean
+            between = shift**2 * self.count * count / total
+            self.variance = (self.variance * self.count + seen.var(0, correction=0) * count + between) / total
+            self.mean, self.count = self.mean + shift * count / total, total
+        return ((seen - self.mean) / (self.variance + 1e-8).sqrt()).clamp(-10.0, 10.0)
+
+
+def parse(kind: type[Arguments]) -> Arguments:
+    """Command-line options from the fields of a dataclass."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for field in fields(kind):
+        parser.add_argument(f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default)
+    return kind(**vars(parser.parse_args()))
+
+
+if __name__ == "__main__":
+    main()
