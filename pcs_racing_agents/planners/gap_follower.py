@@ -2,8 +2,9 @@
 
 Every point that the lidar hits grows into a bubble that the middle of the car must not enter. That gives each
 direction a free distance; the car heads for the middle of the directions whose free distance comes close to the
-longest one, no faster than it can stop within it. The race line and the opponent's state stay unused: the opponent is
-one more thing in the scan.
+longest one, leans away from what is beside it, and drives no faster than it can stop within the free distance. The
+race line and the opponent's state stay unused: the opponent is one more thing in the scan, of which the car does not
+know that it moves.
 
 References
 ----------
@@ -28,14 +29,17 @@ STEP = FIELD_OF_VIEW / (BEAMS - 1)
 PARAMETERS = (
     Parameter("bubble", 0.20, 0.45, 0.26, "radius of the bubble around every point hit, m"),
     Parameter("depth", 0.5, 0.95, 0.8, "share of the longest free distance from which a direction belongs to the gap"),
+    Parameter("side_air", 0.2, 1.2, 1.0, "distance to what is beside the car, from where on it leans away from it, m"),
     Parameter("reach", 0.7, 2.0, 1.0, "distance in which the path turns into the chosen direction, m"),
     Parameter("top_speed", 2.0, 8.0, 6.0, "speed never exceeded, m/s"),
     Parameter("braking", 1.0, 6.0, 3.0, "braking with which the car could stop within the free distance, m/s^2"),
     Parameter("lateral", 1.0, 6.0, 4.0, "lateral acceleration that limits the speed in a bend, m/s^2"),
 )
-BUBBLE, DEPTH, REACH, TOP_SPEED, BRAKING, LATERAL = range(len(PARAMETERS))
+BUBBLE, DEPTH, SIDE_AIR, REACH, TOP_SPEED, BRAKING, LATERAL = range(len(PARAMETERS))
 
 SLOWEST = 1.0  # m/s, to creep out of a dead end
+SIDE_BEAMS = BEAMS // 6  # the outer 30 degrees on each side
+LEAN = 0.4  # rad per metre that a side is too near
 _ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 _COS = np.cos(_ANGLES)
 _SIN = np.sin(_ANGLES)
@@ -85,6 +89,17 @@ def widest_gap(free, depth):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def lean(ranges, side_air):  # type: ignore[no-untyped-def]
+    """Angle (rad, positive to the left) by which to turn away from what is beside the car, such as another car."""
+    right = side_air
+    left = side_air
+    for k in range(SIDE_BEAMS):
+        right = min(right, ranges[k])
+        left = min(left, ranges[BEAMS - 1 - k])
+    return LEAN * (left - right)
+
+
+@compiled
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
     """Scan, choose a direction and write the arc that turns into it."""
     x0 = view[_view.OWN_X]
@@ -110,6 +125,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     )
     free_distances(ranges, theta[BUBBLE], free)
     angle, longest = widest_gap(free, theta[DEPTH])
+    angle += lean(ranges, theta[SIDE_AIR])
     reach = theta[REACH]
     tightest = np.tan(view[_view.STEER_MAX]) / view[_view.WHEELBASE]
     kappa = min(max(2.0 * np.sin(angle) / reach, -tightest), tightest)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from pcs_racing import Lidar, list_tracks, load_track
 from pcs_racing.planner import PATH_POINTS
 from pcs_racing_agents.planners import GAP_FOLLOWER
-from pcs_racing_agents.planners.gap_follower import BEAMS, FIELD_OF_VIEW, MAX_RANGE, free_distances, widest_gap
+from pcs_racing_agents.planners.gap_follower import BEAMS, FIELD_OF_VIEW, MAX_RANGE, free_distances, lean, widest_gap
 
 ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 
@@ -64,6 +64,18 @@ def test_the_middle_of_the_widest_gap():
     # Nothing but free: straight on.
     angle, longest = widest_gap(np.full(BEAMS, 12.0), 0.8)
     assert angle == pytest.approx(0.0, abs=1e-9)
+
+
+def test_it_leans_away_from_what_is_beside_it():
+    ranges = np.full(BEAMS, 5.0)
+    assert lean(ranges, 1.0) == 0.0
+    ranges[3] = 0.5  # the first beams point to the right
+    assert lean(ranges, 1.0) > 0.0
+    assert lean(ranges, 0.4) == 0.0
+    ranges[-4] = 0.3
+    assert lean(ranges, 1.0) < 0.0
+    ranges[BEAMS // 2] = 0.1  # straight ahead is not beside
+    assert lean(ranges, 0.25) == 0.0
 
 
 def test_it_sees_what_the_lidar_sees(oval, view_at):
