@@ -36,8 +36,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function as :func:`compiled` does, but without counting references to its arrays.
 
     Only for functions that neither allocate nor return arrays (allocating in one is an error when it is compiled).
-    Counting
-    costs about 10 ns for each array argument and field, more than many of these functions do.
+    Counting costs about 10 ns for each array argument and field, more than many of these functions do.
 
     Parameters
     ----------

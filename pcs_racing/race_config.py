@@ -140,8 +140,7 @@ def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceCon
     """Return a race configuration from a preset's name, a YAML file or a configuration, with some fields changed.
 
     A YAML file is a mapping of the fields of :class:`RaceConfig`; a field that is absent takes the default, and
-    ``preset``
-    names the preset that the defaults come from.
+    ``preset`` names the preset that the defaults come from.
 
     Raises
     ------

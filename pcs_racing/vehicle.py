@@ -1,9 +1,8 @@
 """The single-track vehicle model of CommonRoad [1]_ and the controllers that turn commands into its inputs.
 
-A vehicle's state is a row of seven numbers: x, y (m), steering angle delta (rad), speed v (m/s), heading psi (rad), yaw
-rate psi_dot (rad/s) and slip angle beta (rad), all at the centre of gravity. Its inputs are the steering rate (rad/s)
-and
-the longitudinal acceleration (m/s^2).
+A vehicle's state is a row of seven numbers: x, y (m), steering angle delta (rad), speed v (m/s), heading psi (rad),
+yaw rate psi_dot (rad/s) and slip angle beta (rad), all at the centre of gravity. Its inputs are the steering rate
+(rad/s) and the longitudinal acceleration (m/s^2).
 
 References
 ----------
@@ -311,9 +310,8 @@ def simulate(
         ``"rates"``: steering rate (rad/s) and acceleration (m/s^2). Otherwise: target steering angle (rad) and speed
         (m/s).
     control_mode : {"target", "rates", "f1tenth_gym"}
-        ``"target"`` steers at full rate and arrives without overshoot; ``"f1tenth_gym"`` reproduces the controllers
-        of that
-        simulator, its two-step steering delay included.
+        ``"target"`` steers at full rate and arrives without overshoot; ``"f1tenth_gym"`` reproduces the controllers of
+        that simulator, its two-step steering delay included.
     dt : float
         Length of a step in s, in (0, 0.05].
     params : VehicleParams or list of B VehicleParams

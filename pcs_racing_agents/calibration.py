@@ -130,11 +130,9 @@ def calibrate(
 ) -> CalibrationReport:
     """Find the speed range of a circuit for a race configuration.
 
-    Without steering noise (preset ``paper``) the hazard is a step, and racing needs room to it: pace 1 lies 0.09
-    below the scale
-    at which a car alone begins to crash, pace 0 another 0.20 below. With noise (``contest``) pace 1 is the scale at
-    which a
-    car alone crashes in 45 % of 40 s, and pace 0 lies 0.32 below.
+    Without steering noise (preset ``paper``) the hazard is a step, and racing needs room to it: pace 1 lies 0.09 below
+    the scale at which a car alone begins to crash, pace 0 another 0.20 below. With noise (``contest``) pace 1 is the
+    scale at which a car alone crashes in 45 % of 40 s, and pace 0 lies 0.32 below.
 
     Raises
     ------

@@ -1,12 +1,10 @@
 """The lattice planner of the paper: spirals to a lattice of goals, each at several speeds, chosen by a weighted cost.
 
-Ten times a second the planner lays a lattice of goals around the race line ahead (two distances, eight positions
-across the
-track), joins each to the car by a cubic spiral, and drives each spiral at four speeds: 64 candidates. A candidate
-that leaves
-the track or meets the predicted opponent is rejected; of the others the one with the smallest weighted sum of costs
-wins. The
-weights, on a log scale, and a few traits (pace, late braking, side margin) are the parameters of the policy.
+Ten times a second the planner lays a lattice of goals around the race line ahead (two distances, eight positions across
+the track), joins each to the car by a cubic spiral, and drives each spiral at four speeds: 64 candidates. A candidate
+that leaves the track or meets the predicted opponent is rejected; of the others the one with the smallest weighted sum
+of costs wins. The weights, on a log scale, and a few traits (pace, late braking, side margin) are the parameters of the
+policy. Of two cars side by side the one ahead has the right of way; the other one gives it room.
 """
 
 import numpy as np
@@ -90,13 +88,13 @@ _M_VALID, _M_S, _M_D, _M_SLOPE, _M_LENGTH, _M_GOAL = range(6)
 MEMORY = 6
 
 # Rows of the scratch after the spirals' own block, each GOALS wide: position across the track, nearness to walls,
-# least air
-# beside a wall, cost whatever the speed; trouble, proximity and cost at the speed under study; then all costs.
+# least air beside a wall, cost whatever the speed; trouble, proximity and cost at the speed under study; then all
+# costs.
 _GOAL_D, _PER_LENGTH, _WALL_COST, _MIN_AIR, _BASE, _TROUBLE, _PROXIMITY, _COST, _ALL_COSTS = (
     spiral.BLOCK + GOALS * k for k in range(9)
 )
-# Predictions: own arc lengths and speeds at each speed profile, the opponent's arc length and position across the
-# track.
+# Predictions: own arc lengths and speeds at each speed profile and the room across the track; the opponent's arc length
+# and position across the track.
 _OWN_S = _ALL_COSTS + SPEEDS * GOALS
 _OWN_V = _OWN_S + SPEEDS * HORIZON_STEPS
 _OWN_LOW = _OWN_V + SPEEDS * HORIZON_STEPS
@@ -116,19 +114,19 @@ def _near(v):  # type: ignore[no-untyped-def]
 
 @kernel(inline="always")
 def _sample_at(line, ds, s):  # type: ignore[no-untyped-def]
-    """Index of the line's sample at an arc length in (-length, 2 length)."""
+    """Index of the line's sample at an arc length above -length; a few laps more do no harm."""
     n = line.shape[0]
     i = int(s / ds + n) - n
     if i < 0:
         i += n
-    elif i >= n:
+    while i >= n:
         i -= n
     return i
 
 
 @kernel(inline="always")
 def _speed_at(line, ds, s):  # type: ignore[no-untyped-def]
-    """Speed of the profile at an arc length in (-length, 2 length)."""
+    """Speed of the profile at an arc length above -length."""
     return line[_sample_at(line, ds, s), _frenet.SPEED]
 
 
@@ -239,8 +237,7 @@ def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side
         driven = scratch[_OWN_S + f * HORIZON_STEPS + k] - s0
         gap = abs(scratch[_OWN_S + f * HORIZON_STEPS + k] - scratch[_OPP_S + k])
         opp_d = scratch[_OPP_D + k]
-        # A driver who must give way foresees where the track will push it sideways; one who has the right of way does
-        # not.
+        # A driver who must give way foresees where the track will push it sideways.
         low = scratch[_OWN_LOW + f * HORIZON_STEPS + k] if gives_way else -100.0
         high = scratch[_OWN_HIGH + f * HORIZON_STEPS + k] if gives_way else 100.0
         long_air = max(gap - long_reach, 0.0)

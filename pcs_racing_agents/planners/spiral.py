@@ -1,14 +1,12 @@
 """Cubic curvature spirals: smooth paths from a pose to a goal pose, curvature matched at both ends [1]_.
 
 Along the path, u in [0, 1], the curvature is the cubic through p0, p1, p2, p3 at u = 0, 1/3, 2/3, 1. With the end
-heading
-eliminated, two unknowns are left: the length and ``w = length (p1 - p2)``. In them the heading is linear, so that
-Newton's
-method needs one sine and cosine per quadrature node and a 2 x 2 solve; three rounds do.
+heading eliminated, two unknowns are left: the length and ``w = length (p1 - p2)``. In them the heading is linear, so
+that Newton's method needs one sine and cosine per quadrature node and a 2 x 2 solve; three rounds do.
 
 A *block* is a flat array of rows, one number per spiral in each row. The number of spirals is fixed when the code is
-compiled:
-with known distances between rows the compiler proves that they do not overlap, and uses vector instructions throughout.
+compiled: with known distances between rows the compiler proves that they do not overlap, and uses vector instructions
+throughout.
 
 References
 ----------
