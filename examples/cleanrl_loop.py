@@ -23,7 +23,7 @@ import pcs_racing  # noqa: F401  registers the environments
 class Arguments:
     """What can be chosen on the command line."""
 
-    steps: int = 400_000
+    steps: int = 150_000
     """steps to learn from"""
     track: str = "Tarnfjord"
     """name of a shipped circuit or a map folder"""
