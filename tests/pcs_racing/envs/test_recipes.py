@@ -1,0 +1,74 @@
+"""Every block of docs/recipes.md that is not marked "not run" runs, and so do the examples that it names."""
+
+import ast
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+PAGE = (REPOSITORY / "docs" / "recipes.md").read_text(encoding="utf-8")
+NOT_RUN = "<!-- not run -->\n"
+
+
+def blocks():
+    """Heading, code and whether it can run here, of every Python block."""
+    for section in PAGE.split("\n## ")[1:]:
+        heading = section.partition("\n")[0]
+        found = re.finditer(rf"({NOT_RUN})?```python\n(.*?)```", section, re.DOTALL)
+        for number, match in enumerate(found):
+            yield pytest.param(match[2], match[1] is None, section, id=f"{heading} {number}")
+
+
+def need_imports(code):
+    """Skip if a library that the code imports is not installed."""
+    for node in ast.walk(ast.parse(code)):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom):
+            names = [node.module]
+        for name in (name.partition(".")[0] for name in names):
+            if importlib.util.find_spec(name) is None:
+                pytest.skip(f"{name} is not installed")
+
+
+def run(*arguments):
+    """Run Python in a new process; return what it printed."""
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=REPOSITORY, capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize(("code", "runs", "section"), list(blocks()))
+def test_blocks_run_as_they_stand(code, runs, section):
+    tree = compile(code, "docs/recipes.md", "exec")
+    if not runs:
+        assert "**Not run here**, because" in section
+        return
+    need_imports(code)
+    exec(tree, {"__name__": "recipe"})
+
+
+def test_named_scripts_exist():
+    scripts = set(re.findall(r"(?:examples|benchmarks)/\w+\.py", PAGE))
+    assert "examples/torchrl_rollout.py" in scripts
+    assert all((REPOSITORY / script).is_file() for script in scripts)
+
+
+def test_torchrl_example_plays_and_learns():
+    need_imports("import torchrl, tensordict")
+    printed = run("examples/torchrl_rollout.py", "--updates", "1", "--games", "2")
+    assert "duel, update 0: " in printed
+    assert "the cars' rewards add up to 0.0" in printed
+
+
+def test_torchrl_example_says_what_is_missing():
+    need_imports("import torch")
+    hide = "import runpy, sys; sys.modules['tensordict'] = None; sys.argv = sys.argv[1:]; "
+    printed = run("-c", hide + "runpy.run_path(sys.argv[0], run_name='__main__')", "examples/torchrl_rollout.py")
+    assert printed.startswith("skipped: TorchRL can't be imported")
+    assert len(printed.splitlines()) == 1
