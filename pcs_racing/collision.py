@@ -135,7 +135,7 @@ def hits_wall(  # type: ignore[no-untyped-def]
     half_length,
     half_width,
 ):
-    """Do the work of `car_hits_wall`, on single arrays: branches beside a whole track cost more than the test
+    """Do the work of `car_hits_wall`, on single arrays: handing on a whole track costs more than the test
     itself.
     """
     per_cell = 1.0 / cell
