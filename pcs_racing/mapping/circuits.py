@@ -255,7 +255,7 @@ def _draft(
     if not shortest <= samples.length <= longest:
         return None, "of the wrong length"
     # Judged as a reader sees it, who knows only the points.
-    if np.abs(sample_closed(samples.xy, 0.1).kappa).max() > 1.0 / least:
+    if np.abs(sample_closed(samples.xy, 0.02).kappa).max() > 1.0 / least:
         return None, "too tight"
     if not _apart(samples.xy, samples.length / len(samples.xy), width + 2.0 * WALL + 0.2):
         return None, "too close to itself"
