@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.characteristics import get_characteristics
 from pcs_racing.errors import InputError, UnknownNameError
+from pcs_racing.files import write_atomically
 from pcs_racing.planner import Planner, Policy
 from pcs_racing.registry import get_planner
-from pcs_racing.replay import write_atomically
 
 __all__ = ["PolicyArchive", "check_epsilon", "list_archives", "load_archive"]
 

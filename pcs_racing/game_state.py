@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.errors import InputError
+from pcs_racing.files import write_atomically
 from pcs_racing.race_state import RaceState, empty_state
 from pcs_racing.race_state import take as take_races
-from pcs_racing.replay import write_atomically
 
 __all__ = ["GameState", "empty_game", "join_games", "load_game", "save_game", "take_games"]
 

@@ -1,7 +1,5 @@
 """The state of a batch of races as a plain value: copy it, pick races from it, save it, restore it."""
 
-import os
-import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.errors import InputError
+from pcs_racing.files import write_atomically
 from pcs_racing.planner import PATH_COLUMNS, PATH_POINTS
 
 __all__ = ["SUMS", "RaceState", "concatenate", "empty_state", "load_state", "save_state", "take"]
@@ -134,15 +133,7 @@ def concatenate(states: list[RaceState]) -> RaceState:
 
 def save_state(state: RaceState, path: str | Path) -> None:
     """Write a state to an npz file; the file appears whole or not at all."""
-    path = Path(path)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **state._asdict())
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    write_atomically(Path(path), lambda file: np.savez_compressed(file, allow_pickle=False, **state._asdict()))
 
 
 def load_state(path: str | Path) -> RaceState:

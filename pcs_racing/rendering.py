@@ -14,9 +14,10 @@ import numpy as np
 from PIL import Image, ImageChops, ImageDraw, ImageFont
 
 from pcs_racing.errors import InputError
+from pcs_racing.files import write_atomically
 from pcs_racing.frenet import SPEED
 from pcs_racing.packing import join_segments
-from pcs_racing.replay import Replay, write_atomically
+from pcs_racing.replay import Replay
 
 if TYPE_CHECKING:
     from pcs_racing.track import Track

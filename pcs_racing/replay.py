@@ -8,16 +8,15 @@ import html
 import json
 import os
 import re
-import secrets
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from pcs_racing.errors import InputError
+from pcs_racing.files import write_atomically
 from pcs_racing.packing import (
     COARSE,
     FINE,
@@ -318,27 +317,6 @@ def read_replay(path: str | os.PathLike[str]) -> Replay:
         raise InputError(f"{path} is not a replay: {error}") from None
     except (ValueError, RecursionError):
         raise InputError(f"{path} is not a replay: its JSON is broken") from None
-
-
-def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, then put it in place: readers never see half a file.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist or ``path`` is a folder.
-    """
-    if not path.parent.is_dir():
-        raise InputError(f"can't write {path}: there is no folder {path.parent}")
-    if path.is_dir():
-        raise InputError(f"can't write {path}: it is a folder")
-    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
-    try:
-        with open(temporary, "xb") as file:
-            write(file)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 # Writing and reading JSON

@@ -17,7 +17,7 @@ from pcs_racing.race_state import RaceState
 from pcs_racing.rendering import MODES, Renderer
 from pcs_racing.track import Track
 
-__all__ = ["DriveVectorEnv", "DriveVectorState", "split_seeds"]
+__all__ = ["DriveVectorEnv", "DriveVectorState", "renewed_generators", "split_seeds"]
 
 Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
@@ -53,6 +53,16 @@ def split_seeds(seed: int | list[int | None] | None, num_envs: int) -> list[int 
         if one is not None and (isinstance(one, bool) or not isinstance(one, int | np.integer) or one < 0):
             raise InputError(f"the seed of environment {i} is {one!r}; it must be a whole number from 0, or None")
     return [None if one is None else int(one) for one in seeds]
+
+
+def renewed_generators(
+    generators: list[np.random.Generator], seed: int | list[int | None] | None, num_envs: int
+) -> list[np.random.Generator]:
+    """One generator for each environment: a fresh one where a seed is given or there was none, else the old one."""
+    seeds = split_seeds(seed, num_envs)
+    return [
+        seeding.np_random(one)[0] if not generators or one is not None else generators[i] for i, one in enumerate(seeds)
+    ]
 
 
 def with_masks(facts: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, Any]:
@@ -154,13 +164,7 @@ class DriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         options : dict, optional
             Ignored.
         """
-        seeds = split_seeds(seed, self.num_envs)
-        if not self._rngs:
-            self._rngs = [seeding.np_random(one)[0] for one in seeds]
-        else:
-            for i, one in enumerate(seeds):
-                if one is not None:
-                    self._rngs[i] = seeding.np_random(one)[0]
+        self._rngs = renewed_generators(self._rngs, seed, self.num_envs)
         rows = np.arange(self.num_envs)
         self._batch.restart(rows, self._rngs)
         out = np.empty((self.num_envs, len(self._batch.low)), np.float32)

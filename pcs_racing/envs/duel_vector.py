@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from pcs_racing.archive import PolicyArchive
-from pcs_racing.envs.drive_vector import Step, split_seeds, with_masks
+from pcs_racing.envs.drive_vector import Step, renewed_generators, with_masks
 from pcs_racing.envs.duel_batch import DuelBatch
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
@@ -116,11 +116,7 @@ class DuelVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], Any]):
         options : dict, optional
             Ignored.
         """
-        seeds = split_seeds(seed, self._batch.games)
-        fresh = not self._rngs
-        self._rngs = [
-            seeding.np_random(one)[0] if fresh or one is not None else self._rngs[i] for i, one in enumerate(seeds)
-        ]
+        self._rngs = renewed_generators(self._rngs, seed, self._batch.games)
         self._batch.restart(np.arange(self._batch.games), self._rngs)
         return self._observations(), with_masks(self._facts(), np.ones(self.num_envs, np.bool_))
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import yaml
 
 from pcs_racing.errors import InputError
+from pcs_racing.files import write_atomically
 from pcs_racing.maps import list_tracks
 from pcs_racing.race_config import load_race_config
-from pcs_racing.replay import write_atomically
 from pcs_racing.track import Track, load_track
 from pcs_racing_agents.calibration import calibrate
 from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command, add_preset, output_file

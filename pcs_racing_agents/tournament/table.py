@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.replay import write_atomically
+from pcs_racing.files import write_atomically
 from pcs_racing_agents.tournament.play import RaceRow, Tournament
 
 __all__ = ["Standing", "payoff_matrix", "standings", "tournament_text", "write_results"]
