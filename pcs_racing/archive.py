@@ -10,6 +10,7 @@ import io
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -153,6 +154,17 @@ class PolicyArchive:
         """Pickle by value (a read-only mapping can't be pickled)."""
         values = {**self.__dict__, "settings": dict(self.settings)}
         return PolicyArchive, tuple(values[key] for key in self.__dataclass_fields__)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 of all that decides how a game with this archive goes: policies and coordinates, but not its name."""
+        digest = hashlib.sha256()
+        for text in (self.planner, *self.parameter_names, *self.characteristics):
+            digest.update(f"{len(text)} {text};".encode())
+        for key in ("parameters", "coordinates", "ideal", "nadir"):
+            array = getattr(self, key)
+            digest.update(f"{key} {array.shape};".encode() + array.astype("<f8").tobytes())
+        return digest.hexdigest()
 
     # Coordinates and moves
 
