@@ -126,6 +126,8 @@ class RaceGame:
         archive's.
     threads : int, optional
         Threads to share the races of a batch; all cores by default. It does not change the result.
+    ego_planner : Planner or str, optional
+        The same for car 0 (``reset(egos=...)``).
 
     Raises
     ------
@@ -140,13 +142,17 @@ class RaceGame:
     config: GameConfig = PAPER_GAME
     opponent_planner: Planner | str | None = None
     threads: int | None = None
+    ego_planner: Planner | str | None = None
 
     def __post_init__(self) -> None:
         if self.config.characteristics is not None and self.config.characteristics != self.archive.characteristics:
             object.__setattr__(self, "archive", self.archive.project(self.config.characteristics))
         family = self.archive.family()
-        other = get_planner(self.opponent_planner) if isinstance(self.opponent_planner, str) else self.opponent_planner
-        setup = RaceSetup(self.track, self.config.race_rules, (family, other or family))
+        first, second = (
+            get_planner(planner) if isinstance(planner, str) else planner or family
+            for planner in (self.ego_planner, self.opponent_planner)
+        )
+        setup = RaceSetup(self.track, self.config.race_rules, (first, second))
         theta = np.zeros((len(self.archive), setup.theta_size))
         theta[:, : self.archive.parameters.shape[1]] = self.archive.parameters
         object.__setattr__(self, "_theta", theta)
@@ -157,7 +163,14 @@ class RaceGame:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what the game was made of, not what was derived from it."""
-        return RaceGame, (self.track, self.archive, self.config, self.opponent_planner, self.threads)
+        return RaceGame, (
+            self.track,
+            self.archive,
+            self.config,
+            self.opponent_planner,
+            self.threads,
+            self.ego_planner,
+        )
 
     def __copy__(self) -> "RaceGame":
         """Return the game itself: it never changes."""
@@ -205,6 +218,7 @@ class RaceGame:
         policies: ArrayLike | None = None,
         starts: Starts | None = None,
         opponents: Policy | Sequence[Policy | None] | None = None,
+        egos: Policy | Sequence[Policy | None] | None = None,
         redraw: bool = True,
     ) -> GameState:
         """Start a batch of games and drive the step in which the players only watch.
@@ -226,6 +240,8 @@ class RaceGame:
             Where the cars start; by default drawn out of ``config.race.start_lines`` lines and both sides.
         opponents : Policy or sequence of B (Policy or None), optional
             Drivers of car 1 from outside the archive, all of ``opponent_planner``: its moves do nothing then.
+        egos : Policy or sequence of B (Policy or None), optional
+            The same for car 0 and ``ego_planner``.
         redraw : bool
             Draw a game again (up to 20 times) if it ends by a crash before the first move. A game of which start and
             policies are given is never drawn again: it is over at once.
@@ -238,12 +254,12 @@ class RaceGame:
         keys = self._keys(seeds, games, seed)
         count = len(keys)
         chosen = self._policies(policies, count)
-        outside, theta = self._outside(opponents, count)
-        chosen[outside, 1] = OUTSIDE
+        drivers = [self._outside(car, given, count) for car, given in enumerate((egos, opponents))]
+        outside, theta = (np.stack(pair, axis=1) for pair in zip(*drivers, strict=True))
         if starts is not None and len(starts) != count:
             raise InputError(f"there are {count} games but {len(starts)} starts; give one start for each game")
-        drawn = chosen == DRAW
-        drawn[outside, 1] = False
+        drawn = (chosen == DRAW) & ~outside
+        chosen[outside] = OUTSIDE
 
         def begin(rows: Indices, attempt: int) -> GameState:
             draws = _draws(keys[rows], attempt)
@@ -397,25 +413,27 @@ class RaceGame:
         return chosen
 
     def _outside(
-        self, opponents: Policy | Sequence[Policy | None] | None, games: int
+        self, car: int, given: Policy | Sequence[Policy | None] | None, games: int
     ) -> tuple[NDArray[np.bool_], Floats]:
-        """Which games have a driver from outside in car 1, and its parameters."""
-        drivers = [opponents] * games if opponents is None or isinstance(opponents, Policy) else list(opponents)
+        """Which games have a driver from outside in a car, and its parameters."""
+        who = ("ego", "opponent")[car]
+        drivers = [given] * games if given is None or isinstance(given, Policy) else list(given)
         if len(drivers) != games:
-            raise InputError(f"there are {games} games but {len(drivers)} opponents; give one opponent for each game")
+            raise InputError(f"there are {games} games but {len(drivers)} {who}s; give one {who} for each game")
         theta = np.zeros((games, self.setup.theta_size))
-        planner = self.setup.planners[1]
+        planner = self.setup.planners[car]
+        own = planner is get_planner(self.archive.planner)
         for i, driver in enumerate(drivers):
-            if driver is None and planner is not self.setup.planners[0]:
+            if driver is None and not own:
                 raise InputError(
-                    f"game {i}: car 1 is driven by planner {planner.name!r}, which the archive holds no policy of; "
-                    "give opponents"
+                    f"game {i}: car {car} is driven by planner {planner.name!r}, which the archive holds no policy of; "
+                    f"give {who}s"
                 )
             if driver is not None and (not isinstance(driver, Policy) or driver.planner is not planner):
                 found = f"planner {driver.planner.name!r}" if isinstance(driver, Policy) else repr(driver)
                 raise InputError(
-                    f"game {i}: the opponent is of {found}; this game's car 1 takes policies of planner "
-                    f"{planner.name!r} (make the game with opponent_planner=...)"
+                    f"game {i}: the {who} is of {found}; this game's car {car} takes policies of planner "
+                    f"{planner.name!r} (make the game with {who}_planner=...)"
                 )
             if driver is not None:
                 theta[i, : len(driver.parameters)] = driver.parameters
@@ -430,7 +448,7 @@ class RaceGame:
         state = state._replace(race=start_races(setup, starts, noise))
         state.policy[:] = policy
         state.theta[:] = self._theta[policy]  # type: ignore[attr-defined]
-        state.theta[outside, 1] = theta[outside]
+        state.theta[outside] = theta[outside]
         self._drive(state, np.ones(len(policy), np.bool_))
         return state
 
@@ -456,6 +474,7 @@ def make_game(
     *,
     opponent_planner: Planner | str | None = None,
     threads: int | None = None,
+    ego_planner: Planner | str | None = None,
     **settings: Any,
 ) -> RaceGame:
     """Make a game from names.
@@ -468,7 +487,7 @@ def make_game(
         The archive, its name or its folder.
     race : GameConfig, RaceConfig, str or path
         Rules of the game; or of the race alone: a configuration, a preset's name or a YAML file.
-    opponent_planner, threads
+    opponent_planner, threads, ego_planner
         See :class:`RaceGame`.
     **settings
         Fields of :class:`GameConfig` to change.
@@ -479,7 +498,8 @@ def make_game(
         If a name is unknown or a value impossible.
     """
     circuit = track if isinstance(track, Track) else load_track(track)
-    return RaceGame(circuit, load_archive(archive), load_game_config(race, **settings), opponent_planner, threads)
+    rules = load_game_config(race, **settings)
+    return RaceGame(circuit, load_archive(archive), rules, opponent_planner, threads, ego_planner)
 
 
 def with_opponent(game: RaceGame, planner: Planner | str | None) -> RaceGame:

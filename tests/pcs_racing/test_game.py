@@ -24,7 +24,7 @@ from pcs_racing import (
 from pcs_racing.characteristics import Segment, get_characteristics, measure
 from pcs_racing.game import join_games, load_game, observation_elements, observation_table, save_game, take_games
 from pcs_racing.game_state import GameState
-from pcs_racing.race import race_seeds
+from pcs_racing.race import pad_parameters, race_seeds, start_lines
 from pcs_racing_agents.planners.lattice import LATTICE
 from pcs_racing_agents.planners.pure_pursuit import PURE_PURSUIT
 
@@ -309,6 +309,32 @@ def test_drivers_from_outside_the_archive(track):
     assert state.policy[0, 1] >= 0
     assert state.policy[1, 1] == -1
     assert_same(take_games(state, [0]), mixed.reset(1))
+
+
+def test_drivers_from_outside_in_either_car(track):
+    """Two drivers from outside: the game is the race that run_races drives, with their seats and its noise."""
+    config = GameConfig(race=CONTEST, step_seconds=0.8)
+    archive = load_archive("default")
+    game = RaceGame(track, archive, config, "lattice", ego_planner=PURE_PURSUIT)
+    egos, wild = [PURE_PURSUIT.policy({"pace": pace}) for pace in (0.2, 0.9)], archive.explored_policy(5)
+    starts = Starts(start_lines(track, game.setup.config, 3)[:2], np.array([0, 1]))
+    state = game.reset([1, 2], starts=starts, egos=egos, opponents=wild)
+    assert (state.policy == -1).all()
+    np.testing.assert_array_equal(state.own, state.estimates)
+    state = play(game, state, [(0, 0), (3, 1), (2, 2), (1, 0)])
+
+    race = start_races(game.setup, starts, state.race.seed)
+    theta = np.stack([pad_parameters(cars, game.setup.theta_size) for cars in (egos, [wild, wild])], axis=1)
+    advance(game.setup, race, theta, 400)
+    for one, other in zip(state.race, race, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+    with pytest.raises(InputError, match=r"game 0: car 0 is driven by planner 'pure-pursuit', .* give egos"):
+        game.reset(1, opponents=wild)
+    with pytest.raises(InputError, match="there are 1 games but 2 egos"):
+        game.reset(1, egos=egos)
+    with pytest.raises(InputError, match="game 0: the ego is of planner 'lattice'; this game's car 0 takes"):
+        game.reset(1, egos=wild)
 
 
 def test_masks_forbid_duplicates_only_when_asked(track, game):
