@@ -1,6 +1,6 @@
 """Recording a race: the compiled loop of :func:`pcs_racing.run_races`, stopped often enough to watch.
 
-A recorded race is the race: it ends in exactly the state that ``run_races`` gives for it.
+A recorded race is the race: it ends in exactly the state that ``run_races``, or a game, gives for it.
 """
 
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcs_racing import frenet as _frenet
 from pcs_racing.errors import InputError
 from pcs_racing.planner import COMMAND_SLOTS, PATH_SPEED, PATH_Y, VIEW_SIZE, Policy
-from pcs_racing.race import RaceResult, RaceSetup, advance, draw_starts, pad_parameters, race_seeds, start_races
+from pcs_racing.race import RaceResult, RaceSetup, Starts, advance, draw_starts, pad_parameters, race_seeds, start_races
 from pcs_racing.race_config import PAPER, RaceConfig
 from pcs_racing.race_kernel import CONTROL_EVERY, DT, PLAN_EVERY, fill_view
 from pcs_racing.race_state import ITTC, ITTC_SAMPLES, WALL_CRASH, RaceState
@@ -20,7 +20,7 @@ from pcs_racing.replay import Replay, ReplayEvent
 from pcs_racing.track import Track
 from pcs_racing.vehicle import F1TENTH, VehicleParams
 
-__all__ = ["record_race"]
+__all__ = ["record_drive", "record_race"]
 
 FRAME_EVERY = 4  # steps: 25 frames a second; the loop can be stopped after every second step
 Floats = NDArray[np.float64]
@@ -67,20 +67,67 @@ def record_race(
         raise InputError(f"index is {index!r}; it must be a whole number from 0")
     setup = RaceSetup(track, config, (ego.planner, opponent.planner), vehicles)
     start = draw_starts(track, config, int(index) + 1, seed).take([index])
-    state = start_races(setup, start, race_seeds(seed, int(index) + 1)[index:])
-    log = _drive(setup, state, pad_parameters([ego, opponent], setup.theta_size)[None], candidates)
+    theta = pad_parameters([ego, opponent], setup.theta_size)[None]
+    noise = race_seeds(seed, int(index) + 1)[index]
+    return record_drive(setup, start, noise, theta, names=(ego.name, opponent.name), candidates=candidates)
+
+
+def record_drive(
+    setup: RaceSetup,
+    start: Starts,
+    noise: np.uint64,
+    theta: Floats,
+    *,
+    names: tuple[str, str],
+    step_ticks: int | None = None,
+    candidates: bool = True,
+) -> Replay:
+    """Drive one race, whose policies may change on the way, and keep what is needed to watch it.
+
+    Parameters
+    ----------
+    setup : RaceSetup
+    start : Starts
+        Of one race.
+    noise : uint64
+        Key of its noise: what ``RaceState.seed`` holds.
+    theta : ndarray, shape (S, 2, P)
+        Parameters of both cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end.
+    names : tuple of two str
+        What the replay calls the cars.
+    step_ticks : int, optional
+        Length of a step in ticks of 0.01 s; a multiple of 10, as plans are made. Not needed for a single step.
+    candidates : bool
+        Whether to keep the paths that each planner chose from (if it can tell).
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    InputError
+        If there is more than one race, the steps have no length, or the start is impossible.
+    """
+    if len(start) != 1:
+        raise InputError(f"there are {len(start)} starts; a recording is of one race")
+    if len(theta) > 1 and (step_ticks is None or step_ticks < PLAN_EVERY or step_ticks % PLAN_EVERY):
+        raise InputError(f"step_ticks is {step_ticks!r}; it must be a multiple of {PLAN_EVERY} from {PLAN_EVERY}")
+    state = start_races(setup, start, np.array([noise], np.uint64))
+    log = _drive(setup, state, theta, step_ticks or setup.config.ticks, candidates)
+    track = setup.track
     line = track.line
     return Replay(
-        title=f"{ego.name} against {opponent.name}",
+        title=f"{names[0]} against {names[1]}",
         track_name=track.name,
-        car_names=(ego.name, opponent.name),
+        car_names=names,
         walls=track.arrays.walls,
         line=line[:, [_frenet.X, _frenet.Y]],
         line_speed=line[:, _frenet.SPEED],
         frame_dt=FRAME_EVERY * DT,
         plan_dt=PLAN_EVERY * DT,
-        half_sizes=np.array([[0.5 * car.length, 0.5 * car.width] for car in vehicles]),
-        outcome=_outcome(RaceResult(config, state, start), (ego.name, opponent.name)),
+        half_sizes=np.array([[0.5 * car.length, 0.5 * car.width] for car in setup.vehicles]),
+        outcome=_outcome(RaceResult(setup.config, state, start), names),
         cars=np.array(log.cars),
         progress=np.array(log.progress),
         ittc=np.array(log.ittc),
@@ -101,7 +148,7 @@ class _Log:
     events: list[ReplayEvent] = field(default_factory=list)
 
 
-def _drive(setup: RaceSetup, state: RaceState, theta: Floats, candidates: bool) -> _Log:
+def _drive(setup: RaceSetup, state: RaceState, steps: Floats, step_ticks: int, candidates: bool) -> _Log:
     """Drive a race to its end, in place, and write down what can be seen on the way."""
     log = _Log()
     ittc = None
@@ -114,6 +161,8 @@ def _drive(setup: RaceSetup, state: RaceState, theta: Floats, candidates: bool) 
             log.ittc.append(np.zeros(2) if ittc is None else ittc)
         if over:
             return log
+        step = min(tick // step_ticks, len(steps) - 1)
+        theta = np.ascontiguousarray(steps[step : step + 1])
         plans = tick % PLAN_EVERY == 0
         if plans and candidates:
             # Asked before the step: afterwards the planner's memory already holds this plan.

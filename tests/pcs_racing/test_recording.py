@@ -1,10 +1,24 @@
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, Parameter, Planner, VehicleParams, load_race_config, record_race, run_races
+from pcs_racing import (
+    InputError,
+    Parameter,
+    Planner,
+    RaceSetup,
+    Starts,
+    VehicleParams,
+    advance,
+    load_race_config,
+    record_race,
+    run_races,
+    start_races,
+)
 from pcs_racing.frenet import SPEED
 from pcs_racing.planner import OWN_PSI, OWN_S
+from pcs_racing.race import pad_parameters
 from pcs_racing.race_kernel import PLAN_EVERY
+from pcs_racing.recording import record_drive
 from pcs_racing_agents.planners.lattice import LATTICE
 
 PAPER = load_race_config("paper", duration=6.0)
@@ -41,6 +55,26 @@ def test_a_recorded_race_is_the_race(oval, config, kind):
         overtakes = [sum(e.kind == "overtake" and e.car == car for e in replay.events) for car in range(2)]
         np.testing.assert_array_equal(overtakes, result.state.overtakes[index])
         assert ("crash" in replay.outcome) == bool(result.crashed[index])
+
+
+def test_policies_may_change_on_the_way(oval):
+    setup = RaceSetup(oval, CONTEST, (LATTICE, LATTICE))
+    start, noise = Starts(np.array([3.0]), np.array([1])), np.array([7], np.uint64)
+    paces = [(0.3, 0.4), (0.9, 0.4), (0.9, 0.1)]
+    theta = np.stack(
+        [pad_parameters([LATTICE.policy({"pace": pace}) for pace in pair], setup.theta_size) for pair in paces]
+    )
+    state = start_races(setup, start, noise)
+    for step in range(3):
+        advance(setup, state, theta[step : step + 1], 200)
+    replay = record_drive(setup, start, noise[0], theta, names=("a", "b"), step_ticks=200, candidates=False)
+    np.testing.assert_array_equal(replay.cars[-1], state.cars[0])
+    np.testing.assert_array_equal(replay.progress[-1], state.progress[0])
+    assert replay.car_names == ("a", "b")
+    with pytest.raises(InputError, match="step_ticks is 15; it must be a multiple of 10"):
+        record_drive(setup, start, noise[0], theta, names=("a", "b"), step_ticks=15)
+    with pytest.raises(InputError, match="there are 2 starts"):
+        record_drive(setup, start.take([0, 0]), noise[0], theta, names=("a", "b"), step_ticks=200)
 
 
 def test_what_a_replay_holds(oval):
