@@ -174,7 +174,8 @@ def test_the_content_hash_says_whether_two_archives_play_the_same_game(tmp_path)
     toy = archive()
     assert archive(name="other", settings={"seed": 3}).content_hash == toy.content_hash
     assert PolicyArchive.load(toy.save(tmp_path)).content_hash == toy.content_hash
-    others = [archive(COORDINATES + 1e-9 * COORDINATES**2), archive(ideal=[11.0, 4.0]), archive(parameters=np.ones((5, 2)))]
+    moved = COORDINATES + 1e-9 * COORDINATES**2
+    others = [archive(moved), archive(ideal=[11.0, 4.0]), archive(parameters=np.ones((5, 2)))]
     others += [archive(planner="another"), toy.project(("restraint",)), toy.project(AXES[::-1])]
     assert len({other.content_hash for other in [toy, *others]}) == 7
 
