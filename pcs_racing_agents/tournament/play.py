@@ -1,8 +1,6 @@
 """All against all: every pair of policies drives the same races, each of them from both sides of the grid."""
 
-import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
@@ -12,11 +10,9 @@ from pcs_racing.planner import Policy
 from pcs_racing.race import RaceResult, draw_starts, run_races
 from pcs_racing.race_config import PAPER, RaceConfig
 from pcs_racing.track import Track
+from pcs_racing_agents.jobs import Progress, show_progress
 
 __all__ = ["Progress", "RaceRow", "Tournament", "play_tournament", "show_progress"]
-
-Progress = Callable[[int, int, str], None]
-"""``progress(done, total, what)``: called after every chunk with the number of races."""
 
 
 class RaceRow(NamedTuple):
@@ -150,30 +146,6 @@ def play_tournament(
             if progress is not None:
                 progress(len(rows), total, f"{track.name}: {ego.name} against {opponent.name}")
     return Tournament(tuple(names), tuple(t.name for t in tracks), rules, races_per_pair, seed, tuple(rows))
-
-
-def show_progress() -> Progress:
-    """Return a progress function that keeps a line on stderr up to date; plain lines where that is no terminal."""
-    begin = time.monotonic()
-    spoken = begin
-
-    def show(done: int, total: int, what: str) -> None:
-        nonlocal spoken
-        now = time.monotonic()
-        terminal = sys.stderr.isatty()
-        if not terminal and done < total and now - spoken < 2.0:
-            return
-        spoken = now
-        left = (now - begin) * (total - done) / max(done, 1)
-        ahead = f", about {left:.0f} s left: {what}" if done < total else ""
-        ahead = f", about {left:.0f} s left: {what}" if done < total else ""
-        line = f"{done}/{total} races, {now - begin:.0f} s{ahead}"
-        if terminal:
-            print(f"\r\x1b[K{line:.100}", end="" if done < total else "\n", file=sys.stderr, flush=True)
-        else:
-            print(line, file=sys.stderr, flush=True)
-
-    return show
 
 
 def _check_distinct(what: str, names: list[str], least: int) -> None:

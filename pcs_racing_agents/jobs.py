@@ -1,0 +1,270 @@
+"""The one seam for long work: tasks that run anywhere, results kept in chunk files, and a stopped job that goes on.
+
+A job is a folder. ``job.yaml`` says what is being made there, ``chunks/`` holds the result of every task done so far,
+and a lock keeps a second process out. Whoever opens the folder again with the same settings takes the work up where it
+was left, be it after Ctrl-C, a crash or ``kill -9``; the results are the same to the byte, whoever computed them:
+
+    with open_job("out/trees", "trees", {"seed": 0}) as job, make_executor("threads") as executor:
+        results = job.run("tree", build, tasks, executor=executor, progress=show_progress("trees"))
+"""
+
+import logging
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pcs_racing.errors import InputError
+from pcs_racing_agents.chunk_files import Arrays, fingerprint, read_chunk, write_chunk
+from pcs_racing_agents.executors import add_executor_options, executor_from, make_executor, tasks_in_flight
+from pcs_racing_agents.job_folders import GO_ON, JobError, claim_folder, package_version
+
+__all__ = [
+    "Arrays",
+    "Job",
+    "JobError",
+    "Progress",
+    "add_executor_options",
+    "chunk_file",
+    "executor_from",
+    "make_executor",
+    "open_job",
+    "package_version",
+    "read_chunk",
+    "show_progress",
+]
+
+T = TypeVar("T")
+
+Progress = Callable[[int, int, str], None]
+"""``progress(done, total, what)``: called after every piece of work with how much of it is done."""
+
+_log = logging.getLogger("pcs_racing_agents")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A folder in which long work is done; made by :func:`open_job`.
+
+    Attributes
+    ----------
+    folder : Path
+    kind : str
+        What is being made.
+    settings : Mapping
+        Everything that the results depend on, as plain values.
+    """
+
+    folder: Path
+    kind: str
+    settings: Mapping[str, Any]
+
+    def file(self, name: str, index: int) -> Path:
+        """Return the path of a task's chunk."""
+        return chunk_file(self.folder, name, index)
+
+    def run(
+        self,
+        name: str,
+        function: Callable[[T], Mapping[str, Any]],
+        tasks: Sequence[T],
+        *,
+        executor: Executor | None = None,
+        progress: Progress | None = None,
+        keep: bool = True,
+    ) -> list[Arrays]:
+        """Return the results of all tasks; those that an earlier run has done are read from its chunks.
+
+        Parameters
+        ----------
+        name : str
+            Of this part of the work: small letters, digits, ``-`` and ``_``. Chunks are called ``NAME-00012.npz``.
+        function : callable
+            ``function(task)`` returns arrays (or numbers) by name; for other processes it must be defined in a module.
+        tasks : sequence
+            What tells a task from another must be in the task: a chunk made for another one is not used.
+        executor : Executor, optional
+            Where the tasks run (:func:`make_executor`); in this thread by default. It has no influence on the results.
+        progress : callable, optional
+            Called as ``progress(done, len(tasks), name)`` when the chunks are counted and after every task.
+        keep : bool
+            Whether to return the results; without them (an empty list) memory does not grow with the tasks.
+
+        Returns
+        -------
+        list of dict of ndarray
+            In the order of the tasks.
+
+        Raises
+        ------
+        JobError
+            If a chunk can't be written, or the executor is broken.
+        InputError
+            If the name is impossible or the function returns something else than arrays.
+        """
+        if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
+            raise InputError(f"the name of a part of a job is {name!r}; use small letters, digits, - and _")
+        results: list[Arrays] = [{}] * len(tasks) if keep else []
+        identity = fingerprint(self.kind, self.settings, package_version(), name)
+        marks = [fingerprint(identity, index, task) for index, task in enumerate(tasks)]
+        missing = []
+        for index, mark in enumerate(marks):
+            found = self._found(name, index, mark)
+            if found is None:
+                missing.append(index)
+            elif keep:
+                results[index] = found
+        done = len(tasks) - len(missing)
+        if progress is not None:
+            progress(done, len(tasks), name)
+        for index, value in _completed(function, tasks, missing, executor, name):
+            arrays = _plain_arrays(value, f"task {index} of {name}")
+            path = self.file(name, index)
+            try:
+                path.parent.mkdir(exist_ok=True)
+                write_chunk(path, arrays, marks[index])
+            except OSError as error:
+                raise JobError(f"can't write {path}: {error.strerror}; {GO_ON}") from None
+            if keep:
+                results[index] = arrays
+            done += 1
+            if progress is not None:
+                progress(done, len(tasks), name)
+        return results
+
+    def read(self, name: str, index: int) -> Arrays:
+        """Read a task's result.
+
+        Raises
+        ------
+        InputError
+            If it is not there, or damaged.
+        """
+        return read_chunk(self.file(name, index))
+
+    def _found(self, name: str, index: int, mark: str) -> Arrays | None:
+        path = self.file(name, index)
+        if not path.exists():
+            return None
+        try:
+            return read_chunk(path, mark)
+        except InputError as error:
+            _log.warning("%s; it is made again", error)
+            return None
+
+
+def chunk_file(folder: str | Path, name: str, index: int) -> Path:
+    """Return the path of a task's chunk in a job's folder; :func:`read_chunk` reads it."""
+    return Path(folder) / "chunks" / f"{name}-{index:05d}.npz"
+
+
+def _completed(
+    function: Callable[[T], Any], tasks: Sequence[T], which: Sequence[int], executor: Executor | None, name: str
+) -> Iterator[tuple[int, Any]]:
+    """Results of some tasks as they come in, with a bounded number of them under way."""
+    if executor is None:
+        for index in which:
+            yield index, function(tasks[index])
+        return
+    limit = tasks_in_flight(executor)
+    under_way: dict[Future[Any], int] = {}
+    waiting = iter(which)
+    try:
+        while True:
+            while len(under_way) < limit and (following := next(waiting, None)) is not None:
+                under_way[executor.submit(function, tasks[following])] = following
+            if not under_way:
+                return
+            ended = wait(under_way, return_when=FIRST_COMPLETED).done
+            for future in sorted(ended, key=_failed):  # what others have done is kept before a failure ends the run
+                index = under_way.pop(future)
+                yield index, future.result()
+    except (BrokenExecutor, CancelledError) as error:
+        raise JobError(f"a worker of {name} died ({str(error) or 'it was cancelled'}); {GO_ON}") from None
+    finally:
+        for future in under_way:
+            future.cancel()
+
+
+def _failed(future: Future[Any]) -> bool:
+    return future.cancelled() or future.exception() is not None
+
+
+def _plain_arrays(value: Any, what: str) -> Arrays:
+    arrays = {str(key): np.asarray(item) for key, item in value.items()} if isinstance(value, Mapping) else None
+    if arrays is None or any(array.dtype == object for array in arrays.values()):
+        raise InputError(f"{what} returned {type(value).__name__}; it must return arrays and numbers by name")
+    return arrays
+
+
+# Opening a folder
+
+
+@contextmanager
+def open_job(folder: str | Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Job]:
+    """Make a folder for long work, or take up work of the same kind and settings that was left there.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A new or empty folder, or one that this function made.
+    kind : str
+        What is being made.
+    settings : Mapping
+        Everything that the results depend on: texts, numbers, lists and mappings (arrays, tuples, paths and dataclasses
+        become these).
+
+    Yields
+    ------
+    Job
+
+    Raises
+    ------
+    InputError
+        If the folder holds something else, work of another kind or package version, or with other settings (the first
+        that differs is named); nothing is touched then.
+    JobError
+        If another process works in the folder, or it can't be written to.
+    """
+    with claim_folder(Path(folder), kind, settings) as plain:
+        yield Job(Path(folder), kind, plain)
+
+
+def show_progress(unit: str = "races") -> Progress:
+    """Return a progress function that keeps a line on stderr up to date; plain lines where that is no terminal.
+
+    Parameters
+    ----------
+    unit : str
+        What is counted.
+    """
+    begin = time.monotonic()
+    spoken = begin
+    first: tuple[float, int] | None = None
+
+    def show(done: int, total: int, what: str) -> None:
+        nonlocal spoken, first
+        now = time.monotonic()
+        if first is None:  # what was done before this run says nothing about its speed
+            first = (now, done) if now - begin < 0.2 else (begin, 0)
+        terminal = sys.stderr.isatty()
+        if not terminal and done < total and now - spoken < 2.0:
+            return
+        spoken = now
+        fresh = done - first[1]
+        left = f", about {(now - first[0]) * (total - done) / fresh:.0f} s left" if fresh > 0 else ""
+        ahead = f"{left}: {what}" if done < total else ""
+        line = f"{done}/{total} {unit}, {now - begin:.0f} s{ahead}"
+        if terminal:
+            print(f"\r\x1b[K{line:.100}", end="" if done < total else "\n", file=sys.stderr, flush=True)
+        else:
+            print(line, file=sys.stderr, flush=True)
+
+    return show
