@@ -1,0 +1,108 @@
+"""The races that two arms share: their scores, which race is which, and the clusters that they form."""
+
+from collections.abc import Hashable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.errors import InputError
+
+__all__ = ["check_arms", "check_values", "cluster_codes", "match_units", "score"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+
+def score(won: ArrayLike, tied: ArrayLike) -> Floats:
+    """Return the score of races: 1 for a win, 0.5 for a tie, 0 for the rest (a crash that pays nobody is no tie).
+
+    Parameters
+    ----------
+    won, tied : array_like of bool, shape (U,)
+
+    Raises
+    ------
+    InputError
+        If the shapes differ or a race is both won and tied.
+    """
+    wins, ties = np.asarray(won, dtype=bool), np.asarray(tied, dtype=bool)
+    if wins.shape != ties.shape:
+        raise InputError(f"won has shape {wins.shape} and tied {ties.shape}; they must be the same races")
+    both = wins & ties
+    if both.any():
+        raise InputError(f"race {int(np.argmax(both.ravel()))} is won and tied; it can be only one of them")
+    return wins + 0.5 * ties
+
+
+def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Ints:
+    """Return the order that brings the units of arm b to those of arm a: ``units_b[order[i]] == units_a[i]``.
+
+    Parameters
+    ----------
+    units_a, units_b : sequence of hashable
+        What makes a race the same race, for instance ``(ego, opponent, start_s, side)``.
+
+    Returns
+    -------
+    ndarray of int, shape (U,)
+
+    Raises
+    ------
+    InputError
+        If a unit appears twice in an arm or in one arm only.
+    """
+    places: list[dict[Hashable, int]] = []
+    for arm, units in (("a", units_a), ("b", units_b)):
+        place = {unit: i for i, unit in enumerate(units)}
+        if len(place) < len(units):
+            twice = next(unit for i, unit in enumerate(units) if place[unit] != i)
+            raise InputError(f"arm {arm} raced unit {twice!r} more than once; every unit must be there once")
+        places.append(place)
+    for arm, mine, others in (("b", places[0], places[1]), ("a", places[1], places[0])):
+        missing = [unit for unit in mine if unit not in others]
+        if missing:
+            raise InputError(
+                f"arm {arm} did not race unit {missing[0]!r} ({len(missing)} missing); both must race the same units"
+            )
+    return np.array([places[1][unit] for unit in units_a], dtype=np.intp)
+
+
+def check_values(name: str, values: ArrayLike) -> Floats:
+    """Return finite numbers of shape (U,), U at least 1, or raise InputError naming the first that is none."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be numbers, one for each race") from None
+    if array.ndim != 1 or array.size == 0:
+        raise InputError(f"{name} has shape {array.shape}; it must be one number for each race")
+    wrong = ~np.isfinite(array)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(f"{name}[{at}] is {array[at]}; it must be a finite number")
+    return array
+
+
+def check_arms(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the scores of two arms, or raise InputError where they can't be of the same races."""
+    first, second = check_values("a", a), check_values("b", b)
+    if first.shape != second.shape:
+        raise InputError(f"a has {len(first)} scores and b {len(second)}; both arms must have raced the same units")
+    return first, second
+
+
+def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, int]:
+    """Return labels as numbers from 0, shape (U,), and how many different ones there are; InputError below 2."""
+    try:
+        array = np.asarray(labels)
+    except ValueError:
+        raise InputError(f"{kind} labels must be text or numbers, one for each race") from None
+    if array.shape != values.shape:
+        raise InputError(f"{kind} labels have shape {array.shape}; there must be one for each of {len(values)} races")
+    if array.dtype.kind not in "biufUS" or (array.dtype.kind == "f" and not np.isfinite(array).all()):
+        raise InputError(f"{kind} labels must be text or finite numbers, not {array.dtype}")
+    found, codes = np.unique(array, return_inverse=True)
+    if len(found) < 2:
+        raise InputError(
+            f"there is 1 {kind} variant, {found[0]!s}; a test needs at least 2, since it looks at how they differ"
+        )
+    return codes.astype(np.intp), len(found)
