@@ -306,6 +306,10 @@ class Planner:
         cost infinity.
     variants : Mapping of str to array
         Named parameter vectors beside "default".
+    sight : float
+        Distance in m, counted along the track the shorter way round, beyond which ``plan`` and ``control`` do the same
+        whatever the opponent does there. Infinite unless the planner promises it. Game trees then need not drive every
+        pair of moves of two cars that are far apart.
 
     Notes
     -----
@@ -323,6 +327,7 @@ class Planner:
     drive: Callable[..., tuple[float, float]] | None = None
     candidates: Callable[..., tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
     variants: Mapping[str, tuple[float, ...]] = field(default_factory=dict, hash=False)
+    sight: float = float("inf")
 
     def __post_init__(self) -> None:
         names = [parameter.name for parameter in self.parameters]
@@ -331,6 +336,8 @@ class Planner:
         for what, size in (("memory_size", self.memory_size), ("scratch_size", self.scratch_size)):
             if size < 0:
                 raise InputError(f"planner {self.name!r} has {what} {size}; it must be 0 or above")
+        if not self.sight >= 0.0:
+            raise InputError(f"planner {self.name!r} has sight {self.sight}; it must be 0 or above")
 
     @property
     def memory_total(self) -> int:

@@ -42,7 +42,10 @@ WORK_SIZE = _planner.VIEW_SIZE + 2
 
 
 class KernelSettings(NamedTuple):
-    """The numbers of a race configuration that the compiled loop needs."""
+    """The numbers of a race configuration that the compiled loop needs.
+
+    An ``ittc_horizon`` of 0 leaves the minimum time to collision out; nothing that drives depends on it.
+    """
 
     end_tick: int
     speed_low: float
@@ -390,7 +393,7 @@ def advance_races(  # type: ignore[no-untyped-def]
                     params,
                 )
                 _count_overtakes(progress, leader, overtakes, race, params[0, _vehicle.LENGTH])
-            if tick % ITTC_EVERY == 0:
+            if tick % ITTC_EVERY == 0 and settings.ittc_horizon > 0.0:
                 measure_ittc(
                     walls,
                     seen_start,

@@ -21,7 +21,7 @@ from pcs_racing.race import RaceSetup, advance, draw_starts, race_seeds, start_r
 from pcs_racing.race_config import PAPER, load_race_config
 from pcs_racing.race_state import SUMS, RaceState, take
 from pcs_racing.track import Track
-from pcs_racing.vehicle import V
+from pcs_racing.vehicle import PSI, V, X, Y
 
 __all__ = ["check_archive", "check_characteristic", "check_planner"]
 
@@ -32,7 +32,8 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
     """Check that a planner drives, and depends on nothing but its arguments.
 
     Policies between its bounds race each other: all numbers must stay finite and the parameters untouched; the same
-    race must end the same driven again, alone, or cut in pieces; with the default policy the cars must not stand still.
+    race must end the same driven again, alone, or cut in pieces; with the default policy the cars must not stand still;
+    and opponents beyond the planner's ``sight`` must make no difference.
 
     Parameters
     ----------
@@ -76,6 +77,30 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
     alone = drive(take(grid, [RACES - 1]), theta[RACES - 1 :])
     _assert_equal(alone, take(end, [RACES - 1]), f"{who}: a race ends differently without the others{same}")
     _assert_equal(drive(grid, theta, pieces=4), end, f"{who}: races end differently when cut in pieces{same}")
+    _check_sight(setup, take(grid, [0] * RACES), theta, rng)
+
+
+def _check_sight(setup: RaceSetup, state: RaceState, theta: NDArray[np.float64], rng: np.random.Generator) -> None:
+    """Check that a driver of limited sight drives the same whatever the opponent does beyond it."""
+    planner, track = setup.planners[0], setup.track
+    near, far = planner.sight + 2.0, 0.5 * track.length - 2.0
+    if near >= far:
+        return
+    gap = np.linspace(near, far, RACES) * rng.permutation([1.0, -1.0] * RACES)[:RACES]
+    s = np.mod(state.frenet[:, 0, 0] + gap, track.length)
+    pose = track.to_cartesian(np.stack([s, np.zeros(RACES)], axis=-1))
+    state.progress[:, 1] = state.progress[:, 0] + gap
+    state.frenet[:, 1, 0], state.frenet[:, 1, 1] = s, 0.0
+    state.cars[:, 1, X], state.cars[:, 1, Y], state.cars[:, 1, PSI] = pose.T
+    state.cars[:, 1, V] = rng.uniform(1.0, 6.0, RACES)
+    same = np.stack([np.broadcast_to(theta[0, 0], theta[:, 0].shape), theta[:, 1]], axis=1)
+    advance(setup, state, same, 20)
+    for name in ("cars", "command", "path", "memory"):
+        own = getattr(state, name)[~state.crashed, 0]
+        assert (own == own[0]).all(), (
+            f"planner {planner.name!r} has sight {planner.sight:g}, but drives differently when only an opponent "
+            f"beyond that does ({name})"
+        )
 
 
 def check_archive(archive: PolicyArchive, track: Track | None = None) -> None:

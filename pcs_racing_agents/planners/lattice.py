@@ -494,5 +494,6 @@ LATTICE = Planner(
     memory_size=MEMORY,
     scratch_size=SCRATCH,
     candidates=candidates,
+    sight=SIGHT,
 )
 """The lattice planner of the paper."""

@@ -46,6 +46,8 @@ def test_a_planner_checks_itself():
         Planner("p", (PACE, PACE))
     with pytest.raises(InputError, match="planner 'p' has memory_size -1"):
         Planner("p", (), memory_size=-1)
+    with pytest.raises(InputError, match="planner 'p' has sight nan"):
+        Planner("p", (), sight=float("nan"))
 
 
 def test_the_vector_of_a_policy():

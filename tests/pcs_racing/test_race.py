@@ -96,6 +96,17 @@ def test_a_race_does_not_depend_on_the_number_of_threads(oval):
     assert_same(three.state, one.state)
 
 
+def test_without_the_time_to_collision_a_race_is_the_same(oval):
+    setup, state, theta = begin(oval, NOISY, [lattice(pace=0.7)] * 3, [lattice()] * 3)
+    bare = state.copy()
+    advance(setup, state, theta, 400)
+    advance(setup, bare, theta, 400, ittc=False)
+    assert_same(bare, state, skip=("sums",))
+    assert (state.sums[..., ITTC_SAMPLES] > 0).all()
+    np.testing.assert_array_equal(bare.sums[..., [ITTC, ITTC_SAMPLES]], 0.0)
+    np.testing.assert_array_equal(bare.sums[..., ITTC_SAMPLES + 1 :], state.sums[..., ITTC_SAMPLES + 1 :])
+
+
 def test_the_seed_decides_starts_and_noise(oval):
     one, other = (run_races(oval, [lattice()] * 4, lattice(), NOISY, seed=seed) for seed in (1, 2))
     assert not np.array_equal(one.starts.s, other.starts.s)

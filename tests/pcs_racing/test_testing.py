@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import Parameter, Planner, PolicyArchive, get_planner, load_archive, load_track
+from pcs_racing.planner import OPP_V
 from pcs_racing.testing import check_archive, check_planner
 
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
@@ -52,6 +53,15 @@ def remembers_nonsense(track, theta, view, memory):
 def test_the_check_finds_what_is_wrong_with_a_planner(track, planner, message):
     with pytest.raises(AssertionError, match=f"planner 'mine'.*{message}"):
         check_planner(planner, track, seconds=0.8)
+
+
+def test_a_planner_that_sees_beyond_its_sight_is_noticed(track):
+    def drive(track, theta, view, memory):
+        return 0.0, 2.0 + 0.01 * view[OPP_V]
+
+    check_planner(driver(drive), track, seconds=0.8)
+    with pytest.raises(AssertionError, match="has sight 5, but drives differently when only an opponent"):
+        check_planner(Planner("mine", (PACE,), drive=drive, sight=5.0), track, seconds=0.8)
 
 
 def test_a_car_that_stands_is_noticed(track):
