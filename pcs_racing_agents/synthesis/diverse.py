@@ -1,0 +1,149 @@
+"""Choosing a few policies of an archive that differ: determinantal point processes and their greedy maximum.
+
+A k-DPP draws a set Y of k items with probability proportional to det(L_Y), the squared volume spanned by the items'
+features: the more alike two items are, the less often they appear together (A. Kulesza and B. Taskar, Determinantal
+point processes for machine learning, 2012).
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.archive import PolicyArchive
+from pcs_racing.errors import InputError
+
+__all__ = ["METHODS", "greedy_map", "log_elementary_symmetric", "sample_kdpp", "select_diverse", "similarity"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+METHODS = {
+    "kdpp": "random, alike ones seldom together",
+    "map": "the set found by adding the item that enlarges the determinant most; not random",
+    "random": "random, all sets alike",
+}
+
+
+def select_diverse(
+    archive: PolicyArchive,
+    k: int,
+    method: str = "kdpp",
+    rng: np.random.Generator | int = 0,
+    *,
+    scale: float = 0.2,
+) -> Indices:
+    """Choose ``k`` policies of an archive that lie far apart in its normalised coordinates.
+
+    Parameters
+    ----------
+    archive : PolicyArchive
+    k : int
+        1 to the number of policies.
+    method : {"kdpp", "map", "random"}
+        See :data:`METHODS`.
+    rng : numpy.random.Generator or int
+        Where the random choice comes from.
+    scale : float
+        Distance over which policies are taken to be alike, in normalised units (:func:`similarity`); above 0.
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        Indices of the policies, ascending, all different.
+
+    Raises
+    ------
+    InputError
+        If ``k``, ``method`` or ``scale`` is impossible.
+    """
+    if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 1 <= k <= len(archive):
+        raise InputError(
+            f"k is {k!r}; archive {archive.name!r} holds {len(archive)} policies: take 1 to {len(archive)}"
+        )
+    if method not in METHODS:
+        raise InputError(f"method is {method!r}; it must be one of {', '.join(METHODS)}")
+    generator = np.random.default_rng(rng)
+    if method == "random":
+        chosen = generator.choice(len(archive), int(k), replace=False)
+    elif method == "map":
+        chosen = greedy_map(similarity(archive.normalised, scale), int(k))
+    else:
+        chosen = sample_kdpp(similarity(archive.normalised, scale), int(k), generator)
+    return np.sort(chosen).astype(np.int64)
+
+
+def similarity(points: ArrayLike, scale: float) -> Floats:
+    """Kernel exp(-distance^2 / (2 scale^2)) between points (K, G), shape (K, K).
+
+    A millionth is added to the diagonal: points that coincide then still make a matrix of full rank, so that as many
+    items can be drawn as there are.
+    """
+    if not (isinstance(scale, int | float) and 0.0 < scale < np.inf):
+        raise InputError(f"scale is {scale!r}; it must be a number above 0")
+    points = np.asarray(points, np.float64)
+    squares = np.sum((points[:, None] - points[None]) ** 2, axis=-1)
+    return np.asarray(np.exp(-0.5 * squares / scale**2) + 1e-6 * np.eye(len(points)), np.float64)
+
+
+def sample_kdpp(kernel: Floats, k: int, rng: np.random.Generator) -> Indices:
+    """Draw a set of ``k`` items from a k-DPP (Kulesza and Taskar, algorithms 1 and 8), shape (k,).
+
+    Parameters
+    ----------
+    kernel : ndarray, shape (K, K)
+        Symmetric, with no negative eigenvalue and at least ``k`` positive ones.
+    k : int
+    rng : numpy.random.Generator
+    """
+    values, vectors = np.linalg.eigh(kernel)
+    with np.errstate(divide="ignore"):
+        logs = np.log(np.maximum(values, 0.0))
+    table = log_elementary_symmetric(logs, k)
+    basis: list[int] = []
+    for n in range(len(values), 0, -1):  # which eigenvectors: the n-th with its share of the sets of those up to n
+        left = k - len(basis)
+        if left == 0:
+            break
+        if np.log(rng.uniform()) < logs[n - 1] + table[left - 1, n - 1] - table[left, n]:
+            basis.append(n - 1)
+    space = vectors[:, basis]
+    chosen = np.empty(k, np.int64)
+    for i in range(k):
+        weights = np.sum(space**2, axis=1)
+        weights[chosen[:i]] = 0.0  # exactly, not but for rounding
+        chosen[i] = rng.choice(len(weights), p=weights / weights.sum())
+        pivot = int(np.argmax(np.abs(space[chosen[i]])))
+        column = space[:, pivot] / space[chosen[i], pivot]
+        space = np.delete(space - np.outer(column, space[chosen[i]]), pivot, axis=1)
+        space = np.linalg.qr(space)[0]  # an orthonormal basis of what is orthogonal to the item
+    return chosen
+
+
+def log_elementary_symmetric(logs: Floats, k: int) -> Floats:
+    """Logarithms of elementary symmetric polynomials, shape (k + 1, N + 1).
+
+    Entry (l, n) belongs to the sum over all sets of ``l`` of the first ``n`` values of their products (Kulesza and
+    Taskar, algorithm 7); the values are given as logarithms, since products of many small ones underflow.
+    """
+    table = np.full((k + 1, len(logs) + 1), -np.inf)
+    table[0] = 0.0
+    for n, log in enumerate(logs, start=1):
+        table[1:, n] = np.logaddexp(table[1:, n - 1], log + table[:-1, n - 1])
+    return table
+
+
+def greedy_map(kernel: Floats, k: int) -> Indices:
+    """Items chosen one by one, each the one that enlarges det(L_Y) most, shape (k,), in the order chosen.
+
+    The gain of an item is its squared distance from the span of those chosen; it is updated as in an incremental
+    Cholesky factorisation. Of equal items the one with the lowest index is taken.
+    """
+    gains = np.diag(kernel).astype(np.float64)
+    rows = np.zeros((k, len(kernel)))
+    chosen = np.empty(k, np.int64)
+    for i in range(k):
+        chosen[i] = np.argmax(gains)
+        best = chosen[i]
+        rows[i] = (kernel[best] - rows[:i, best] @ rows[:i]) / np.sqrt(max(gains[best], 1e-300))
+        gains = gains - rows[i] ** 2
+        gains[chosen[: i + 1]] = -np.inf
+    return chosen
