@@ -126,8 +126,9 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, level: float = 0.95)
 
     The variance adds up over the kinds of clusters and takes away what is counted twice (Cameron, Gelbach and Miller
     2011), each term with the factor ``G / (G - 1)`` of its own ``G`` clusters. As it can come out too small, even
-    negative, where clusters matter little, it is at least the largest one-way variance (MacKinnon, Nielsen and Webb
-    2024, arXiv 2406.08880). The t distribution has the smallest ``G`` minus 1 degrees of freedom.
+    negative, where clusters matter little, it is at least the largest of its terms (MacKinnon, Nielsen and Webb 2024,
+    arXiv 2406.08880, take the largest one-way term). The t distribution has the smallest ``G`` minus 1 degrees of
+    freedom.
 
     Parameters
     ----------
@@ -160,7 +161,7 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, level: float = 0.95)
         for chosen in combinations(coded, kinds):
             term = _cluster_variance(residual, chosen)
             variance += term if kinds % 2 else -term
-            largest = max(largest, term) if kinds == 1 else largest
+            largest = max(largest, term)
     se = float(np.sqrt(max(variance, largest)))
     df = min(numbers) - 1
     reach = critical_value(level, df) * se

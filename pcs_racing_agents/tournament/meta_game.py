@@ -1,0 +1,162 @@
+"""The tournament as a game: each player sends an agent, and the payoff matrix says what comes of it.
+
+A rating is one number and so can't see cycles (a beats b, b beats c, c beats a). The equilibrium of this game, and the
+agents that evolution would settle on (alpha-rank), can.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.errors import InputError
+from pcs_racing.mapping.optional import require
+
+__all__ = ["Equilibrium", "alpha_rank", "excess", "zero_sum_equilibrium"]
+
+Floats = NDArray[np.float64]
+
+
+class Equilibrium(NamedTuple):
+    """An equilibrium of a two-player zero-sum game.
+
+    Attributes
+    ----------
+    value : float
+        What the row player gets.
+    row : ndarray, shape (R,)
+        Probabilities of the row player.
+    column : ndarray, shape (C,)
+        Probabilities of the column player.
+    exploitability : float
+        What best replies to both would gain together: 0 but for rounding.
+    """
+
+    value: float
+    row: Floats
+    column: Floats
+    exploitability: float
+
+
+def excess(scores: ArrayLike) -> Floats:
+    """Return by how much each agent outscores each other one, a zero-sum game: half of ``scores - scores.T``.
+
+    Parameters
+    ----------
+    scores : array_like, shape (N, N)
+        Score of the row's agent against the column's. The diagonal may be NaN: an agent does not outscore itself.
+
+    Raises
+    ------
+    InputError
+        If the matrix is not square or another entry is not finite (two agents that never met).
+    """
+    matrix = _matrix(scores, square=True)
+    return 0.5 * (matrix - matrix.T)
+
+
+def zero_sum_equilibrium(payoffs: ArrayLike) -> Equilibrium:
+    """Solve a matrix game exactly by linear programming (von Neumann 1928; scipy's HiGHS).
+
+    Where several equilibria exist, for instance because two agents are alike, it is one of them; the value is the same
+    for all.
+
+    Parameters
+    ----------
+    payoffs : array_like, shape (R, C)
+        Payoff to the row player, who makes it large; the column player makes it small.
+
+    Returns
+    -------
+    Equilibrium
+
+    Raises
+    ------
+    InputError
+        If the matrix is empty or an entry is not finite.
+    ModuleNotFoundError
+        If scipy is not installed.
+    """
+    matrix = _matrix(payoffs)
+    require("scipy", extra="synthesis")
+    row = _maximin(matrix)
+    column = _maximin(-matrix.T)
+    best_column = float((row @ matrix).min())
+    best_row = float((matrix @ column).max())
+    return Equilibrium(float(row @ matrix @ column), row, column, best_row - best_column)
+
+
+def alpha_rank(scores: ArrayLike, *, epsilon: float = 0.001, alike: float = 0.0) -> Floats:
+    """Return how much of the time evolution spends at each agent (alpha-rank, Omidshafiei et al. 2019), by OpenSpiel.
+
+    A population of one agent is taken over by another one that beats it, or, with a chance of ``epsilon``, that it
+    beats (the limit of strong selection). Only who beats whom counts, not by how much: pairs that the data can't tell
+    apart should count as alike.
+
+    Parameters
+    ----------
+    scores : array_like, shape (N, N)
+        Score of the row's agent against the column's, N at least 2; the diagonal is not used.
+    epsilon : float
+        From 1e-6 to 0.5.
+    alike : float
+        Two agents are alike if neither outscores the other by more than this.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Shares, which sum up to 1.
+
+    Raises
+    ------
+    InputError
+        If the matrix is impossible or a number is out of its range.
+    ModuleNotFoundError
+        If OpenSpiel or networkx, which this part of it needs, is not installed.
+    """
+    gain = 2.0 * excess(scores)
+    if len(gain) < 2:
+        raise InputError("there is 1 agent; a ranking needs at least 2")
+    if not 1e-6 <= epsilon <= 0.5:
+        raise InputError(f"epsilon is {epsilon!r}; it must be from 1e-6 to 0.5")
+    if not 0.0 <= alike < np.inf:
+        raise InputError(f"alike is {alike!r}; it must be a difference in score, 0 or more")
+    require("pyspiel", "networkx", extra="games")
+    from open_spiel.python.egt import alpharank
+
+    decided = np.where(np.abs(gain) > alike, gain, 0.0)
+    return np.asarray(alpharank.compute([decided], use_inf_alpha=True, inf_alpha_eps=epsilon)[2], dtype=np.float64)
+
+
+def _maximin(payoffs: Floats) -> Floats:
+    """Return the row player's probabilities that make the worst column best."""
+    from scipy.optimize import linprog
+
+    rows, columns = payoffs.shape
+    scale = float(np.abs(payoffs).max()) or 1.0  # the solver's tolerances are absolute
+    cost = np.zeros(rows + 1)
+    cost[-1] = -1.0  # the last variable is the value
+    at_most = np.column_stack([-payoffs.T / scale, np.ones(columns)])
+    sum_to_one = np.append(np.ones(rows), 0.0)[None]
+    bounds = [*[(0.0, None)] * rows, (None, None)]
+    found = linprog(cost, at_most, np.zeros(columns), sum_to_one, [1.0], bounds, method="highs-ds")
+    if not found.success:
+        raise RuntimeError(f"the linear program of the equilibrium was not solved: {found.message}")
+    chances = np.maximum(found.x[:-1], 0.0)
+    return np.asarray(chances / chances.sum(), dtype=np.float64)
+
+
+def _matrix(values: ArrayLike, *, square: bool = False) -> Floats:
+    try:
+        matrix = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("the payoffs must be a matrix of numbers") from None
+    if matrix.ndim != 2 or matrix.size == 0 or (square and matrix.shape[0] != matrix.shape[1]):
+        raise InputError(f"the payoffs have shape {matrix.shape}; they must be a {'square ' if square else ''}matrix")
+    if square:
+        np.fill_diagonal(matrix, 0.0)
+    wrong = np.argwhere(~np.isfinite(matrix))
+    if len(wrong):
+        i, j = wrong[0]
+        raise InputError(f"the payoff of row {i} against column {j} is {matrix[i, j]}; it must be a finite number")
+    return matrix
