@@ -1,0 +1,174 @@
+"""What a network is trained on, and how: a dataclass, from YAML if need be."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pcs_racing.errors import ConfigError, UnknownNameError
+from pcs_racing_agents.approximator.targets import OPPONENTS, ROW_WEIGHTS, TARGETS
+from pcs_racing_agents.solvers.cfr import VARIANTS
+
+__all__ = ["TrainSettings", "load_train_settings", "shipped_settings"]
+
+_WHOLE = {
+    "iterations": (1, 1_000_000),
+    "rows_per_step": (0, 1_000_000),
+    "batch_size": (1, 1_000_000),
+    "rows_per_epoch": (1, 100_000_000),
+    "epochs": (1, 100_000),
+    "patience": (1, 100_000),
+    "seed": (0, 2**63 - 1),
+}
+_NUMBERS = {
+    "learning_rate": (1e-8, 10.0),
+    "weight_decay": (0.0, 10.0),
+    "below_zero": (0.0, 1000.0),
+    "validation_share": (0.01, 0.9),
+    "test_share": (0.0, 0.9),
+}
+_CHOICES = {
+    "target": tuple(TARGETS),
+    "opponent": tuple(OPPONENTS),
+    "row_weights": tuple(ROW_WEIGHTS),
+    "variant": tuple(VARIANTS),
+}
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """How rows are made from trees and how a network learns them.
+
+    Attributes
+    ----------
+    target : str
+        What is learned: one of :data:`pcs_racing_agents.approximator.targets.TARGETS`.
+    iterations : int
+        Iterations of CFR behind the targets that are made of regrets.
+    variant : str
+        Kind of CFR behind them; "vanilla" is the paper's, whose cumulative regrets can be negative.
+    opponent : str
+        Opponent of the target "static-q": one of :data:`pcs_racing_agents.approximator.targets.OPPONENTS`.
+    row_weights : str
+        How much each node of a tree counts: one of :data:`pcs_racing_agents.approximator.targets.ROW_WEIGHTS`.
+    rows_per_step : int
+        Most nodes of each step that are taken from a tree, drawn at random; 0 for all.
+    hidden : tuple of int
+        Widths of the hidden layers, each 1 to 4096; at most 8 layers.
+    learning_rate : float
+        Of Adam, at the beginning; halved whenever a quarter of the patience has brought nothing.
+    weight_decay : float
+        Decoupled from the gradient (AdamW); 0 for plain Adam.
+    below_zero : float
+        For clipped targets: weight of the errors below 0 in rows that have no positive target. There the paper allows
+        any move; with this above 0 the network learns which is the least bad.
+    batch_size : int
+    rows_per_epoch : int
+        Rows drawn per epoch, with replacement, in proportion to their weights; at most as many as there are.
+    epochs : int
+        At most.
+    patience : int
+        Stop after so many epochs without a lower loss on the validation rows.
+    validation_share : float
+        Share of the starting pairs that decides when to stop, in [0.01, 0.9].
+    test_share : float
+        Share of the starting pairs kept away from both, to judge the network by, in [0, 0.9].
+    seed : int
+
+    Raises
+    ------
+    ConfigError
+        If a value is impossible.
+    """
+
+    target: str = "regret"
+    iterations: int = 1000
+    variant: str = "vanilla"
+    opponent: str = "fixed-sequence"
+    row_weights: str = "uniform"
+    rows_per_step: int = 0
+    hidden: tuple[int, ...] = (64, 64)
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.0
+    below_zero: float = 1.0
+    batch_size: int = 1024
+    rows_per_epoch: int = 100_000
+    epochs: int = 200
+    patience: int = 20
+    validation_share: float = 0.15
+    test_share: float = 0.15
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for key, choices in _CHOICES.items():
+            if getattr(self, key) not in choices:
+                raise ConfigError(f"{key} is {getattr(self, key)!r}; it must be one of {', '.join(choices)}")
+        for key, (low, high) in _WHOLE.items():
+            value = getattr(self, key)
+            if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+                raise ConfigError(f"{key} is {value!r}; it must be a whole number from {low} to {high}")
+        for key, (least, most) in _NUMBERS.items():
+            value = getattr(self, key)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
+                raise ConfigError(f"{key} is {value!r}; it must be a number from {least:g} to {most:g}")
+        if self.validation_share + self.test_share > 0.95:
+            raise ConfigError(
+                f"validation_share and test_share are {self.validation_share:g} and {self.test_share:g}; together they "
+                "must leave 5 % of the starting pairs to learn from"
+            )
+        hidden = self.hidden
+        whole = isinstance(hidden, list | tuple) and all(isinstance(n, int) and not isinstance(n, bool) for n in hidden)
+        if not whole or len(hidden) > 8 or not all(1 <= n <= 4096 for n in hidden):
+            raise ConfigError(f"hidden is {hidden!r}; it must be a list of at most 8 whole numbers from 1 to 4096")
+        object.__setattr__(self, "hidden", tuple(hidden))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the settings as plain values, as a YAML file holds them."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
+
+
+def shipped_settings() -> dict[str, Path]:
+    """Files of the settings that come with the package, by name."""
+    folder = Path(__file__).resolve().parents[1] / "configs"
+    return {file.stem.removeprefix("train_"): file for file in sorted(folder.glob("train_*.yaml"))}
+
+
+def load_train_settings(source: str | Path | TrainSettings | None = None, **changes: Any) -> TrainSettings:
+    """Return settings from a shipped configuration's name, a YAML file or settings, with some fields changed.
+
+    A YAML file is a mapping of the fields of :class:`TrainSettings`; a field that is absent takes the default.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or a value impossible.
+    UnknownNameError
+        If the name is no configuration and no file.
+    """
+    if source is None or isinstance(source, TrainSettings):
+        return replace(source or TrainSettings(), **_known(changes, "the arguments"))
+    shipped = shipped_settings()
+    path = shipped[source] if isinstance(source, str) and source in shipped else Path(source)
+    if not path.is_file():
+        raise UnknownNameError(
+            f"training settings {str(source)!r} are unknown; use {', '.join(shipped) or 'none'} or the path of a YAML "
+            "file"
+        )
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not valid YAML: {error}") from error
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of training settings")
+    return TrainSettings(**{**_known(values, str(path)), **_known(changes, "the arguments")})
+
+
+def _known(values: Mapping[Any, Any], where: str) -> dict[str, Any]:
+    names = [field.name for field in fields(TrainSettings)]
+    for key in values:
+        if key not in names:
+            raise ConfigError(f"{where}: unknown training setting {key!r}; known are {', '.join(names)}")
+    return dict(values)
