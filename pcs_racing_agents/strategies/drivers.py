@@ -1,0 +1,45 @@
+"""Drivers of the zoo: policies from outside the archive that make no moves, in one or several variants."""
+
+from pcs_racing.errors import InputError
+from pcs_racing.planner import Policy
+from pcs_racing.registry import get_planner
+from pcs_racing_agents.strategies.agent import Driver
+from pcs_racing_agents.strategies.setting import Setting
+
+__all__ = ["planner_driver", "random_policy"]
+
+
+def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0) -> Driver:
+    """Every policy that was evaluated while the archive was made: the paper's random agent.
+
+    Raises
+    ------
+    InputError
+        If the archive does not say which these were.
+    """
+    archive = setting.archive
+    explored = len(archive.explored_parameters)
+    if explored == 0:
+        raise InputError(f"archive {archive.name!r} holds no explored policies, so there is no {name!r} to race")
+    return Driver(name, tuple(archive.explored_policy(i) for i in range(explored)))
+
+
+def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:
+    """All variants of a planner, or its default policy where it has none.
+
+    Parameters
+    ----------
+    setting, seed
+        Not used: a planner of its own needs no archive.
+    name : str
+    planner : str, optional
+        Name of the planner; by default that of the driver.
+    """
+    family = get_planner(planner or name)
+    variants = tuple(family.variants) or ("default",)
+    return Driver(name, tuple(_variant(family.name, variant) for variant in variants))
+
+
+def _variant(planner: str, variant: str) -> Policy:
+    called = planner if variant == "default" else f"{planner}:{variant}"
+    return get_planner(planner).policy(variant, name=called)
