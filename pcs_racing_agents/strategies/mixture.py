@@ -93,4 +93,4 @@ def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
                 "needs one"
             )
     kept = np.flatnonzero(shares > 0.0)
-    return Mixture(tuple(members[i] for i in kept), shares[kept] / shares.sum(), members[0].setting)
+    return Mixture(tuple(members[int(i)] for i in kept), shares[kept] / shares.sum(), members[0].setting)

@@ -1,8 +1,8 @@
 """The zoo: agents and drivers by name.
 
-A distribution adds its own in the entry point group ``pcs_racing.agents``: ``name = "package.module:function"``, where
-the function takes a :class:`pcs_racing_agents.strategies.Setting` and the keywords ``name`` and ``seed`` (and options of
-its own), and returns an agent, a driver, or any object with ``predict``. A program calls :func:`register_agent`.
+A distribution adds its own in the entry point group ``pcs_racing.agents``: ``name = "package.module:function"``. The
+function takes a :class:`pcs_racing_agents.strategies.Setting`, the keywords ``name`` and ``seed``, and options of its
+own; it returns an agent, a driver, or any object with ``predict``. A program calls :func:`register_agent`.
 """
 
 import difflib
