@@ -22,6 +22,7 @@ from pcs_racing.game_state import GameState, empty_game, join_games, load_game, 
 from pcs_racing.planner import Planner, Policy
 from pcs_racing.race import RaceSetup, Starts, advance, race_seeds, start_lines, start_races, winners
 from pcs_racing.race_config import RaceConfig
+from pcs_racing.race_state import RaceState
 from pcs_racing.registry import get_planner
 from pcs_racing.track import Track, load_track
 
@@ -31,6 +32,7 @@ __all__ = [
     "GameState",
     "ObservationElement",
     "RaceGame",
+    "encode_observation",
     "join_games",
     "load_game",
     "load_game_config",
@@ -198,6 +200,17 @@ class RaceGame:
         return self.archive.move_table(self.config.epsilon, bool(self.config.stay))
 
     @cached_property
+    def points(self) -> Floats:
+        """Normalised coordinates of the archive's policies as the players see them, shape (K, G)."""
+        return np.clip(self.archive.normalised, LOW, HIGH)
+
+    @property
+    def start_lines(self) -> Floats:
+        """Arc lengths of the lines that :meth:`reset` draws from, m."""
+        lines: Floats = self._lines  # type: ignore[attr-defined]
+        return lines
+
+    @cached_property
     def move_names(self) -> tuple[str, ...]:
         """Names of the M moves, for people."""
         return self.archive.move_names(self.config.epsilon, bool(self.config.stay))
@@ -268,9 +281,8 @@ class RaceGame:
             if starts is not None:
                 place = starts.take(rows)
             else:
-                lines: Floats = self._lines  # type: ignore[attr-defined]
-                which = (draws[:, 0] % np.uint64(len(lines))).astype(np.int64)
-                place = Starts(lines[which], (draws[:, 1] % np.uint64(2)).astype(np.int64))
+                which = (draws[:, 0] % np.uint64(len(self.start_lines))).astype(np.int64)
+                place = Starts(self.start_lines[which], (draws[:, 1] % np.uint64(2)).astype(np.int64))
             return self._watch(picked, place, draws[:, 4], theta[rows], outside[rows])
 
         state = begin(np.arange(count), 0)
@@ -326,18 +338,29 @@ class RaceGame:
 
     def utility(self, state: GameState) -> Floats:
         """What the outcome is worth to each car, shape (B, 2); 0 while a game goes on. The two always add up to 0."""
-        crashed = state.race.crashed
+        first = np.where(self.done(state), self.worth(state.race, state.step), 0.0)
+        return np.stack([first, 0.0 - first], axis=1)
+
+    def worth(self, races: RaceState, moves: ArrayLike) -> Floats:
+        """What races that ended like this are worth to car 0, shape (B,).
+
+        Parameters
+        ----------
+        races : RaceState
+            Of which only progress, crashes and faults count.
+        moves : array of int, shape (B,) or ()
+            Moves made until the end.
+        """
         if self.config.utility == "win":
-            winner = self.winner(state)
+            winner = winners(self.setup.config, races)
             first = np.where(winner == 0, 1.0, np.where(winner == 1, -1.0, 0.0))
         else:
-            first = state.race.lead
+            first = races.lead
             if self.config.utility == "lead":
-                first = np.where(crashed, 0.0, first)
-        fault = state.race.fault.astype(np.float64)
+                first = np.where(races.crashed, 0.0, first)
+        fault = races.fault.astype(np.float64)
         first = first + self.config.fault_penalty * (fault[:, 1] - fault[:, 0])
-        first = np.where(self.done(state), first * self.config.discount**state.step, 0.0)
-        return np.stack([first, 0.0 - first], axis=1)
+        return np.asarray(first * self.config.discount ** np.asarray(moves), np.float64)
 
     def winner(self, state: GameState) -> NDArray[np.int8]:
         """The car that won (0 or 1), shape (B,); -1 for a tie, a crash that pays nobody, and while a game goes on."""
@@ -346,21 +369,7 @@ class RaceGame:
 
     def observation(self, state: GameState) -> NDArray[np.float32]:
         """What each player sees, shape (B, 2, D); :attr:`observation_elements` says what it is."""
-        games, steps = state.games, self.config.moves + 1
-        seen = np.arange(steps) <= state.step[:, None]
-        lead = np.clip(state.leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)
-        parts = np.concatenate(
-            [
-                state.own,
-                state.estimates[:, ::-1],
-                np.stack([lead, -lead], axis=1)[..., None],
-                np.broadcast_to(seen[:, None, :, None], (games, 2, steps, 1)),
-            ],
-            axis=-1,
-        )
-        parts = np.where(seen[:, None, :, None], parts, 0.0).reshape(games, 2, -1)
-        share = np.broadcast_to((state.step / self.config.moves)[:, None, None], (games, 2, 1))
-        return np.concatenate([parts, share], axis=-1).astype(np.float32)
+        return encode_observation(state.own, state.estimates, state.leads, state.step)
 
     def action_mask(self, state: GameState) -> NDArray[np.bool_]:
         """Moves that a player may make, shape (B, 2, M).
@@ -454,17 +463,77 @@ class RaceGame:
 
     def _drive(self, state: GameState, going: NDArray[np.bool_]) -> None:
         """Drive a step in place, and write down for the games that go on what was to be seen."""
-        before = state.race.copy()
-        advance(self.setup, state.race, state.theta, self.config.step_ticks, threads=self.threads)
-        segment = Segment.between(before, state.race, self.config.step_seconds)
         rows = np.flatnonzero(going)
         now = state.step[rows]
-        measured = self.archive.normalise(measure(segment, self.characteristics))[rows]
-        estimates = np.clip(measured, LOW, HIGH)
-        own = np.clip(self.archive.normalised[state.policy[rows]], LOW, HIGH)
+        estimates = self._advance(state.race, state.theta)[rows]
         state.estimates[rows, :, now] = estimates
-        state.own[rows, :, now] = np.where(state.policy[rows, :, None] >= 0, own, estimates)
+        state.own[rows, :, now] = np.where(state.policy[rows, :, None] >= 0, self.points[state.policy[rows]], estimates)
         state.leads[rows, now] = state.race.lead[rows]
+
+    def _advance(self, races: RaceState, theta: Floats) -> Floats:
+        before = races._replace(progress=races.progress.copy(), sums=races.sums.copy(), tick=races.tick.copy())
+        advance(self.setup, races, theta, self.config.step_ticks, threads=self.threads)
+        segment = Segment.between(before, races, self.config.step_seconds)
+        return np.clip(self.archive.normalise(measure(segment, self.characteristics)), LOW, HIGH)
+
+    def drive(self, races: RaceState, policies: Indices) -> Floats:
+        """Drive a step of the game in place, with policies of the archive: what :meth:`step` does between two moves.
+
+        For those who keep no :class:`GameState`, such as builders of game trees. Races that are over stand still.
+
+        Parameters
+        ----------
+        races : RaceState
+            Overwritten.
+        policies : array of int, shape (B, 2)
+            Index of the policy that drives each car.
+
+        Returns
+        -------
+        ndarray, shape (B, 2, G)
+            Normalised coordinates of each car as measured in this step: what :attr:`GameState.estimates` would hold.
+        """
+        return self._advance(races, self.theta(policies))
+
+    def theta(self, policies: Indices) -> Floats:
+        """Parameters of policies of the archive, as :func:`pcs_racing.advance` wants them, shape (..., P)."""
+        theta: Floats = self._theta  # type: ignore[attr-defined]
+        return theta[policies]
+
+
+def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indices) -> NDArray[np.float32]:
+    """Put what the players saw in the order of :func:`observation_elements`.
+
+    Parameters
+    ----------
+    own : ndarray, shape (B, 2, N, G)
+        Normalised coordinates of each car's own policy in each of the ``N = moves + 1`` steps.
+    estimates : ndarray, shape (B, 2, N, G)
+        Normalised coordinates of each car as measured in each step.
+    leads : ndarray, shape (B, N)
+        Lead of car 0 at the end of each step, m.
+    step : ndarray, shape (B,)
+        Moves made so far; of later steps nothing is shown, whatever the arrays hold.
+
+    Returns
+    -------
+    ndarray, shape (B, 2, D), float32
+    """
+    games, steps = leads.shape
+    seen = np.arange(steps) <= step[:, None]
+    lead = np.clip(leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)
+    parts = np.concatenate(
+        [
+            own,
+            estimates[:, ::-1],
+            np.stack([lead, -lead], axis=1)[..., None],
+            np.broadcast_to(seen[:, None, :, None], (games, 2, steps, 1)),
+        ],
+        axis=-1,
+    )
+    parts = np.where(seen[:, None, :, None], parts, 0.0).reshape(games, 2, -1)
+    share = np.broadcast_to((step / (steps - 1))[:, None, None], (games, 2, 1))
+    return np.concatenate([parts, share], axis=-1).astype(np.float32)
 
 
 def make_game(

@@ -150,6 +150,18 @@ def test_any_moment_can_be_kept_and_continued(game, tmp_path):
     assert_same(play(again, middle, [(2, 2), (1, 0), (3, 3)]), end)
 
 
+def test_a_step_can_be_driven_without_a_game_state(game):
+    before = game.reset(games=6)
+    after = game.step(before, np.full((6, 2), 2))
+    races = before.race.copy()
+    seen = game.drive(races, after.policy)
+    for name, array in after.race._asdict().items():
+        np.testing.assert_array_equal(getattr(races, name), array, err_msg=name)
+    np.testing.assert_array_equal(seen, after.estimates[:, :, 1])
+    end = play(game, after, [(0, 0)] * 3)
+    np.testing.assert_array_equal(game.worth(end.race, end.step), game.utility(end)[:, 0])
+
+
 def test_players_see_their_own_coordinates_and_estimates_of_the_other(game):
     state = play(game, game.reset(games=2), [(0, 3)])
     names = [element.name for element in game.observation_elements]
