@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -25,7 +25,10 @@ from pcs_racing.files import write_atomically
 from pcs_racing.planner import Planner, Policy
 from pcs_racing.registry import get_planner
 
-__all__ = ["PolicyArchive", "check_epsilon", "list_archives", "load_archive"]
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["Explored", "PolicyArchive", "check_epsilon", "list_archives", "load_archive"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -34,9 +37,27 @@ FORMAT = "pcs-racing archive"
 VERSION = 1
 MAX_BYTES = 256_000_000
 _ARRAYS = ("parameters", "coordinates", "ideal", "nadir", "explored_parameters", "explored_coordinates")
+_EXTRA_ARRAYS = ("spread", "own_crash", "explored_own_crash")  # where they were measured
 _TEXTS = ("name", "planner", "preset")
 _NAMES = ("parameter_names", "characteristics")
 _KEYS = ("format", "version", *_TEXTS, *_NAMES, "settings", "arrays_sha256")
+
+
+class Explored(NamedTuple):
+    """Everything that was evaluated on the way to an archive: what its "random policies" are drawn from.
+
+    Attributes
+    ----------
+    parameters : ndarray, shape (E, P)
+    coordinates : ndarray, shape (E, G)
+        In the characteristics' units, as they were measured on the way.
+    own_crash : ndarray, shape (E,), or None
+        Share of races that ended by a crash of the policy's own fault.
+    """
+
+    parameters: Floats
+    coordinates: Floats
+    own_crash: Floats | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +88,12 @@ class PolicyArchive:
         that the coordinates are means of.
     preset : str
         Name of the rules of the races that the coordinates were measured in.
+    spread : ndarray, shape (K, G), optional
+        Standard errors of the coordinates.
+    own_crash : ndarray, shape (K,), optional
+        Share of the races behind the coordinates that ended by a crash of the policy's own fault, 0 to 1.
+    explored_own_crash : ndarray, shape (E,), optional
+        The same for everything that was evaluated on the way.
 
     Raises
     ------
@@ -88,6 +115,9 @@ class PolicyArchive:
     explored_coordinates: Floats = None  # type: ignore[assignment]
     settings: Mapping[str, str | int | float | bool] = field(default_factory=dict)
     preset: str = "paper"
+    spread: Floats | None = None
+    own_crash: Floats | None = None
+    explored_own_crash: Floats | None = None
 
     def __post_init__(self) -> None:
         for key in _TEXTS:
@@ -121,6 +151,15 @@ class PolicyArchive:
         self._set_array(where, "nadir", (axes,))
         self._set_array(where, "explored_parameters", (None, theta))
         self._set_array(where, "explored_coordinates", (len(self.explored_parameters), axes))
+        for key, shape in (
+            ("spread", (len(self.parameters), axes)),
+            ("own_crash", (len(self.parameters),)),
+            ("explored_own_crash", (len(self.explored_parameters),)),
+        ):
+            if getattr(self, key) is not None:
+                self._set_array(where, key, shape)
+                if (getattr(self, key) < 0.0).any():
+                    raise InputError(f"{where}: {key} is {getattr(self, key).min():g} somewhere; it must be 0 or above")
         for axis, low, high in zip(self.characteristics, self.nadir, self.ideal, strict=True):
             if not low < high:
                 raise InputError(
@@ -305,6 +344,11 @@ class PolicyArchive:
         at = int(_whole(np.asarray(index), "explored policy index", len(explored)))
         return Policy(get_planner(self.planner), explored[at], f"{self.name}:explored[{at}]")
 
+    @property
+    def explored(self) -> Explored:
+        """Everything that was evaluated on the way; may be empty."""
+        return Explored(self.explored_parameters, self.explored_coordinates, self.explored_own_crash)
+
     def select(self, by: str = "middle") -> int:
         """Index of a policy that stands out: the one with the most of a characteristic, or the one in the ``"middle"``.
 
@@ -328,9 +372,41 @@ class PolicyArchive:
         axes = [self._axis(name) for name in characteristics]
         values: dict[str, Any] = {key: getattr(self, key) for key in self.__dataclass_fields__}
         values["characteristics"] = tuple(characteristics)
-        for key in ("coordinates", "ideal", "nadir", "explored_coordinates"):
-            values[key] = values[key][..., axes]
+        for key in ("coordinates", "ideal", "nadir", "explored_coordinates", "spread"):
+            values[key] = None if values[key] is None else values[key][..., axes]
         return PolicyArchive(**values)
+
+    def to_dataframe(self, explored: bool = False) -> "pandas.DataFrame":
+        """Return a table with a row for each policy: parameters, coordinates, and what else is known of it.
+
+        Standard errors stand in columns like ``"restraint_error"``.
+
+        Parameters
+        ----------
+        explored : bool
+            Whether to tell of everything that was evaluated on the way instead.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            If pandas is not installed: ``pip install "pcs-racing[tables]"``.
+        """
+        try:
+            import pandas
+        except ModuleNotFoundError:
+            raise ModuleNotFoundError('a table needs pandas: pip install "pcs-racing[tables]"') from None
+        parameters, coordinates, own_crash = self.parameters, self.coordinates, self.own_crash
+        if explored:
+            parameters, coordinates, own_crash = self.explored
+        columns = dict(zip(self.parameter_names, parameters.T, strict=True))
+        columns |= dict(zip(self.characteristics, coordinates.T, strict=True))
+        if self.spread is not None and not explored:
+            columns |= {
+                f"{name}_error": values for name, values in zip(self.characteristics, self.spread.T, strict=True)
+            }
+        if own_crash is not None:
+            columns["own_crash"] = own_crash
+        return pandas.DataFrame(columns).rename_axis("policy")
 
     def _axis(self, name: str) -> int:
         if name not in self.characteristics:
@@ -349,7 +425,8 @@ class PolicyArchive:
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         buffer = io.BytesIO()
-        np.savez_compressed(buffer, allow_pickle=False, **{key: getattr(self, key) for key in _ARRAYS})
+        keys = [*_ARRAYS, *(key for key in _EXTRA_ARRAYS if getattr(self, key) is not None)]
+        np.savez_compressed(buffer, allow_pickle=False, **{key: getattr(self, key) for key in keys})
         manifest = {
             "format": FORMAT,
             "version": VERSION,
@@ -383,8 +460,11 @@ class PolicyArchive:
                 arrays = {key: stored[key] for key in stored.files}
         except Exception as error:  # zipfile and zlib raise their own kinds for damaged archives
             raise InputError(f"{file} is no archive: {error}") from error
-        if set(arrays) != set(_ARRAYS):
-            raise InputError(f"{file} holds {', '.join(sorted(arrays))}; an archive holds {', '.join(_ARRAYS)}")
+        if set(arrays) - set(_EXTRA_ARRAYS) != set(_ARRAYS):
+            raise InputError(
+                f"{file} holds {', '.join(sorted(arrays))}; an archive holds {', '.join(_ARRAYS)} and perhaps "
+                f"{', '.join(_EXTRA_ARRAYS)}"
+            )
         try:
             return cls(**{key: manifest[key] for key in (*_TEXTS, *_NAMES, "settings")}, **arrays)
         except InputError as error:

@@ -155,6 +155,8 @@ def test_an_archive_can_be_seen_along_some_axes():
     np.testing.assert_array_equal(toy.coordinates, COORDINATES[:, 1:])
     np.testing.assert_array_equal(toy.ideal, [4.0])
     assert toy.move_names() == ("restraint +", "restraint -")
+    spread = np.arange(10.0).reshape(5, 2)
+    np.testing.assert_array_equal(archive(spread=spread).project(("restraint",)).spread, spread[:, 1:])
 
 
 @pytest.mark.parametrize(
@@ -164,10 +166,28 @@ def test_an_archive_reads_back_exactly(tmp_path, keep):
     toy = archive(
         explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]], settings={"seed": 3, "by": "hand"}
     )
-    read = keep(toy, tmp_path / "new" / "folder")
-    for key in toy.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(read, key), getattr(toy, key))
-    assert not read.coordinates.flags.writeable
+    measured = archive(spread=np.ones((5, 2)), own_crash=np.linspace(0.0, 1.0, 5), explored_own_crash=np.zeros(0))
+    for kept in (toy, measured):
+        read = keep(kept, tmp_path / "new" / "folder")
+        for key in kept.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(read, key), getattr(kept, key))
+        assert not read.coordinates.flags.writeable
+
+
+def test_an_archive_as_a_table():
+    pandas = pytest.importorskip("pandas")
+    table = archive(own_crash=[0.0, 0.1, 0.2, 0.3, 0.4], spread=np.full((5, 2), 0.5)).to_dataframe()
+    assert isinstance(table, pandas.DataFrame)
+    assert list(table.columns) == ["a", "b", *AXES, "aggressiveness_error", "restraint_error", "own_crash"]
+    np.testing.assert_array_equal(table[list(AXES)], COORDINATES)
+    assert table.loc[3, "own_crash"] == 0.3
+    assert list(archive().to_dataframe().columns) == ["a", "b", *AXES]
+    explored = archive(explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]], spread=np.ones((5, 2)))
+    assert explored.to_dataframe(explored=True).to_dict("records") == [
+        {"a": 0.1, "b": 0.2, "aggressiveness": 1.0, "restraint": 2.0}
+    ]
+    np.testing.assert_array_equal(explored.explored.coordinates, [[1.0, 2.0]])
+    assert explored.explored.own_crash is None
 
 
 def test_the_content_hash_says_whether_two_archives_play_the_same_game(tmp_path):
@@ -209,6 +229,9 @@ def test_the_shipped_archive_is_sound():
         ({"name": ""}, "name is ''"),
         ({"ideal": [1.0, -2.0], "nadir": [0.0, 0.0]}, "restraint reaches from 0 .nadir. to -2"),
         ({"settings": {"a": [1]}}, "setting 'a' is"),
+        ({"own_crash": np.zeros(4)}, r"own_crash has shape \(4,\); it must have \(5\)"),
+        ({"own_crash": np.full(5, -0.1)}, "own_crash is -0.1 somewhere; it must be 0 or above"),
+        ({"spread": np.full((5, 2), np.nan)}, "spread is not finite in row 0"),
     ],
 )
 def test_an_impossible_archive_is_one_clear_error(changes, message):
