@@ -1,0 +1,167 @@
+import numpy as np
+import pytest
+
+from pcs_racing import InputError, characteristics, load_race_config, load_track
+from pcs_racing.characteristics import Characteristic
+from pcs_racing.race import RaceSetup, advance
+from pcs_racing_agents.jobs import make_executor
+from pcs_racing_agents.planners.lattice import LATTICE
+from pcs_racing_agents.synthesis.evaluate import (
+    Block,
+    blocks,
+    draw_scenarios,
+    evaluate,
+    join,
+    race_block,
+    summarise,
+)
+
+SHORT = load_race_config("contest", duration=4.0)
+AXES = ("pace", "restraint")
+
+
+def policies(count, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.stack([LATTICE.sample(rng) for _ in range(count)])
+
+
+@pytest.fixture(scope="module")
+def scenarios(oval):
+    return draw_scenarios([oval, "Pipkin"], SHORT, policies(3, 1), AXES, starts=2, segment_seconds=2.0, seed=4)
+
+
+@pytest.fixture(scope="module")
+def raced(scenarios):
+    return race_block(Block(scenarios, policies(5)))
+
+
+def test_every_start_is_paired_with_every_opponent_from_both_sides(scenarios):
+    assert len(scenarios) == 2 * 2 * 3 * 2
+    for track in range(2):
+        here = scenarios.track == track
+        lines = np.unique(scenarios.start_s[here])
+        assert len(lines) == 2
+        met = set(
+            zip(*(part[here].tolist() for part in (scenarios.start_s, scenarios.opponent, scenarios.side)), strict=True)
+        )
+        assert met == {(line, opponent, side) for line in lines for opponent in range(3) for side in range(2)}
+    assert len(set(scenarios.seed.tolist())) == len(scenarios)
+
+
+def test_races_are_drawn_from_the_seed(oval, scenarios):
+    again, other = (
+        draw_scenarios([oval, "Pipkin"], SHORT, policies(3, 1), AXES, segment_seconds=2.0, seed=seed) for seed in (4, 5)
+    )
+    for key in ("track", "start_s", "side", "seed", "opponent"):
+        np.testing.assert_array_equal(getattr(again, key), getattr(scenarios, key))
+    assert not np.isin(other.seed, scenarios.seed).any()
+    alone = draw_scenarios([oval], SHORT, policies(3, 1), AXES, segment_seconds=2.0, seed=4)
+    np.testing.assert_array_equal(alone.seed, scenarios.seed[:12])  # another track does not disturb the first
+
+
+def test_coordinates_are_means_over_the_pieces(scenarios, raced, oval):
+    """One policy's races on the first track, driven here by hand."""
+    from pcs_racing.characteristics import Segment, get_characteristics, measure
+    from pcs_racing.race import Starts, start_races
+
+    setup = RaceSetup(oval, SHORT, (LATTICE, LATTICE))
+    state = start_races(setup, Starts(scenarios.start_s[:12], scenarios.side[:12]), scenarios.seed[:12])
+    theta = np.stack([np.tile(policies(5)[2], (12, 1)), scenarios.opponents[scenarios.opponent[:12]]], axis=1)
+    totals, pieces = np.zeros((12, 2)), np.zeros(12)
+    for _ in range(2):
+        before = state.copy()
+        advance(setup, state, theta, 200)
+        piece = Segment.between(before, state, 2.0)
+        values = measure(piece, get_characteristics(AXES))[:, 0]
+        for race in range(12):
+            if piece.time[race] > 0.0:
+                totals[race] += values[race]
+                pieces[race] += 1
+    np.testing.assert_array_equal(raced["totals"][2, :12], totals)
+    np.testing.assert_array_equal(raced["pieces"][2, :12], pieces)
+    np.testing.assert_array_equal(raced["own_crash"][2, :12], state.fault[:, 0] == 1)
+    found = summarise(raced)
+    np.testing.assert_allclose(found.coordinates, raced["totals"].sum(axis=1) / raced["pieces"].sum(axis=1)[:, None])
+    np.testing.assert_array_equal(found.own_crash, raced["own_crash"].mean(axis=1))
+
+
+@pytest.mark.parametrize("kind", ["serial", "threads", "processes"])
+def test_blocks_and_executors_change_nothing(scenarios, raced, kind):
+    expected = summarise(raced)
+    with make_executor(kind, 2) as executor:
+        for size in (1, 2, 5) if kind != "processes" else (2,):
+            found = evaluate(scenarios, policies(5), executor=executor, block=size)
+            for mine, theirs in zip(found, expected, strict=True):
+                np.testing.assert_array_equal(mine, theirs)
+
+
+def test_policies_do_not_disturb_each_other(scenarios, raced):
+    alone = join([race_block(part) for part in blocks(scenarios, policies(5)[3:4], 1)])
+    for key, values in alone.items():
+        np.testing.assert_array_equal(values[0], raced[key][3])
+
+
+def test_the_spread_is_that_of_a_mean_over_races():
+    """Where each race has as many pieces: the textbook's standard error; and as good where crashes cut races short."""
+    rng = np.random.default_rng(0)
+    totals = rng.normal(3.0, 2.0, (4, 50, 1))
+    whole = summarise({"totals": totals, "pieces": np.full((4, 50), 2), "own_crash": np.zeros((4, 50), bool)})
+    np.testing.assert_allclose(whole.spread[:, 0], (totals[..., 0] / 2.0).std(axis=1, ddof=1) / np.sqrt(50.0))
+    pieces = rng.integers(1, 3, (4000, 50))
+    values = rng.normal(3.0, 2.0, (4000, 50, 1)) + 3.0 * (pieces[..., None] - 1)
+    cut = summarise({"totals": values, "pieces": pieces, "own_crash": np.zeros((4000, 50), bool)})
+    assert cut.spread.mean() == pytest.approx(cut.coordinates.std(), rel=0.06)
+
+
+def test_a_refreshed_set_of_opponents(scenarios):
+    fresh = scenarios.against(policies(3, 9))
+    np.testing.assert_array_equal(fresh.start_s, scenarios.start_s)
+    assert (fresh.opponents != scenarios.opponents).any()
+    with pytest.raises(InputError, match=r"opponents have shape \(2, 16\); these races need \(3, 16\)"):
+        scenarios.against(policies(2))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tracks": []}, "there are no tracks"),
+        ({"opponents": np.zeros((0, 16))}, r"opponents have shape \(0, 16\)"),
+        ({"opponents": np.zeros((3, 2))}, r"opponents have shape \(3, 2\); planner 'lattice' needs"),
+        ({"segment_seconds": 3.0}, "a race of 4 s is no multiple of segment_seconds, 3 s"),
+        ({"segment_seconds": 0.0}, "no multiple of segment_seconds, 0 s"),
+        ({"starts": 0}, "start_lines is 0"),
+        ({"characteristics": ("pace", "charm")}, "characteristic 'charm' is unknown"),
+        ({"config": load_race_config("paper", start_spacing=5.0, duration=4.0)}, "has no straight piece"),
+    ],
+)
+def test_impossible_races(oval, change, message):
+    given = {
+        "tracks": [oval],
+        "config": SHORT,
+        "opponents": policies(2),
+        "characteristics": AXES,
+        "segment_seconds": 2.0,
+    }
+    with pytest.raises(InputError, match=message):
+        draw_scenarios(**{**given, **change})
+
+
+def test_policies_of_the_wrong_shape(scenarios):
+    with pytest.raises(InputError, match=r"parameters have shape \(2, 3\); planner 'lattice' needs \(any but 0, 16\)"):
+        evaluate(scenarios, np.zeros((2, 3)))
+
+
+def test_a_characteristic_that_is_not_a_number(oval, monkeypatch):
+    broken = Characteristic("broken", "1", "for a test", lambda piece: piece.progress / 0.0 - np.inf)
+    monkeypatch.setattr(characteristics, "_registered", {**characteristics._registered, "broken": broken})
+    scenarios = draw_scenarios([oval], SHORT, policies(1), ("pace", "broken"), starts=1, segment_seconds=2.0)
+    with (
+        np.errstate(all="ignore"),
+        pytest.raises(InputError, match="characteristic 'broken' is nan in race 0 of policy 0; it must be finite"),
+    ):
+        evaluate(scenarios, policies(2))
+
+
+def test_tracks_by_name_are_the_tracks(scenarios, raced, oval):
+    loaded = draw_scenarios([oval, load_track("Pipkin")], SHORT, policies(3, 1), AXES, segment_seconds=2.0, seed=4)
+    np.testing.assert_array_equal(race_block(Block(loaded, policies(5)[:1]))["totals"][0], raced["totals"][0])
