@@ -125,6 +125,10 @@ def rate(
         raise InputError(f"prior_sd is {prior_sd!r}; it must be positive and finite")
     if rng is not None and not replicates >= 100:
         raise InputError(f"replicates is {replicates!r}; an interval needs at least 100")
+    if len(first) != len(second):
+        raise InputError(f"first names {len(first)} agents and second {len(second)}; every race needs one of each")
+    if not len(first):
+        raise InputError("there are no races; ratings need at least one")
     names, pairs = np.unique(np.array([list(first), list(second)], dtype=np.str_), return_inverse=True)
     number = len(names)
     one, other = pairs.reshape(2, -1)

@@ -42,6 +42,8 @@ def two_sided_p(t: float, df: int) -> float:
         raise InputError("t is nan; a test statistic must be a number")
     if not df >= 1:
         raise InputError(f"df is {df!r}; there must be at least 1 degree of freedom")
+    if math.isinf(t):
+        return 0.0
     end = math.atan2(math.sqrt(df), abs(t))
     at, weights = _quadrature(0.0, end)
     log_scale = math.lgamma((df + 1) / 2) - math.lgamma(df / 2) + math.log(2.0) - 0.5 * math.log(math.pi)

@@ -1,0 +1,143 @@
+"""Ratings of simulated agents with known strengths."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from pcs_racing import InputError
+from pcs_racing_agents.tournament.ratings import rate
+
+NAMES = ("a", "b", "c", "d", "e")
+STRENGTH = np.array([1.0, 0.4, 0.0, -0.4, -1.0])
+TIE = 0.6
+
+
+def chances(strength, tie, i, j):
+    """Davidson's model: chances of i winning, of a tie and of j winning."""
+    parts = np.array([np.exp(strength[i]), tie * np.exp(0.5 * (strength[i] + strength[j])), np.exp(strength[j])])
+    return parts / parts.sum()
+
+
+def simulate(rng, races, tie=TIE, strength=STRENGTH):
+    """All pairs race; returns first, second and result."""
+    first, second, result = [], [], []
+    for i, j in combinations(range(len(strength)), 2):
+        first += [NAMES[i]] * races
+        second += [NAMES[j]] * races
+        result += list(rng.choice([1, 0, -1], size=races, p=chances(strength, tie, i, j)))
+    return first, second, np.array(result)
+
+
+def test_strengths_and_ties_come_back():
+    ratings = rate(*simulate(np.random.default_rng(0), 4000))
+    assert ratings.names == NAMES
+    assert ratings.strength == pytest.approx(STRENGTH, abs=0.06)
+    assert ratings.tie == pytest.approx(TIE, abs=0.03)
+    assert ratings.strength.sum() == pytest.approx(0.0, abs=1e-9)
+    assert ratings.elo[0] - ratings.elo[1] == pytest.approx(0.6 * 400 / np.log(10), abs=12)
+    assert ratings.chances("a", "e") == pytest.approx(chances(STRENGTH, TIE, 0, 4), abs=0.02)
+    assert np.isnan(ratings.low).all()
+    assert ratings.races.tolist() == [16_000] * 5
+
+
+@pytest.mark.parametrize("tie", [TIE, 0.0])
+def test_the_fit_is_the_maximum_that_another_optimiser_finds(tie):
+    first, second, result = simulate(np.random.default_rng(1), 25, tie)
+    pairs = [(NAMES.index(i), NAMES.index(j), r) for i, j, r in zip(first, second, result, strict=True)]
+
+    def loss(x):
+        weight = np.exp(x[-1]) if tie else 0.0
+        log = sum(np.log(chances(x[:-1], weight, i, j)[1 - r]) for i, j, r in pairs)
+        return (0.5 * (x**2).sum() / 3.0**2) - log
+
+    best = minimize(loss, np.zeros(6), tol=1e-10).x
+    ratings = rate(first, second, result)
+    assert ratings.strength == pytest.approx(best[:5], abs=2e-5)
+    assert ratings.tie == pytest.approx(np.exp(best[5]) if tie else 0.0, abs=2e-5)
+
+
+def test_the_fit_is_that_of_evalica():
+    """Newman's iteration, where every agent has won and lost; his weight of ties is half of Davidson's."""
+    evalica = pytest.importorskip("evalica")
+    first, second, result = simulate(np.random.default_rng(2), 100)
+    winners = [{1: evalica.Winner.X, 0: evalica.Winner.Draw, -1: evalica.Winner.Y}[r] for r in result]
+    theirs = evalica.newman(first, second, winners, tolerance=1e-12, limit=1000)
+    logs = np.log(theirs.scores[list(NAMES)].to_numpy())
+    ours = rate(first, second, result, prior_sd=1e4)
+    assert ours.strength == pytest.approx(logs - logs.mean(), abs=1e-6)
+    assert ours.tie == pytest.approx(2.0 * theirs.v, abs=1e-6)
+
+
+def test_intervals_cover_the_strengths():
+    rng = np.random.default_rng(3)
+    covered = []
+    for _ in range(60):
+        ratings = rate(*simulate(rng, 40), rng=rng, replicates=100)
+        covered.append((ratings.low <= STRENGTH) & (ratings.high >= STRENGTH))
+        assert (ratings.low < ratings.strength).all()
+    assert 0.88 <= np.mean(covered) <= 0.99
+
+
+def test_intervals_repeat_and_know_of_shared_races():
+    """Fifty copies of the same ten start lines are no more evidence than the ten."""
+    rng = np.random.default_rng(4)
+    first, second, result = simulate(rng, 10)
+    copies = np.repeat(np.arange(len(first)), 50)
+    many = [np.array(first)[copies], np.array(second)[copies], result[copies]]
+    line = np.tile(np.arange(10), len(first) // 10)[copies]
+    alone, again, naive = (
+        rate(*many, unit=unit, rng=np.random.default_rng(5), replicates=200) for unit in (line, line, None)
+    )
+    assert (alone.low == again.low).all()
+    assert ((naive.high - naive.low) < 0.35 * (alone.high - alone.low)).all()
+
+
+def test_an_agent_that_wins_everything_has_a_finite_rating():
+    first, second = ["a"] * 20 + ["b"] * 20, ["b"] * 20 + ["c"] * 20
+    ratings = rate(first, second, [1] * 20 + [1, -1] * 10, rng=np.random.default_rng(0), replicates=100)
+    assert ratings.strength[0] > 2.0
+    assert np.isfinite([ratings.low, ratings.high]).all()
+    assert ratings.strength[1] == pytest.approx(ratings.strength[2], abs=1.0)
+    assert ratings.tie == 0.0
+
+
+def test_races_that_paid_nobody_are_left_out():
+    first, second, result = simulate(np.random.default_rng(6), 30)
+    crashed = [*first, "a", "a"], [*second, "e", "b"], np.append(result, [-1, np.nan])
+    nobody = np.append(np.zeros(len(first), bool), [True, True])
+    ratings = rate(*crashed, nobody=nobody)
+    assert (ratings.strength == rate(first, second, result).strength).all()
+    assert ratings.left_out.tolist() == [2, 1, 0, 0, 1]
+    assert ratings.races.tolist() == [120] * 5
+
+
+def test_who_is_named_first_does_not_matter():
+    first, second, result = simulate(np.random.default_rng(7), 20)
+    assert rate(second, first, -result).strength == pytest.approx(rate(first, second, result).strength, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: rate(["a"], ["a"], [1]), "a races itself"),
+        (lambda: rate(["a"], ["b"], [2]), r"result\[0\] is 2"),
+        (lambda: rate(["a"], ["b"], [np.nan]), r"result\[0\] is nan"),
+        (lambda: rate(["a"], ["b"], ["ego"]), "result must hold one value"),
+        (lambda: rate(["a"], ["b"], [1, 1]), r"result has shape \(2,\)"),
+        (lambda: rate(["a", "b"], ["b"], [1, 1]), "first names 2 agents and second 1"),
+        (lambda: rate([], [], []), "there are no races"),
+        (lambda: rate(["a"], ["b"], [1], nobody=[True]), "none of 1 races was paid to anybody"),
+        (lambda: rate(["a", "c"], ["b", "d"], [1, 0]), "c never met a"),
+        (lambda: rate(["a"], ["b"], [1], prior_sd=0.0), "prior_sd is 0"),
+        (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0)), "all races have the same unit"),
+        (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0), replicates=5), "replicates is 5"),
+        (lambda: rate(["a"], ["b"], [1], level=2.0), "level is 2"),
+        (lambda: rate(["a"], ["b"], [1]).chances("a", "z"), "'z' was not rated; these were: a, b"),
+    ],
+)
+def test_bad_input(call, message):
+    with pytest.raises(InputError, match=message) as error:
+        call()
+    assert "\n" not in str(error.value)
