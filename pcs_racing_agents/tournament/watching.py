@@ -1,0 +1,88 @@
+"""A game again, to watch: the moves are made as before, and the race is recorded on the way."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pcs_racing.errors import InputError
+from pcs_racing.game import RaceGame
+from pcs_racing.planner import Policy
+from pcs_racing.race import Starts
+from pcs_racing.recording import record_drive
+from pcs_racing.replay import Replay
+from pcs_racing_agents.strategies.agent import Competitor, Driver, as_competitor
+from pcs_racing_agents.tournament.matches import Matches, game_between, play_games
+
+__all__ = ["Recording", "record_match"]
+
+
+class Recording(NamedTuple):
+    """A game that was recorded.
+
+    Attributes
+    ----------
+    replay : Replay
+    match : Matches
+        What came of it; of one game.
+    """
+
+    replay: Replay
+    match: Matches
+
+
+def record_match(
+    game: RaceGame,
+    ego: Competitor | Policy,
+    opponent: Competitor | Policy,
+    *,
+    policies: ArrayLike,
+    start: Starts,
+    seed: int,
+    candidates: bool = True,
+) -> Recording:
+    """Play one game as :func:`play_games` does, and record its race.
+
+    Parameters
+    ----------
+    game, ego, opponent
+        As for :func:`play_games`.
+    policies : array_like of int, shape (2,)
+    start : Starts
+        Of one game.
+    seed : int
+        Key of its noise.
+    candidates : bool
+        Whether to keep the paths that each planner chose from.
+
+    Raises
+    ------
+    InputError
+        As :func:`play_games`.
+    """
+    chosen = np.asarray(policies)
+    if chosen.shape != (2,):
+        raise InputError(f"policies have shape {chosen.shape}; one game has two")
+    cars = (as_competitor(ego), as_competitor(opponent))
+    match = play_games(game, *cars, policies=chosen[None], starts=start, seeds=np.array([seed], np.uint64))
+    arena = game_between(game, *cars)
+    driven = int((match.policy[0] >= 0).any(axis=0).sum()) or 1
+    theta = np.zeros((driven, 2, arena.setup.theta_size))
+    for car, who in enumerate(cars):
+        for step in range(driven):
+            if isinstance(who, Driver):
+                parameters = who.policies[chosen[car]].parameters
+            else:
+                parameters = arena.archive.parameters[match.policy[0, car, step]]
+            theta[step, car, : len(parameters)] = parameters
+    names = tuple(str(getattr(who, "name", type(who).__name__)) for who in cars)
+    replay = record_drive(
+        arena.setup,
+        start,
+        match.noise[0],
+        theta,
+        names=(names[0], names[1]),
+        step_ticks=arena.config.step_ticks,
+        candidates=candidates,
+    )
+    return Recording(replay, match)
