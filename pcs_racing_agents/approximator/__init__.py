@@ -3,5 +3,25 @@
 from pcs_racing_agents.approximator.network import GameIdentity, RegretNetwork, game_identity
 from pcs_racing_agents.approximator.network_files import list_networks, load_network
 from pcs_racing_agents.approximator.rows import Rows, join_rows
+from pcs_racing_agents.approximator.settings import TrainSettings, load_train_settings
+from pcs_racing_agents.approximator.targets import TARGETS, best_moves, node_targets, solve_for
+from pcs_racing_agents.approximator.training import train_network
+from pcs_racing_agents.approximator.tree_rows import tree_rows
 
-__all__ = ["GameIdentity", "RegretNetwork", "Rows", "game_identity", "join_rows", "list_networks", "load_network"]
+__all__ = [
+    "TARGETS",
+    "GameIdentity",
+    "RegretNetwork",
+    "Rows",
+    "TrainSettings",
+    "best_moves",
+    "game_identity",
+    "join_rows",
+    "list_networks",
+    "load_network",
+    "load_train_settings",
+    "node_targets",
+    "solve_for",
+    "train_network",
+    "tree_rows",
+]

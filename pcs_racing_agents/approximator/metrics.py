@@ -13,9 +13,15 @@ from pcs_racing_agents.approximator.network import RegretNetwork
 from pcs_racing_agents.approximator.rows import Rows
 from pcs_racing_agents.approximator.targets import best_moves
 from pcs_racing_agents.approximator.tree_rows import PlayedTree
-from pcs_racing_agents.solvers.evaluation import Profile, best_response, play_value, uniform_profile
-from pcs_racing_agents.solvers.exact import ExactResult, solve_exact
-from pcs_racing_agents.solvers.game_tree import GameTree
+from pcs_racing_agents.solvers import (
+    ExactResult,
+    GameTree,
+    Profile,
+    best_response,
+    play_value,
+    solve_exact,
+    uniform_profile,
+)
 
 __all__ = [
     "Play",

@@ -21,8 +21,8 @@ FORMAT = "pcs-racing network"
 VERSION = 1
 MAX_BYTES = 32_000_000
 MAX_MANIFEST_BYTES = 1_000_000
-_KEYS = ("format", "version", "name", "target", "clipped", "hidden", *GameIdentity._fields, "training")
-_KEYS = (*_KEYS, "weights_sha256")
+_OWN_KEYS = ("format", "version", "name", "target", "clipped", "hidden", "training", "weights_sha256")
+_KEYS = (*_OWN_KEYS, *GameIdentity._fields)
 
 
 def save_network(network: RegretNetwork, folder: str | Path) -> Path:
@@ -167,7 +167,7 @@ def _read_manifest(file: Path) -> dict[str, Any]:
     if set(manifest) != set(_KEYS):
         odd = ", ".join(sorted(map(str, set(manifest) ^ set(_KEYS))))
         raise InputError(f"{file}: unknown or missing {odd}; a manifest holds {', '.join(_KEYS)}")
-    kinds: dict[str, tuple[type, type | None, str]] = {
+    kinds: dict[str, tuple[Any, Any, str]] = {
         **dict.fromkeys(("name", "target", "archive", "archive_sha256", "preset"), (str, None, "a text")),
         "clipped": (bool, None, "true or false"),
         **dict.fromkeys(("elements", "moves"), (list, str, "a list of texts")),

@@ -1,34 +1,16 @@
 """What a network is trained on, and how: a dataclass, from YAML if need be."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from pcs_racing.errors import ConfigError, UnknownNameError
+from pcs_racing.errors import ConfigError
 from pcs_racing_agents.approximator.targets import OPPONENTS, ROW_WEIGHTS, TARGETS
-from pcs_racing_agents.solvers.cfr import VARIANTS
+from pcs_racing_agents.configuration import check_numbers, check_wholes, load_settings
+from pcs_racing_agents.solvers import VARIANTS
 
-__all__ = ["TrainSettings", "load_train_settings", "shipped_settings"]
+__all__ = ["TrainSettings", "load_train_settings"]
 
-_WHOLE = {
-    "iterations": (1, 1_000_000),
-    "rows_per_step": (0, 1_000_000),
-    "batch_size": (1, 1_000_000),
-    "rows_per_epoch": (1, 100_000_000),
-    "epochs": (1, 100_000),
-    "patience": (1, 100_000),
-    "seed": (0, 2**63 - 1),
-}
-_NUMBERS = {
-    "learning_rate": (1e-8, 10.0),
-    "weight_decay": (0.0, 10.0),
-    "below_zero": (0.0, 1000.0),
-    "validation_share": (0.01, 0.9),
-    "test_share": (0.0, 0.9),
-}
 _CHOICES = {
     "target": tuple(TARGETS),
     "opponent": tuple(OPPONENTS),
@@ -105,14 +87,24 @@ class TrainSettings:
         for key, choices in _CHOICES.items():
             if getattr(self, key) not in choices:
                 raise ConfigError(f"{key} is {getattr(self, key)!r}; it must be one of {', '.join(choices)}")
-        for key, (low, high) in _WHOLE.items():
-            value = getattr(self, key)
-            if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-                raise ConfigError(f"{key} is {value!r}; it must be a whole number from {low} to {high}")
-        for key, (least, most) in _NUMBERS.items():
-            value = getattr(self, key)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
-                raise ConfigError(f"{key} is {value!r}; it must be a number from {least:g} to {most:g}")
+        check_wholes(
+            self,
+            iterations=(1, 1_000_000),
+            rows_per_step=(0, 1_000_000),
+            batch_size=(1, 1_000_000),
+            rows_per_epoch=(1, 100_000_000),
+            epochs=(1, 100_000),
+            patience=(1, 100_000),
+            seed=(0, 2**63 - 1),
+        )
+        check_numbers(
+            self,
+            learning_rate=(1e-8, 10.0),
+            weight_decay=(0.0, 10.0),
+            below_zero=(0.0, 1000.0),
+            validation_share=(0.01, 0.9),
+            test_share=(0.0, 0.9),
+        )
         if self.validation_share + self.test_share > 0.95:
             raise ConfigError(
                 f"validation_share and test_share are {self.validation_share:g} and {self.test_share:g}; together they "
@@ -123,17 +115,6 @@ class TrainSettings:
         if not whole or len(hidden) > 8 or not all(1 <= n <= 4096 for n in hidden):
             raise ConfigError(f"hidden is {hidden!r}; it must be a list of at most 8 whole numbers from 1 to 4096")
         object.__setattr__(self, "hidden", tuple(hidden))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the settings as plain values, as a YAML file holds them."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
-
-
-def shipped_settings() -> dict[str, Path]:
-    """Files of the settings that come with the package, by name."""
-    folder = Path(__file__).resolve().parents[1] / "configs"
-    return {file.stem.removeprefix("train_"): file for file in sorted(folder.glob("train_*.yaml"))}
 
 
 def load_train_settings(source: str | Path | TrainSettings | None = None, **changes: Any) -> TrainSettings:
@@ -148,27 +129,4 @@ def load_train_settings(source: str | Path | TrainSettings | None = None, **chan
     UnknownNameError
         If the name is no configuration and no file.
     """
-    if source is None or isinstance(source, TrainSettings):
-        return replace(source or TrainSettings(), **_known(changes, "the arguments"))
-    shipped = shipped_settings()
-    path = shipped[source] if isinstance(source, str) and source in shipped else Path(source)
-    if not path.is_file():
-        raise UnknownNameError(
-            f"training settings {str(source)!r} are unknown; use {', '.join(shipped) or 'none'} or the path of a YAML "
-            "file"
-        )
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not valid YAML: {error}") from error
-    if not isinstance(values, dict):
-        raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of training settings")
-    return TrainSettings(**{**_known(values, str(path)), **_known(changes, "the arguments")})
-
-
-def _known(values: Mapping[Any, Any], where: str) -> dict[str, Any]:
-    names = [field.name for field in fields(TrainSettings)]
-    for key in values:
-        if key not in names:
-            raise ConfigError(f"{where}: unknown training setting {key!r}; known are {', '.join(names)}")
-    return dict(values)
+    return load_settings("train", TrainSettings(), source, **changes)

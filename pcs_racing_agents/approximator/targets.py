@@ -15,10 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.errors import InputError, UnknownNameError
-from pcs_racing_agents.solvers.cfr import CFRResult, cfr
-from pcs_racing_agents.solvers.evaluation import advantages, best_response
-from pcs_racing_agents.solvers.exact import ExactResult, solve_exact
-from pcs_racing_agents.solvers.game_tree import GameTree
+from pcs_racing_agents.solvers import CFRResult, ExactResult, GameTree, best_response, cfr, solve_exact
 
 __all__ = ["OPPONENTS", "ROW_WEIGHTS", "TARGETS", "Target", "best_moves", "get_target", "node_targets", "solve_for"]
 
@@ -142,7 +139,7 @@ def node_targets(
             for k, (r0, r1) in enumerate(solution.regrets)
         ]
     if target == "advantage":
-        return advantages(tree, solution.profile)
+        return list(solution.advantages)
     profile = static_profile(tree, opponent, stay)
     q = [best_response(tree, profile, player).q for player in (0, 1)]
     return list(zip(*q, strict=True))

@@ -17,6 +17,7 @@ from pcs_racing_agents.approximator.network import GameIdentity, RegretNetwork
 from pcs_racing_agents.approximator.rows import Rows, split_by_pair
 from pcs_racing_agents.approximator.settings import TrainSettings
 from pcs_racing_agents.approximator.targets import best_moves
+from pcs_racing_agents.configuration import plain_settings
 
 __all__ = ["Epoch", "Fit", "fit", "train_network"]
 
@@ -129,7 +130,7 @@ def train_network(
     }
     summary["best_epoch"] = summary.pop("epoch")
     hidden = ", ".join(str(width) for width in settings.hidden)
-    for key, value in settings.as_dict().items():
+    for key, value in plain_settings(settings).items():
         summary[f"setting_{key}"] = hidden if key == "hidden" else value
     network = RegretNetwork(
         name=name,
@@ -156,7 +157,7 @@ def fit(rows: Rows, settings: TrainSettings, *, clipped: bool = False, progress:
     def tensors(part: Rows) -> tuple[Any, Any, Any, Any]:
         x = (part.observations - by.mean) / by.scale
         arrays = (x, *_goals(part, by, clipped, settings.below_zero))
-        return tuple(torch.from_numpy(array) for array in arrays)  # type: ignore[return-value]
+        return tuple(torch.from_numpy(array) for array in arrays)
 
     def loss(x: Any, goal: Any, weight: Any, one_sided: Any) -> Any:
         error = forward(x) - goal

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing_agents.approximator.rows import Rows, pair_number
 from pcs_racing_agents.approximator.targets import ROW_WEIGHTS, Solution, node_targets
-from pcs_racing_agents.solvers.evaluation import reach_probabilities
-from pcs_racing_agents.solvers.game_tree import GameTree
+from pcs_racing_agents.solvers import CFRResult, GameTree, reach_probabilities
 
 __all__ = ["PlayedTree", "tree_rows"]
 
@@ -134,6 +133,6 @@ def _node_weights(tree: GameTree, solution: Solution, row_weights: str) -> list[
         return [np.ones(tree.nodes(k)) for k in range(tree.depth)]
     if row_weights == "random":
         return [np.full(tree.nodes(k), 1.0 / tree.nodes(k)) for k in range(tree.depth)]
-    profile = getattr(solution, "average", None) or solution.profile
-    mixed = [tuple(0.5 * s + 0.5 / s.shape[1] for s in pair) for pair in profile]
+    profile = solution.average if isinstance(solution, CFRResult) else solution.profile
+    mixed = [(0.5 * first + 0.5 / first.shape[1], 0.5 * second + 0.5 / second.shape[1]) for first, second in profile]
     return [first * second for first, second in reach_probabilities(tree, mixed)]
