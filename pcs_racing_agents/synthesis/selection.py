@@ -1,0 +1,90 @@
+"""Which of many policies make an archive: those that no other clearly beats, at a distance from each other.
+
+Coordinates are means over races and carry errors. A policy that another one beats by less than the error of their
+difference may well belong to the front, so it stays; all policies drive the same races, which makes that error small.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing_agents.chunk_files import Arrays
+
+__all__ = ["beaten", "difference_errors", "front_layers", "thin_out"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+def front_layers(points: Floats) -> Indices:
+    """Layer of each point, shape (K,): 0 if no other point beats it, 1 if only points of layer 0 do, and so on.
+
+    A point beats another if it is at least as large in all coordinates and larger in one.
+    """
+    points = np.asarray(points, np.float64)
+    better = np.all(points[:, None] >= points[None], axis=-1) & np.any(points[:, None] > points[None], axis=-1)
+    layer = np.full(len(points), -1, np.int64)
+    depth = 0
+    while (layer < 0).any():
+        left = np.flatnonzero(layer < 0)
+        layer[left[~better[np.ix_(left, left)].any(axis=0)]] = depth
+        depth += 1
+    return layer
+
+
+def difference_errors(raced: Arrays) -> Floats:
+    """Standard errors of the differences between the coordinates of K policies, shape (K, K, G).
+
+    Parameters
+    ----------
+    raced : dict of ndarray
+        What :func:`~pcs_racing_agents.synthesis.evaluate.race_block` found: the same R races for all of them.
+    """
+    totals, pieces = raced["totals"], raced["pieces"].astype(np.float64)
+    races = totals.shape[1]
+    coordinates = totals.sum(axis=1) / pieces.sum(axis=1)[:, None]
+    # What each race contributes to the error of a ratio of sums, linearised.
+    shares = (totals - coordinates[:, None] * pieces[..., None]) / pieces.sum(axis=1)[:, None, None]
+    products = np.einsum("irg,jrg->ijg", shares, shares)  # not BLAS: the same bits whatever its threads
+    own = np.einsum("iig->ig", products)
+    squares = own[:, None] + own[None] - 2.0 * products
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) * races / max(races - 1, 1)), np.float64)
+
+
+def beaten(coordinates: Floats, errors: Floats, error_bars: float) -> NDArray[np.bool_]:
+    """Whether each policy is beaten: another one is better on all axes, by more than its error bars, shape (K,).
+
+    Parameters
+    ----------
+    coordinates : ndarray, shape (K, G)
+    errors : ndarray, shape (K, K, G)
+        Of the differences.
+    error_bars : float
+        How many standard errors count as nothing; with 0 every policy that is smaller on all axes is beaten.
+    """
+    ahead = coordinates[None] - coordinates[:, None]  # of j over i, at (i, j)
+    return np.asarray(np.all(ahead > error_bars * errors, axis=-1).any(axis=1))
+
+
+def thin_out(points: Floats, spacing: float, most: int) -> Indices:
+    """Choose points that keep a distance from each other, ascending indices.
+
+    Points of the front come first, then those of the next layers, each by its index; one that is nearer than
+    ``spacing`` to a point chosen before is left out. The spacing is widened until no more than ``most`` remain.
+
+    Parameters
+    ----------
+    points : ndarray, shape (K, G)
+        Normalised coordinates.
+    spacing : float
+    most : int
+    """
+    order = np.lexsort((np.arange(len(points)), front_layers(points)))
+    while True:
+        chosen: list[int] = []
+        for candidate in order.tolist():
+            away = np.sqrt(np.sum((points[chosen] - points[candidate]) ** 2, axis=1))
+            if not (away < spacing).any():
+                chosen.append(candidate)
+        if len(chosen) <= most:
+            return np.sort(np.array(chosen, np.int64))
+        spacing = max(1.05 * spacing, 1e-4)
