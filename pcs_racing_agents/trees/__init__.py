@@ -1,0 +1,25 @@
+"""Game trees of races: played once, kept in files, and the data that solvers and networks are made of."""
+
+from pcs_racing_agents.trees.build import build_tree
+from pcs_racing_agents.trees.ego import EgoTrees, play_ego
+from pcs_racing_agents.trees.ego_rows import ego_rows, ego_values
+from pcs_racing_agents.trees.ego_storage import build_ego_trees, load_ego_trees
+from pcs_racing_agents.trees.roots import choose_pairs
+from pcs_racing_agents.trees.storage import StoredTrees, build_trees, load_trees
+from pcs_racing_agents.trees.tree import RaceTree, TreeStatistics
+
+__all__ = [
+    "EgoTrees",
+    "RaceTree",
+    "StoredTrees",
+    "TreeStatistics",
+    "build_ego_trees",
+    "build_tree",
+    "build_trees",
+    "choose_pairs",
+    "ego_rows",
+    "ego_values",
+    "load_ego_trees",
+    "load_trees",
+    "play_ego",
+]

@@ -1,0 +1,159 @@
+"""Playing a game tree: level by level, all nodes of a level in one batch."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.errors import InputError
+from pcs_racing.game import RaceGame, take_games
+from pcs_racing.game_state import GameState
+from pcs_racing.race import Starts
+from pcs_racing_agents.trees.driving import drive_children
+from pcs_racing_agents.trees.far import finish
+from pcs_racing_agents.trees.paths import PolicyPaths, check_size, policy_paths
+from pcs_racing_agents.trees.tree import RaceTree
+
+__all__ = ["build_tree", "check_game"]
+
+
+def build_tree(
+    game: RaceGame,
+    policies: ArrayLike,
+    start: Starts | tuple[float, int],
+    seeds: ArrayLike | None = None,
+    *,
+    share: bool = True,
+) -> RaceTree:
+    """Play everything that can happen in a game from one start.
+
+    Histories of moves that pass through the same policies are driven once, a crash ends its branch, and the last step
+    of two cars that are out of each other's sight is put together from their single drives
+    (:mod:`pcs_racing_agents.trees.far`). None of that changes a bit of the result.
+
+    Parameters
+    ----------
+    game : RaceGame
+        Both cars drive policies of its archive.
+    policies : array of int, shape (2,)
+        Policies that the cars start with.
+    start : Starts of one start, or (float, int)
+        Arc length of the start line (m) and side.
+    seeds : array of int, shape (S,), optional
+        Keys of the games, as for :meth:`RaceGame.reset`; key 0 by default. Without steering noise a single one.
+    share : bool
+        Whether to put last steps together instead of driving all of them.
+
+    Raises
+    ------
+    InputError
+        If a policy, start or seed is impossible, the tree would be too large, or the game has drivers from outside the
+        archive.
+    """
+    check_game(game)
+    place = start if isinstance(start, Starts) else Starts(*(np.array([value]) for value in start))
+    if len(place) != 1:
+        raise InputError(f"there are {len(place)} starts; a tree has one")
+    keys = np.atleast_1d(np.asarray(0 if seeds is None else seeds))
+    if keys.ndim != 1 or len(keys) == 0 or len(np.unique(keys)) != len(keys):
+        raise InputError(f"seeds are {seeds!r}; give one or more different whole numbers from 0")
+    if len(keys) > 1 and game.config.race.steering_noise == 0.0:
+        raise InputError(f"there are {len(keys)} seeds, but no steering noise: every seed drives the same; give one")
+    pair = np.asarray(policies)
+    if pair.shape != (2,) or (pair < 0).any():
+        raise InputError(f"policies are {policies!r}; give two policies of archive {game.archive.name!r}")
+    root = game.reset(keys, policies=pair, starts=place.take(np.zeros(len(keys), np.int64)))
+    moves = game.config.moves
+    paths = [policy_paths(game.table, int(policy), moves) for policy in pair]
+    grown = [_grow(game, take_games(root, [i]), paths, share) for i in range(len(keys))]
+    payoffs, leads, estimates, over, numbers = zip(*grown, strict=True)
+    driven, live, crashed = np.array(numbers, np.int64).T
+    return RaceTree(
+        policies=pair.astype(np.int64),
+        start_s=float(place.s[0]),
+        side=int(place.side[0]),
+        seeds=keys.astype(np.uint64),
+        table=game.table,
+        points=game.points,
+        path_payoffs=np.stack(payoffs),
+        path_leads=tuple(np.stack(level) for level in zip(*leads, strict=True)),
+        path_estimates=tuple(np.stack(level) for level in zip(*estimates, strict=True)),
+        path_over=tuple(np.stack(level) for level in zip(*over, strict=True)),
+        driven=driven,
+        live=live,
+        crashed=crashed,
+    )
+
+
+def check_game(game: RaceGame) -> None:
+    """Refuse games of which no tree can be played.
+
+    Raises
+    ------
+    InputError
+        If a car is driven by another planner than the archive's, or the tree would be too large.
+    """
+    for car, planner in enumerate(game.setup.planners):
+        if planner.name != game.archive.planner:
+            raise InputError(
+                f"car {car} is driven by planner {planner.name!r}; in a game tree both cars drive policies of archive "
+                f"{game.archive.name!r} (planner {game.archive.planner!r})"
+            )
+    check_size(game.table.shape[1], game.config.moves)
+
+
+Grown = tuple[
+    NDArray[np.float32],
+    list[NDArray[np.float64]],
+    list[NDArray[np.float32]],
+    list[NDArray[np.bool_]],
+    tuple[int, int, int],
+]
+
+
+def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: bool) -> Grown:
+    """Play the tree of one seed: payoffs, and for each level leads, estimates and which races are over."""
+    moves, axes = game.config.moves, len(game.characteristics)
+    races = root.race  # those of the level that go on
+    row = np.where(races.crashed, -1, 0).reshape(1, 1)  # of each pair of paths in ``races``, -1 where it is over
+    worth = np.where(races.crashed, game.worth(races, 0), 0.0).reshape(1, 1)
+    leads = [root.leads[:, 0].reshape(1, 1)]
+    estimates = [root.estimates[:, :, 0].reshape(1, 1, 2, axes).astype(np.float32)]
+    over = [row < 0]
+    driven = live = 1
+    for k in range(1, moves + 1):
+        above = np.ix_(*(path.parent[k] for path in paths))
+        parents, worth = row[above], worth[above]
+        at = np.nonzero(parents >= 0)
+        rows = parents[at]
+        policies = np.stack([path.policy[k][i] for path, i in zip(paths, at, strict=True)], axis=1)
+        live += len(rows)
+        crashed = parents < 0
+        if k == moves:
+            ends, count = finish(game, races, rows, policies, share=share)
+            crashed[at] = ends.crash.any(axis=1)
+            # The end after a crash or after all moves: in both cases k moves were made.
+            worth[at] = game.worth(ends.as_races(), k)
+            driven += count
+            break
+        below, measured = drive_children(game, races, rows, policies)
+        crashed[at] = below.crashed
+        worth[at] = np.where(below.crashed, game.worth(below, k), 0.0)
+        leads.append(_scatter(below.lead, at, parents.shape))
+        estimates.append(_scatter(measured.astype(np.float32), at, parents.shape))
+        over.append(crashed)
+        go_on = np.flatnonzero(~below.crashed)
+        row = np.full(parents.shape, -1)
+        row[at[0][go_on], at[1][go_on]] = np.arange(len(go_on))
+        races = type(below)._make(array[go_on] for array in below)
+        driven += len(rows)
+    weights = [np.bincount(path.history[moves]) for path in paths]
+    crashes = int(weights[0] @ crashed.astype(np.int64) @ weights[1])
+    return worth.astype(np.float32), leads, estimates, over, (driven, live, crashes)
+
+
+def _scatter(values: NDArray[Any], at: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]) -> NDArray[Any]:
+    array = np.zeros((*shape, *values.shape[1:]), values.dtype)
+    array[at] = values
+    return array

@@ -1,0 +1,127 @@
+"""Driving the nodes of a tree's level: from the states above, with other policies, in chunks of bounded memory."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.game import RaceGame
+from pcs_racing.race import advance
+from pcs_racing.race_kernel import PLAN_EVERY
+from pcs_racing.race_state import RaceState, concatenate, empty_state, take
+
+__all__ = ["Ends", "drive_children", "drive_to_the_end"]
+
+Indices = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+CHUNK = 4096
+"""Races that are driven at a time: about 1.2 kB of state each, and enough for any number of threads."""
+
+
+class Ends(NamedTuple):
+    """How races ended: what of a :class:`RaceState` decides what they are worth.
+
+    Attributes
+    ----------
+    progress : ndarray, shape (B, 2)
+    crash, fault : ndarray, shape (B, 2), int8
+    """
+
+    progress: Floats
+    crash: NDArray[np.int8]
+    fault: NDArray[np.int8]
+
+    @classmethod
+    def empty(cls, races: int) -> "Ends":
+        """Return room for so many races."""
+        return cls(np.zeros((races, 2)), np.zeros((races, 2), np.int8), np.zeros((races, 2), np.int8))
+
+    def put(self, rows: Indices | slice, ends: "Ends") -> None:
+        """Overwrite some races, in place."""
+        self.progress[rows] = ends.progress
+        self.crash[rows] = ends.crash
+        self.fault[rows] = ends.fault
+
+    def and_then(self, more: "Ends") -> "Ends":
+        """Return these races followed by others."""
+        return Ends(
+            np.concatenate([self.progress, more.progress]),
+            np.concatenate([self.crash, more.crash]),
+            np.concatenate([self.fault, more.fault]),
+        )
+
+    def as_races(self) -> RaceState:
+        """Return a state that holds these numbers, as :meth:`RaceGame.worth` wants it."""
+        return empty_state(len(self.progress), 0)._replace(**self._asdict())
+
+
+def _chunks(parents: RaceState, rows: Indices) -> Iterator[tuple[slice, RaceState]]:
+    for first in range(0, len(rows), CHUNK):
+        part = slice(first, first + CHUNK)
+        yield part, take(parents, rows[part])
+
+
+def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: Indices) -> tuple[RaceState, Floats]:
+    """Drive a step of the game from some states.
+
+    Parameters
+    ----------
+    game : RaceGame
+    parents : RaceState
+        Left as it is.
+    rows : array of int, shape (B,)
+        State that each child goes on from.
+    policies : array of int, shape (B, 2)
+        What drives there.
+
+    Returns
+    -------
+    races : RaceState
+        B races, a step later.
+    estimates : ndarray, shape (B, 2, G)
+        What was measured in that step (:meth:`RaceGame.drive`).
+    """
+    races, estimates = [take(parents, rows[:0])], [np.zeros((0, 2, len(game.characteristics)))]
+    for part, chunk in _chunks(parents, rows):
+        estimates.append(game.drive(chunk, policies[part]))
+        races.append(chunk)
+    return concatenate(races), np.concatenate(estimates)
+
+
+def drive_to_the_end(
+    game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, trace: bool = False
+) -> tuple[Ends, NDArray[np.float32]]:
+    """Drive the last step of the game, of which nobody measures anything.
+
+    Parameters
+    ----------
+    game, parents, rows, policies
+        As for :func:`drive_children`.
+    trace : bool
+        Whether to follow the progress.
+
+    Returns
+    -------
+    ends : Ends
+        Of the B races.
+    trace : ndarray, shape (B, T, 2), float32
+        Progress of each car whenever the drivers plan (every 0.1 s), the step's first and last moment included;
+        ``T = 0`` without ``trace``.
+    """
+    ticks = game.config.step_ticks
+    moments = ticks // PLAN_EVERY + 1 if trace else 0
+    ends = Ends.empty(len(rows))
+    traces = np.zeros((len(rows), moments, 2), np.float32)
+    for part, chunk in _chunks(parents, rows):
+        theta = game.theta(policies[part])
+        if trace:
+            traces[part, 0] = chunk.progress
+            for moment in range(1, moments):
+                advance(game.setup, chunk, theta, PLAN_EVERY, threads=game.threads, ittc=False)
+                traces[part, moment] = chunk.progress
+        else:
+            advance(game.setup, chunk, theta, ticks, threads=game.threads, ittc=False)
+        ends.put(part, Ends(chunk.progress, chunk.crash, chunk.fault))
+    return ends, traces

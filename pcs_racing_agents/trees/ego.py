@@ -1,0 +1,315 @@
+"""Ego trees: all moves of one player against one sequence of moves of the other; cheap, and many of them teach as much.
+
+A full tree tries all pairs of moves, ``A**(2 m)`` of them. An ego tree tries the ``A**m`` sequences of car 0 against a
+sequence of car 1 that is drawn, and many roots are driven in one batch. As in full trees, histories that pass through
+the same policies are driven once, and a crash ends its branch.
+
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.errors import InputError, UnknownNameError
+from pcs_racing.game import RaceGame, encode_observation
+from pcs_racing_agents.trees.build import check_game
+from pcs_racing_agents.trees.driving import drive_children
+from pcs_racing_agents.trees.far import finish
+from pcs_racing_agents.trees.paths import PolicyPaths, policy_paths
+
+__all__ = ["OPPONENTS", "EgoTrees", "check_ego", "join_ego", "play_ego"]
+
+Indices = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+OPPONENTS = {
+    "random": "moves drawn for each root",
+    "static": "keeps the policy that it starts with",
+}
+"""Who drives car 1."""
+
+KEEP = -1
+"""In place of an opponent's move: keep the policy."""
+
+BLOCK = 64  # roots driven together: some thousand races in the last step
+
+
+@dataclass(frozen=True, eq=False)
+class EgoTrees:
+    """R roots; after ``k`` moves ``A**k`` histories of car 0's moves each, in row-major order, first move first.
+
+    Attributes
+    ----------
+    policies : ndarray, shape (R, 2)
+        Policies that the cars start with.
+    seeds : ndarray, shape (R,), uint64
+        Keys of the games: ``RaceGame.reset(seeds, policies=policies)`` starts the same ones.
+    replies : ndarray, shape (R, m)
+        Moves of car 1; -1 for none.
+    paths : tuple of ndarray, shape (R, A**k)
+        Number of car 0's policy path within its root, for ``k`` from 0 to m: histories of one number are one race.
+    own : tuple of ndarray, shape (R, A**k, G)
+        Normalised coordinates of car 0's policy in step ``k``, for ``k`` below m.
+    leads : tuple of ndarray, shape (R, A**k)
+        Lead of car 0 at the end of step ``k``, m; 0 where the race was over before.
+    estimates : tuple of ndarray, shape (R, A**k, 2, G), float32
+        Normalised coordinates of each car as measured in step ``k``; 0 where the race was over before.
+    over : tuple of ndarray, shape (R, A**k), bool
+        Whether the race had ended in a crash when move ``k`` was due.
+    payoffs : ndarray, shape (R, A**m), float32
+        What the end is worth to car 0.
+    driven : ndarray, shape (R,), int64
+        Segments that were driven.
+    """
+
+    policies: Indices
+    seeds: NDArray[np.uint64]
+    replies: Indices
+    paths: tuple[Indices, ...]
+    own: tuple[Floats, ...]
+    leads: tuple[Floats, ...]
+    estimates: tuple[NDArray[np.float32], ...]
+    over: tuple[NDArray[np.bool_], ...]
+    payoffs: NDArray[np.float32]
+    driven: Indices
+
+    def __len__(self) -> int:
+        return len(self.seeds)
+
+    def __repr__(self) -> str:
+        """Show what it is, not its numbers."""
+        return f"<EgoTrees: {len(self)} roots, {self.moves} moves of {self.options}>"
+
+    @property
+    def moves(self) -> int:
+        """Moves of each player, m."""
+        return self.replies.shape[1]
+
+    @property
+    def options(self) -> int:
+        """Choices at each move, A."""
+        return round(self.payoffs.shape[1] ** (1.0 / self.moves))
+
+    def observations(self, level: int) -> NDArray[np.float32]:
+        """Return what car 0 saw when move ``level`` was due, shape (R, A**level, D), float32.
+
+        Where the race was over by then, what was seen when it ended.
+
+        Raises
+        ------
+        InputError
+            If there is no such move.
+        """
+        if not 0 <= level < self.moves:
+            raise InputError(f"move {level} is none of the trees'; it must lie in 0 to {self.moves - 1}")
+        steps, axes = self.moves + 1, self.own[0].shape[2]
+        nodes = self.options**level
+        own = np.zeros((len(self), nodes, 2, steps, axes))  # what car 1 saw is of no interest: its half stays 0
+        estimates = np.zeros_like(own)
+        leads = np.zeros((len(self), nodes, steps))
+        step = np.full((len(self), nodes), level)
+        for k in range(level, -1, -1):
+            above = np.repeat(np.arange(self.options**k), self.options ** (level - k))
+            own[:, :, 0, k] = self.own[k][:, above]
+            estimates[:, :, :, k] = self.estimates[k][:, above]
+            leads[:, :, k] = self.leads[k][:, above]
+            step[self.over[k][:, above]] = k
+        flat_own, flat_estimates = (array.reshape(-1, 2, steps, axes) for array in (own, estimates))
+        seen = encode_observation(flat_own, flat_estimates, leads.reshape(-1, steps), step.reshape(-1))[:, 0]
+        return seen.reshape(len(self), nodes, -1)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the trees as arrays by name, for files."""
+        arrays: dict[str, NDArray[Any]] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, tuple):
+                arrays.update({f"{field.name}_{k}": array for k, array in enumerate(value)})
+            else:
+                arrays[field.name] = value
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], where: str) -> "EgoTrees":
+        """Make trees of what :meth:`arrays` returned; ``where`` is what errors begin with.
+
+        Raises
+        ------
+        InputError
+            If an array is missing or not finite.
+        """
+        try:
+            moves = arrays["replies"].shape[1]
+            values: dict[str, Any] = {
+                field.name: tuple(arrays[f"{field.name}_{k}"] for k in range(moves + (field.name == "paths")))
+                if field.name in ("paths", "own", "leads", "estimates", "over")
+                else arrays[field.name]
+                for field in fields(cls)
+            }
+        except (KeyError, IndexError) as error:
+            raise InputError(f"{where} holds no ego trees: {error} is missing") from None
+        for name, array in arrays.items():
+            if not np.isfinite(array).all():
+                raise InputError(f"{where}: {name} holds NaN or infinity; every number of a tree must be finite")
+        return cls(**values)
+
+
+def join_ego(parts: list[EgoTrees]) -> EgoTrees:
+    """Return the roots of several batches as one.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    if not parts:
+        raise InputError("there are no ego trees to join; give at least one batch")
+    every = [part.arrays() for part in parts]
+    return EgoTrees.from_arrays({key: np.concatenate([one[key] for one in every]) for key in every[0]}, "the batch")
+
+
+def play_ego(
+    game: RaceGame,
+    roots: int = 64,
+    *,
+    opponent: str | ArrayLike = "random",
+    policies: ArrayLike | None = None,
+    seed: int = 0,
+    first: int = 0,
+) -> EgoTrees:
+    """Play ego trees.
+
+    Start line, side, policies, noise and the opponent's moves of root ``i`` are functions of ``seed`` and ``i`` alone,
+    drawn as :meth:`RaceGame.reset` draws them.
+
+    Parameters
+    ----------
+    game : RaceGame
+        Both cars drive policies of its archive.
+    roots : int
+        How many, 1 to 1,000,000.
+    opponent : {"random", "static"} or array of int, shape (roots, m)
+        See :data:`OPPONENTS`; or its moves, -1 to keep the policy.
+    policies : array of int, shape (roots, 2) or (2,), optional
+        Starting policies; drawn uniformly from the archive by default.
+    seed : int
+        Root of all that is drawn.
+    first : int
+        Number of the first root.
+
+    Raises
+    ------
+    InputError
+        If a number or shape is impossible.
+    UnknownNameError
+        If there is no such opponent.
+    """
+    check_ego(game, roots, opponent, seed, first)
+    count, options = len(game.archive), game.table.shape[1]
+    generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, first + i))) for i in range(roots)]
+    pairs = np.stack([rng.integers(count, size=2) for rng in generators])
+    drawn = np.stack([rng.integers(options, size=game.config.moves) for rng in generators])
+    keys = np.array([rng.integers(2**64, dtype=np.uint64) for rng in generators])
+    if policies is not None:
+        pairs = _whole(policies, "policies", (roots, 2), 0, count)
+    if isinstance(opponent, str):
+        replies = drawn if opponent == "random" else np.full_like(drawn, KEEP)
+    else:
+        replies = _whole(opponent, "the opponent's moves", drawn.shape, KEEP, options)
+
+    @cache
+    def paths_from(policy: int) -> PolicyPaths:
+        return policy_paths(game.table, policy, game.config.moves)
+
+    return join_ego(
+        [
+            _play(game, pairs[part], keys[part], replies[part], [paths_from(int(p)) for p in pairs[part, 0]])
+            for part in (slice(at, at + BLOCK) for at in range(0, roots, BLOCK))
+        ]
+    )
+
+
+def check_ego(game: RaceGame, roots: int, opponent: str | ArrayLike, seed: int, first: int = 0) -> None:
+    """Refuse what :func:`play_ego` can't play, before any of it is played.
+
+    Raises
+    ------
+    InputError
+        If a number is impossible, or the game has drivers from outside the archive.
+    UnknownNameError
+        If there is no such opponent.
+    """
+    check_game(game)
+    for what, value, least, most in (("roots", roots, 1, 10**6), ("first", first, 0, 2**40), ("seed", seed, 0, 2**64)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
+            raise InputError(f"{what} is {value!r}; it must be a whole number from {least} to {most}")
+    if isinstance(opponent, str) and opponent not in OPPONENTS:
+        raise UnknownNameError(f"opponent {opponent!r} is unknown; there are {', '.join(OPPONENTS)}")
+
+
+def _whole(values: ArrayLike, what: str, shape: tuple[int, ...], least: int, below: int) -> Indices:
+    array = np.asarray(values)
+    if array.dtype.kind not in "iu" or array.shape not in (shape, shape[1:]):
+        raise InputError(f"{what} have shape {array.shape} and type {array.dtype}; they must be whole numbers {shape}")
+    if ((array < least) | (array >= below)).any():
+        wrong = array[(array < least) | (array >= below)].flat[0]
+        raise InputError(f"{what}: {wrong} is impossible; they must lie in {least} to {below - 1}")
+    return np.array(np.broadcast_to(array, shape), np.int64)
+
+
+def _play(
+    game: RaceGame, pairs: Indices, keys: NDArray[np.uint64], replies: Indices, paths: list[PolicyPaths]
+) -> EgoTrees:
+    """Play some roots in one batch; the races of a level stand root by root, path by path."""
+    moves, axes = game.config.moves, len(game.characteristics)
+    root = game.reset(keys, policies=pairs)
+    races = root.race.copy()
+    row = np.where(races.crashed, -1, np.arange(len(pairs)))  # of each path's race, -1 where it is over
+    worth = np.where(races.crashed, game.worth(races, 0), 0.0)
+    second = pairs[:, 1]  # car 1's policy
+    at = [np.zeros((len(pairs), 1), np.int64)]  # path of each history, counted over all roots
+    own, leads, estimates, over = [], [root.leads[:, 0]], [root.estimates[:, :, 0]], [row < 0]
+    own.append(game.points[pairs[:, 0]])
+    at[0][:, 0] = begins = np.arange(len(pairs))
+    driven = np.ones(len(pairs), np.int64)
+    for k in range(1, moves + 1):
+        counts = np.array([path.count(k) for path in paths])
+        which = np.repeat(np.arange(len(pairs)), counts)
+        above = np.concatenate([path.parent[k] for path in paths]) + begins[which]
+        begins = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        at.append(np.stack([path.history[k] for path in paths]) + begins[:, None])
+        second = np.where(replies[:, k - 1] < 0, second, game.table[second, replies[:, k - 1]])
+        policies = np.stack([np.concatenate([path.policy[k] for path in paths]), second[which]], axis=1)
+        live = np.flatnonzero(row[above] >= 0)
+        driven += np.bincount(which[live], minlength=len(pairs))
+        rows, worth = row[above], worth[above]
+        if k == moves:
+            ends, _ = finish(game, races, rows[live], policies[live], share=False)
+            worth[live] = game.worth(ends.as_races(), k)
+            break
+        races, measured = drive_children(game, races, rows[live], policies[live])
+        worth[live] = np.where(races.crashed, game.worth(races, k), 0.0)
+        row = np.full(len(above), -1)
+        row[live] = np.where(races.crashed, -1, np.arange(len(live)))
+        own.append(game.points[policies[:, 0]])
+        leads.append(np.zeros(len(above)))
+        leads[k][live] = races.lead
+        estimates.append(np.zeros((len(above), 2, axes)))
+        estimates[k][live] = measured
+        over.append(row < 0)
+    return EgoTrees(
+        policies=pairs,
+        seeds=keys,
+        replies=replies,
+        paths=tuple(np.stack([path.history[k] for path in paths]) for k in range(moves + 1)),
+        own=tuple(values[at[k]] for k, values in enumerate(own)),
+        leads=tuple(values[at[k]] for k, values in enumerate(leads)),
+        estimates=tuple(values[at[k]].astype(np.float32) for k, values in enumerate(estimates)),
+        over=tuple(values[at[k]] for k, values in enumerate(over)),
+        payoffs=worth[at[moves]].astype(np.float32),
+        driven=driven,
+    )

@@ -1,0 +1,100 @@
+"""Many ego trees in a folder: made as a job that any executor runs and that resumes."""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from pcs_racing.errors import InputError
+from pcs_racing.game import RaceGame
+from pcs_racing_agents.jobs import Progress, chunk_file, open_job, read_chunk
+from pcs_racing_agents.trees.ego import EgoTrees, check_ego, join_ego, play_ego
+from pcs_racing_agents.trees.storage import MAKE_AGAIN, game_settings, read_settings
+
+__all__ = ["build_ego_trees", "load_ego_trees"]
+
+KIND = "ego trees"
+NAME = "ego"
+ROOTS = 32  # of a chunk
+
+
+@dataclass(frozen=True)
+class _Task:
+    first: int
+    roots: int
+    opponent: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class _Player:
+    """What a worker does; it travels to other processes together with the game."""
+
+    game: RaceGame
+
+    def __call__(self, task: _Task) -> dict[str, NDArray[Any]]:
+        trees = play_ego(self.game, task.roots, opponent=task.opponent, seed=task.seed, first=task.first)
+        return trees.arrays()
+
+
+def build_ego_trees(
+    game: RaceGame,
+    folder: str | Path,
+    *,
+    roots: int = 320,
+    opponent: str = "random",
+    seed: int = 0,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> EgoTrees:
+    """Play ego trees, and keep them in a folder; work of the same kind that was left there is taken up.
+
+    Parameters
+    ----------
+    game : RaceGame
+    folder : str or Path
+        New, empty, or left by the same call.
+    roots, opponent, seed
+        As for :func:`play_ego`; the roots are the same ones.
+    executor : concurrent.futures.Executor, optional
+        Where they are played, 32 at a time, each on one core; by default one after the other, each on all cores. It
+        does not change the result.
+    progress : callable, optional
+        Called as ``progress(done, total, what)`` after every 32 roots.
+
+    Raises
+    ------
+    InputError
+        If a number is impossible, or the folder holds something else.
+    UnknownNameError
+        If there is no such opponent.
+    """
+    check_ego(game, roots, opponent, seed)
+    settings = {**game_settings(game), "roots": int(roots), "opponent": opponent, "seed": int(seed)}
+    tasks = [_Task(first, min(ROOTS, int(roots) - first), opponent, int(seed)) for first in range(0, int(roots), ROOTS)]
+    player = _Player(game if executor is None else replace(game, threads=1))
+    with open_job(folder, KIND, settings) as job:
+        job.run(NAME, player, tasks, executor=executor, progress=progress, keep=False)
+    return load_ego_trees(folder)
+
+
+def load_ego_trees(folder: str | Path) -> EgoTrees:
+    """Read all ego trees of a folder.
+
+    Raises
+    ------
+    InputError
+        If the folder holds none, or a file is missing or damaged.
+    """
+    settings = read_settings(folder, KIND)
+    parts = []
+    for i in range(-(-int(settings["roots"]) // ROOTS)):
+        file = chunk_file(folder, NAME, i)
+        try:
+            arrays = read_chunk(file)
+        except InputError as error:
+            raise InputError(f"{error}; {MAKE_AGAIN}") from None
+        parts.append(EgoTrees.from_arrays(arrays, str(file)))
+    return join_ego(parts)

@@ -1,0 +1,149 @@
+"""Races of two cars too far apart to see each other: each drive of a car is driven once, whatever the other does.
+
+A driver that promises a limited ``sight`` (:class:`pcs_racing.Planner`) drives the same whatever happens beyond it.
+From a moment at which the cars are that far apart, ``n`` policies of one car and ``n`` of the other make ``n * n``
+races, but only ``2 n`` different drives: ``n`` races show them all. The others are put together from them, if the cars
+would not have come near each other and nobody crashed; otherwise they are driven, too. The result is the same to the
+last bit. Steering noise changes nothing of that, since it depends on the race's seed, the car and the time alone.
+
+That holds for progress and crashes, which is what the end of a game counts. The minimum time to collision sees the
+other car at any distance, so steps in which it is measured are driven one by one.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.game import RaceGame
+from pcs_racing.race_state import RaceState
+from pcs_racing_agents.trees.driving import Ends, drive_to_the_end
+
+__all__ = ["finish"]
+
+Indices = NDArray[np.int64]
+
+MARGIN = 2.0
+"""Distance beyond the sight, m: more than the gap can change in the 0.1 s between two looks at it."""
+
+UNKNOWN, KNOWN, HARMED = range(3)
+
+
+def finish(
+    game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, share: bool = True
+) -> tuple[Ends, int]:
+    """Find out how the last step of the game ends from some states.
+
+    Parameters
+    ----------
+    game : RaceGame
+    parents : RaceState
+        Races that go on; left as they are.
+    rows : array of int, shape (B,)
+        State that each race goes on from.
+    policies : array of int, shape (B, 2)
+        What drives there.
+    share : bool
+        Whether to put races together where that is possible; it does not change the result.
+
+    Returns
+    -------
+    ends : Ends
+        Of the B races.
+    driven : int
+        How many of them were driven.
+    """
+    sight = max(planner.sight for planner in game.setup.planners) + MARGIN
+    ends = Ends.empty(len(rows))
+    length = game.track.length
+    apart = _apart(parents.lead, length) > sight if share else np.zeros(parents.races, np.bool_)
+    far = np.flatnonzero(apart[rows])
+    drives = _different_drives(parents, rows[far], policies[far])
+    status = np.full((2, int(drives.max(initial=-1)) + 1), UNKNOWN)
+    source = np.zeros_like(status)  # where a known drive was seen: row of ``seen`` and ``traces``
+    seen = Ends.empty(0)
+    traces = np.zeros((0, 1, 2), np.float32)
+    waiting = np.arange(len(far))
+    count = 0
+    alone = [np.flatnonzero(~apart[rows])]
+    while len(waiting):
+        chosen = waiting[_cover(drives[:, waiting], status)]
+        if len(chosen) == 0:
+            break
+        found, trace = drive_to_the_end(game, parents, rows[far[chosen]], policies[far[chosen]], trace=True)
+        ends.put(far[chosen], found)
+        fine = _stay_apart(trace[:, :, 0], trace[:, :, 1], length, sight)
+        for car in range(2):
+            # A race stands still after a crash: what the other car would have done is not known then.
+            crashed = found.crash.any(axis=1)
+            shown = drives[car, chosen]
+            harmed = (~fine | (found.crash[:, car] != 0)) & (status[car, shown] == UNKNOWN)
+            known = fine & ~crashed
+            status[car, shown[harmed]] = HARMED
+            status[car, shown[known]] = KNOWN
+            source[car, shown[known]] = len(traces) + np.flatnonzero(known)
+        seen = seen.and_then(found)
+        traces = trace if len(traces) == 0 else np.concatenate([traces, trace])
+        count += len(chosen)
+        waiting = np.setdiff1d(waiting, chosen, assume_unique=True)
+        states = [status[car, drives[car, waiting]] for car in range(2)]
+        harmed = (states[0] == HARMED) | (states[1] == HARMED)
+        alone.append(far[waiting[harmed]])
+        waiting = waiting[~harmed]
+    for first in range(0, len(waiting), 4096):  # bounded memory
+        part = waiting[first : first + 4096]
+        from0, from1 = (source[car, drives[car, part]] for car in range(2))
+        good = _stay_apart(traces[from0, :, 0], traces[from1, :, 1], length, sight)
+        together = Ends.empty(len(part))
+        together.progress[:] = np.stack([seen.progress[from0, 0], seen.progress[from1, 1]], axis=1)
+        ends.put(far[part], together)
+        alone.append(far[part[~good]])
+    rest = np.concatenate(alone)
+    ends.put(rest, drive_to_the_end(game, parents, rows[rest], policies[rest])[0])
+    return ends, count + len(rest)
+
+
+def _apart(lead: NDArray[np.floating], length: float) -> NDArray[np.floating]:
+    """How far apart cars stand along the track, the shorter way round, m."""
+    round_ = np.mod(lead, length)
+    return np.asarray(np.minimum(round_, length - round_))
+
+
+def _stay_apart(
+    first: NDArray[np.float32], second: NDArray[np.float32], length: float, sight: float
+) -> NDArray[np.bool_]:
+    """Whether two cars never come within sight of each other, for their progress over time, shapes (B, T)."""
+    return np.asarray((_apart(first - second, length) > sight).all(axis=1))
+
+
+def _different_drives(parents: RaceState, rows: Indices, policies: Indices) -> Indices:
+    """Number each car's drives so that equal numbers stand for the same car, state and policy, shape (2, B)."""
+    numbers = np.zeros((2, len(rows)), np.int64)
+    if len(rows) == 0:
+        return numbers
+    used, which = np.unique(rows, return_inverse=True)
+    for car in range(2):
+        columns = [
+            array[used, car].reshape(len(used), -1)
+            for array in (parents.cars, parents.frenet, parents.progress, parents.command, parents.disturbance)
+        ]
+        columns += [array[used, car].reshape(len(used), -1) for array in (parents.path, parents.memory)]
+        shared = [parents.tick[used, None].view(np.float64), parents.seed[used, None].view(np.float64)]
+        table = np.ascontiguousarray(np.concatenate([*columns, *shared], axis=1))
+        state: dict[bytes, int] = {}
+        same = np.array([state.setdefault(row.tobytes(), len(state)) for row in table], np.int64)
+        keys = same[which] * (policies.max(initial=0) + 1) + policies[:, car]
+        numbers[car] = np.unique(keys, return_inverse=True)[1]
+    return numbers
+
+
+def _cover(drives: Indices, status: Indices) -> Indices:
+    """Choose few races that show every unknown drive that is still wanted: those that show two first."""
+    wanted = [(status[car] == UNKNOWN).tolist() for car in range(2)]
+    pairs = list(zip(*drives.tolist(), strict=True))
+    chosen = []
+    for both in (True, False):
+        for i, (first, second) in enumerate(pairs):
+            new0, new1 = wanted[0][first], wanted[1][second]
+            if (new0 and new1) if both else (new0 or new1):
+                wanted[0][first] = wanted[1][second] = False
+                chosen.append(i)
+    return np.array(sorted(chosen), np.int64)

@@ -1,0 +1,105 @@
+"""Where games begin: starting policies that differ, start lines, sides and noise."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.archive import PolicyArchive
+from pcs_racing.errors import InputError
+from pcs_racing.game import RaceGame
+from pcs_racing.race import Starts
+
+__all__ = ["Root", "choose_pairs", "default_seeds", "draw_root"]
+
+Indices = NDArray[np.int64]
+
+ATTEMPTS = 20  # as many as RaceGame.reset makes
+NOISY_SEEDS = 4
+
+
+class Root(NamedTuple):
+    """Where a tree begins.
+
+    Attributes
+    ----------
+    policies : ndarray, shape (2,)
+    start_s : float
+        Arc length of the start line, m.
+    side : int
+        0 when car 0 starts on the left or in front.
+    seeds : ndarray, shape (S,), uint64
+        Keys of the games.
+    """
+
+    policies: Indices
+    start_s: float
+    side: int
+    seeds: NDArray[np.uint64]
+
+
+def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
+    """Choose pairs of starting policies, shape (count, 2).
+
+    The policies are a diverse choice of about ``2 sqrt(count)`` of the archive's (:func:`select_diverse`); no pair
+    comes twice before all of them have come once, whichever way round.
+
+    Parameters
+    ----------
+    archive : PolicyArchive
+    count : int
+        1 to 100,000.
+    seed : int
+        Of the choice.
+
+    Raises
+    ------
+    InputError
+        If a number is impossible.
+    """
+    from pcs_racing_agents.synthesis.diverse import select_diverse
+
+    for what, value, least, most in (("pairs", count, 1, 100_000), ("seed", seed, 0, 2**64)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
+            raise InputError(f"{what} is {value!r}; it must be a whole number from {least} to {most}")
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+    size = min(len(archive), int(np.ceil(2.0 * np.sqrt(count))))
+    pool = select_diverse(archive, size, rng=rng)
+    every = np.stack(np.triu_indices(size), axis=1)
+    rounds = [rng.permutation(every) for _ in range(-(-count // len(every)))]
+    return pool[rng.permuted(np.concatenate(rounds)[:count], axis=1)]
+
+
+def default_seeds(game: RaceGame) -> int:
+    """Noise seeds of a root: one where there is no noise, four where there is."""
+    return NOISY_SEEDS if game.config.race.steering_noise > 0.0 else 1
+
+
+def draw_root(game: RaceGame, policies: Indices, seeds: int, rng: np.random.Generator) -> Root:
+    """Draw start line, side and noise for a pair of policies, so that nobody crashes before the first move.
+
+    Like :meth:`RaceGame.reset`, it draws again where somebody does, and gives up after some attempts: a pair that
+    always crashes has a tree of nothing but crashes.
+
+    Parameters
+    ----------
+    game : RaceGame
+    policies : array of int, shape (2,)
+    seeds : int
+        Games of the root, which differ in their noise alone.
+    rng : numpy.random.Generator
+    """
+    noisy = game.config.race.steering_noise > 0.0
+    start_s, side, kept = 0.0, 0, np.zeros(0, np.uint64)
+    for _ in range(ATTEMPTS):
+        start_s, side = float(rng.choice(game.start_lines)), int(rng.integers(2))
+        kept = np.zeros(0, np.uint64)
+        for _ in range(ATTEMPTS if noisy else 1):
+            keys = rng.integers(2**64, size=seeds - len(kept), dtype=np.uint64)
+            starts = Starts(np.full(len(keys), start_s), np.full(len(keys), side))
+            crashed = game.reset(keys, policies=policies, starts=starts).race.crashed
+            kept = np.concatenate([kept, keys[~crashed]])
+            if len(kept) == seeds:
+                return Root(policies, start_s, side, kept)
+    missing = rng.integers(2**64, size=seeds - len(kept), dtype=np.uint64)
+    return Root(policies, start_s, side, np.concatenate([kept, missing]))

@@ -1,0 +1,266 @@
+"""Many trees in a folder: made as a job that any executor runs and that resumes, and read back one by one."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.archive import PolicyArchive
+from pcs_racing.errors import InputError
+from pcs_racing.game import RaceGame
+from pcs_racing_agents.jobs import Progress, chunk_file, open_job, read_chunk
+from pcs_racing_agents.trees.build import build_tree, check_game
+from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
+from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
+
+__all__ = ["StoredTrees", "build_trees", "game_settings", "load_trees", "read_settings"]
+
+KIND = "game trees"
+NAME = "tree"
+MAKE_AGAIN = "run the command that made the folder again, and it is made anew"
+
+
+@dataclass(frozen=True)
+class _Task:
+    policies: NDArray[np.int64]
+    index: int
+    seeds: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class _Builder:
+    """What a worker does; it travels to other processes together with the game."""
+
+    game: RaceGame
+
+    def __call__(self, task: _Task) -> dict[str, NDArray[Any]]:
+        rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(1, task.index)))
+        root = draw_root(self.game, task.policies, task.seeds, rng)
+        return build_tree(self.game, root.policies, (root.start_s, root.side), root.seeds).arrays()
+
+
+def build_trees(
+    game: RaceGame,
+    folder: str | Path,
+    *,
+    pairs: int | ArrayLike = 20,
+    seeds_per_pair: int | None = None,
+    seed: int = 0,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> "StoredTrees":
+    """Play a game tree for each of several pairs of starting policies, and keep them in a folder.
+
+    A folder in which the same work was left is taken up; trees that are there already are not played again, and those
+    whose file is damaged are.
+
+    Parameters
+    ----------
+    game : RaceGame
+    folder : str or Path
+        New, empty, or left by the same call.
+    pairs : int or array of int, shape (N, 2)
+        Starting policies, or how many pairs to choose (:func:`choose_pairs`).
+    seeds_per_pair : int, optional
+        Noise seeds of each root, 1 to 1000; by default 4 where there is noise, and 1 where there is none.
+    seed : int
+        Root of all that is drawn. Tree ``i`` is a function of it and of ``i``.
+    executor : concurrent.futures.Executor, optional
+        Where the trees are played, each on one core; by default one after the other, each on all cores. It does not
+        change the result.
+    progress : callable, optional
+        Called as ``progress(done, total, what)`` after every tree.
+
+    Raises
+    ------
+    InputError
+        If a number, pair or game is impossible, or the folder holds something else.
+    """
+    check_game(game)
+    chosen = _checked_pairs(game.archive, pairs, seed)
+    seeds = default_seeds(game) if seeds_per_pair is None else seeds_per_pair
+    if isinstance(seeds, bool) or not isinstance(seeds, int | np.integer) or not 1 <= seeds <= 1000:
+        raise InputError(f"seeds_per_pair is {seeds_per_pair!r}; it must be a whole number from 1 to 1000")
+    if seeds > 1 and game.config.race.steering_noise == 0.0:
+        raise InputError(f"seeds_per_pair is {seeds}, but there is no steering noise: every seed drives the same")
+    settings = {**game_settings(game), "pairs": chosen, "seeds_per_pair": int(seeds), "seed": int(seed)}
+    tasks = [_Task(pair, i, int(seeds), int(seed)) for i, pair in enumerate(chosen)]
+    builder = _Builder(game if executor is None else replace(game, threads=1))
+    with open_job(folder, KIND, settings) as job:
+        job.run(NAME, builder, tasks, executor=executor, progress=progress, keep=False)
+    return load_trees(folder)
+
+
+def game_settings(game: RaceGame) -> dict[str, Any]:
+    """Everything that decides how a game goes and what its observations mean, as plain values for a manifest."""
+    return {
+        "archive": {"name": game.archive.name, "sha256": game.archive.content_hash},
+        "track": {"name": game.track.name, "sha256": game.track.content_hash},
+        "preset": game.config.race.name,
+        "speed_range": list(game.setup.speed_range),
+        "rules": asdict(game.config),
+        "move_names": list(game.move_names),
+        "encoding": [element.name for element in game.observation_elements],
+    }
+
+
+def _checked_pairs(archive: PolicyArchive, pairs: int | ArrayLike, seed: int) -> NDArray[np.int64]:
+    if isinstance(pairs, int | np.integer):
+        return choose_pairs(archive, int(pairs), seed)
+    given = np.asarray(pairs)
+    if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0 or given.dtype.kind not in "iu":
+        raise InputError(f"pairs have shape {given.shape} and type {given.dtype}; they must be whole numbers (N, 2)")
+    wrong = np.argwhere((given < 0) | (given >= len(archive)))
+    if len(wrong):
+        i, car = (int(at) for at in wrong[0])
+        raise InputError(
+            f"pair {i}: policy {given[i, car]} is not in archive {archive.name!r}; it must lie in 0 to "
+            f"{len(archive) - 1}"
+        )
+    return given.astype(np.int64)
+
+
+@dataclass(frozen=True)
+class StoredTrees(Sequence[RaceTree]):
+    """Trees in a folder, each read when it is asked for.
+
+    Attributes
+    ----------
+    folder : Path
+    settings : Mapping
+        What they were made with: the game (:func:`game_settings`), pairs and seeds.
+    """
+
+    folder: Path
+    settings: Mapping[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.settings["pairs"])
+
+    def __repr__(self) -> str:
+        """Show what they are."""
+        archive, track = (self.settings[key]["name"] for key in ("archive", "track"))
+        return f"<StoredTrees: {len(self)} in {self.folder}, archive {archive!r}, track {track!r}>"
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """Names of the numbers of an observation."""
+        return tuple(self.settings["encoding"])
+
+    def file(self, index: int) -> Path:
+        """Return the file of a tree."""
+        return chunk_file(self.folder, NAME, index)
+
+    def missing(self) -> list[int]:
+        """Return the trees that have no file."""
+        return [i for i in range(len(self)) if not self.file(i).is_file()]
+
+    @overload
+    def __getitem__(self, index: int) -> RaceTree: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[RaceTree]: ...
+    def __getitem__(self, index: int | slice) -> RaceTree | list[RaceTree]:
+        """Read one tree, or several.
+
+        Raises
+        ------
+        InputError
+            If its file is missing or damaged, or holds another tree.
+        """
+        if isinstance(index, slice):
+            return [self[i] for i in range(len(self))[index]]
+        at = range(len(self))[index]
+        file = self.file(at)
+        try:
+            arrays = read_chunk(file)
+        except InputError as error:
+            raise InputError(f"{error}; {MAKE_AGAIN}") from None
+        tree = tree_from_arrays(arrays, int(self.settings["rules"]["moves"]), str(file))
+        if tree.policies.tolist() != list(self.settings["pairs"][at]):
+            raise InputError(
+                f"{file} is the tree of policies {tree.policies.tolist()}; there should be that of "
+                f"{list(self.settings['pairs'][at])}: {MAKE_AGAIN}"
+            )
+        return tree
+
+    def __iter__(self) -> Iterator[RaceTree]:
+        return (self[i] for i in range(len(self)))
+
+    def check(self, game: RaceGame) -> None:
+        """Check that the trees are those of a game.
+
+        Raises
+        ------
+        InputError
+            If they were played with another archive, track, rules or encoding; the first difference is named.
+        """
+        for key, wanted in yaml.safe_load(yaml.safe_dump(_plain(game_settings(game)))).items():
+            found = self.settings[key]
+            if found != wanted:
+                if isinstance(wanted, dict):
+                    part = next(k for k in {**found, **wanted} if found.get(k) != wanted.get(k))
+                    key, found, wanted = f"{key} {part}", found.get(part), wanted.get(part)
+                raise InputError(f"the trees in {self.folder} are of another game: {key} is {found!r}, not {wanted!r}")
+
+
+def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> StoredTrees:
+    """Open a folder of trees.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Where :func:`build_trees` put them.
+    archive : PolicyArchive, optional
+        The archive that they must have been played with.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no trees, or some are missing, or they are of another archive.
+    """
+    trees = StoredTrees(Path(folder), read_settings(folder, KIND))
+    found = trees.settings["archive"]
+    if archive is not None and found["sha256"] != archive.content_hash:
+        raise InputError(
+            f"the trees in {folder} were played with archive {found['name']!r} (sha256 {found['sha256'][:12]}...), not "
+            f"with {archive.name!r} ({archive.content_hash[:12]}...)"
+        )
+    missing = trees.missing()
+    if missing:
+        others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise InputError(f"{trees.file(missing[0])}{others} missing of {len(trees)} trees: {MAKE_AGAIN}")
+    return trees
+
+
+def read_settings(folder: str | Path, kind: str) -> dict[str, Any]:
+    """Read what the results in a job's folder were made with.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no results of that kind.
+    """
+    file = Path(folder) / "job.yaml"
+    try:
+        manifest = yaml.safe_load(file.read_bytes()) if file.stat().st_size < 100_000_000 else None
+    except OSError as error:
+        raise InputError(f"{folder} holds no {kind}: {file.name}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError):
+        manifest = None
+    if not isinstance(manifest, dict) or manifest.get("kind") != kind or not isinstance(manifest.get("settings"), dict):
+        raise InputError(f"{file} is no manifest of {kind}; choose a folder that 'pcs-racing tree' wrote")
+    settings: dict[str, Any] = manifest["settings"]
+    return settings
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as lists, as a YAML file holds them."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

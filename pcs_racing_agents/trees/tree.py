@@ -1,0 +1,275 @@
+"""RaceTree: everything that can happen in one game, from one start, as plain arrays."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.errors import InputError
+from pcs_racing.game import encode_observation
+from pcs_racing_agents.trees.paths import PolicyPaths, own_histories, policy_paths
+
+if TYPE_CHECKING:
+    from pcs_racing_agents.solvers import GameTree
+
+__all__ = ["RaceTree", "TreeStatistics", "tree_from_arrays"]
+
+Indices = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+class TreeStatistics(NamedTuple):
+    """What a tree cost, and what it saved; segments are steps of driving, the first one included.
+
+    Attributes
+    ----------
+    seeds : int
+        Noise seeds of the root; all numbers below are sums over them.
+    driven : int
+        Segments that were driven.
+    live : int
+        Segments of different policy paths, those after a crash left out: what is driven where no two cars are too far
+        apart to see each other.
+    shared : int
+        Segments of a tree whose branches share only their beginnings: one for each joint history of moves.
+    replayed : int
+        Segments if every joint history of all moves was raced from the start.
+    crashed : float
+        Share of the joint histories of all moves that end in a crash.
+    duplicates : float
+        Share of the joint histories of all moves that go along the same policies as another one that was counted.
+    """
+
+    seeds: int
+    driven: int
+    live: int
+    shared: int
+    replayed: int
+    crashed: float
+    duplicates: float
+
+
+@dataclass(frozen=True, eq=False)
+class RaceTree:
+    """One game from one start, with every move that the players could make.
+
+    It is kept by policy paths (:mod:`pcs_racing_agents.trees.paths`): ``U0_k`` and ``U1_k`` different ones of the two
+    players after ``k`` moves. The properties ``payoffs``, ``leads``, ``estimates``, ``over`` and ``policy`` spread it
+    out over all joint histories of moves, ``N_k = (A * A)**k`` of them after ``k`` moves: those below history ``j`` are
+    ``j * A * A + a0 * A + a1`` for moves ``a0`` of car 0 and ``a1`` of car 1.
+
+    With steering noise the same moves end differently for each noise seed. Seeds share their information sets: the
+    players see the history, but not the seed.
+
+    Attributes
+    ----------
+    policies : ndarray, shape (2,)
+        Policies that the cars start with.
+    start_s : float
+        Arc length of the start line, m.
+    side : int
+        0 when car 0 started on the left or in front.
+    seeds : ndarray, shape (S,), uint64
+        Keys of the games: ``RaceGame.reset(seeds, policies=..., starts=...)`` starts the same ones.
+    table : ndarray, shape (K, A)
+        Where every move leads from every policy.
+    points : ndarray, shape (K, G)
+        Normalised coordinates of the policies as the players see them.
+    path_payoffs : ndarray, shape (S, U0_m, U1_m), float32
+        What the end is worth to car 0; car 1 gets minus that.
+    path_leads : tuple of ndarray, shape (S, U0_k, U1_k)
+        Lead of car 0 at the end of step ``k``, m, for ``k`` below ``m``; 0 where the race was over before.
+    path_estimates : tuple of ndarray, shape (S, U0_k, U1_k, 2, G), float32
+        Normalised coordinates of each car as measured in step ``k``; 0 where the race was over before.
+    path_over : tuple of ndarray, shape (S, U0_k, U1_k), bool
+        Whether the race had ended in a crash when move ``k`` was due.
+    driven, live, crashed : ndarray, shape (S,), int64
+        Numbers behind :attr:`statistics`; ``crashed`` counts joint histories of all moves.
+    """
+
+    policies: Indices
+    start_s: float
+    side: int
+    seeds: NDArray[np.uint64]
+    table: Indices
+    points: Floats
+    path_payoffs: NDArray[np.float32]
+    path_leads: tuple[Floats, ...]
+    path_estimates: tuple[NDArray[np.float32], ...]
+    path_over: tuple[NDArray[np.bool_], ...]
+    driven: Indices
+    live: Indices
+    crashed: Indices
+
+    def __repr__(self) -> str:
+        """Show what it is, not its numbers."""
+        first, second = self.policies
+        return (
+            f"<RaceTree: policies {first} and {second} from {self.start_s:.2f} m, side {self.side}, {self.moves} moves "
+            f"of {self.options}, {len(self.seeds)} seeds>"
+        )
+
+    @property
+    def moves(self) -> int:
+        """Moves of each player, m."""
+        return len(self.path_leads)
+
+    @property
+    def options(self) -> int:
+        """Choices at each move, A."""
+        return self.table.shape[1]
+
+    @cached_property
+    def paths(self) -> tuple[PolicyPaths, PolicyPaths]:
+        """Each player's policy paths."""
+        first, second = (policy_paths(self.table, int(start), self.moves) for start in self.policies)
+        return first, second
+
+    def where(self, level: int) -> tuple[Indices, Indices]:
+        """Return the two players' policy paths in every joint history of a level, shapes (N_k,)."""
+        own = own_histories(level, self.options)
+        first, second = (paths.history[level][mine] for paths, mine in zip(self.paths, own, strict=True))
+        return first, second
+
+    @cached_property
+    def payoffs(self) -> NDArray[np.float32]:
+        """What the end is worth to car 0, shape (S, N_m)."""
+        return self._spread(self.path_payoffs, self.moves)
+
+    @cached_property
+    def leads(self) -> list[Floats]:
+        """Lead of car 0 at the end of step ``k``, m; for each level an array of shape (S, N_k)."""
+        return [self._spread(array, k) for k, array in enumerate(self.path_leads)]
+
+    @cached_property
+    def estimates(self) -> list[NDArray[np.float32]]:
+        """Coordinates of each car as measured in step ``k``; for each level an array of shape (S, N_k, 2, G)."""
+        return [self._spread(array, k) for k, array in enumerate(self.path_estimates)]
+
+    @cached_property
+    def over(self) -> list[NDArray[np.bool_]]:
+        """Whether the race had ended when move ``k`` was due; for each level an array of shape (S, N_k)."""
+        return [self._spread(array, k) for k, array in enumerate(self.path_over)]
+
+    @cached_property
+    def policy(self) -> list[Indices]:
+        """Policies in use in step ``k``, crash or not; for each level an array of shape (N_k, 2)."""
+        return [
+            np.stack([paths.policy[k][at] for paths, at in zip(self.paths, self.where(k), strict=True)], axis=1)
+            for k in range(self.moves)
+        ]
+
+    def _spread(self, array: NDArray[Any], level: int) -> NDArray[Any]:
+        first, second = self.where(level)
+        return array[:, first, second]
+
+    def observations(self, level: int) -> NDArray[np.float32]:
+        """Return what the players saw when move ``level`` was due: what ``RaceGame.observation`` gives there.
+
+        Returns
+        -------
+        ndarray, shape (S, N_k, 2, D), float32
+            Where the race was over by then, what was seen when it ended.
+
+        Raises
+        ------
+        InputError
+            If there is no such move.
+        """
+        if not 0 <= level < self.moves:
+            raise InputError(f"move {level} is none of the tree's; it must lie in 0 to {self.moves - 1}")
+        seeds, nodes, width = len(self.seeds), (self.options**2) ** level, self.points.shape[1]
+        own = np.zeros((seeds, nodes, 2, self.moves + 1, width))
+        estimates = np.zeros_like(own)
+        leads = np.zeros((seeds, nodes, self.moves + 1))
+        step = np.full((seeds, nodes), level)
+        for k in range(level, -1, -1):
+            above = np.repeat(np.arange((self.options**2) ** k), (self.options**2) ** (level - k))
+            own[:, :, :, k] = self.points[self.policy[k]][above]
+            estimates[:, :, :, k] = self.estimates[k][:, above]
+            leads[:, :, k] = self.leads[k][:, above]
+            step[self.over[k][:, above]] = k
+        flat_own, flat_estimates = (array.reshape(-1, 2, self.moves + 1, width) for array in (own, estimates))
+        seen = encode_observation(flat_own, flat_estimates, leads.reshape(-1, self.moves + 1), step.reshape(-1))
+        return seen.reshape(seeds, nodes, *seen.shape[1:])
+
+    def game_tree(self) -> "GameTree":
+        """Return the game of what the ends are worth on average over the seeds, for the solvers.
+
+        The seeds share their information sets: who solves it knows the history of moves, but not the noise to come.
+        """
+        from pcs_racing_agents.solvers import GameTree
+
+        mean = self.payoffs.mean(axis=0, dtype=np.float64)
+        return GameTree.from_payoffs(mean.reshape((self.options,) * (2 * self.moves)))
+
+    @property
+    def statistics(self) -> TreeStatistics:
+        """What the tree cost, and what it saved."""
+        seeds, ends = len(self.seeds), (self.options**2) ** self.moves
+        different = self.path_payoffs.shape[1] * self.path_payoffs.shape[2]
+        return TreeStatistics(
+            seeds=seeds,
+            driven=int(self.driven.sum()),
+            live=int(self.live.sum()),
+            shared=seeds * sum((self.options**2) ** k for k in range(self.moves + 1)),
+            replayed=seeds * (self.moves + 1) * ends,
+            crashed=float(self.crashed.mean() / ends),
+            duplicates=1.0 - different / ends,
+        )
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the tree as arrays by name, for files; :func:`tree_from_arrays` reads them."""
+        plain = {name: np.asarray(getattr(self, name)) for name in _PLAIN}
+        levels = {f"{name}_{k}": array for name in _LEVELS for k, array in enumerate(getattr(self, f"path_{name}"))}
+        return {**plain, "payoffs": self.path_payoffs, **levels}
+
+
+_PLAIN = ("policies", "start_s", "side", "seeds", "table", "points", "driven", "live", "crashed")
+_LEVELS = ("leads", "estimates", "over")
+
+
+def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) -> RaceTree:
+    """Make a tree of arrays that :meth:`RaceTree.arrays` returned.
+
+    Parameters
+    ----------
+    arrays : Mapping of str to ndarray
+    moves : int
+        Moves of each player.
+    where : str
+        What errors begin with.
+
+    Raises
+    ------
+    InputError
+        If an array is missing, has another shape than the others, or is not finite.
+    """
+    wanted = [*_PLAIN, "payoffs", *(f"{name}_{k}" for name in _LEVELS for k in range(moves))]
+    missing = [name for name in wanted if name not in arrays]
+    if missing:
+        raise InputError(f"{where} is no tree of {moves} moves: it holds no {missing[0]}")
+    levels: dict[str, Any] = {f"path_{name}": tuple(arrays[f"{name}_{k}"] for k in range(moves)) for name in _LEVELS}
+    plain: dict[str, Any] = {name: arrays[name] for name in _PLAIN}
+    plain.update(start_s=float(plain["start_s"]), side=int(plain["side"]))
+    tree = RaceTree(path_payoffs=arrays["payoffs"], **plain, **levels)
+    policies = len(tree.table)
+    good = tree.table.dtype.kind in "iu" and ((tree.table >= 0) & (tree.table < policies)).all()
+    good = good and tree.policies.shape == (2,) and ((tree.policies >= 0) & (tree.policies < policies)).all()
+    if not good:
+        raise InputError(f"{where} names a policy that it does not hold; there are {policies}")
+    seeds, axes = len(tree.seeds), tree.points.shape[-1]
+    for name, array in tree.arrays().items():
+        kind, _, number = name.rpartition("_")
+        if name == "payoffs" or kind in _LEVELS:
+            level = moves if name == "payoffs" else int(number)
+            shape: tuple[int, ...] = (seeds, *(paths.count(level) for paths in tree.paths))
+            shape += (2, axes) if kind == "estimates" else ()
+            if array.shape != shape:
+                raise InputError(f"{where}: {name} has shape {array.shape}; it must have {shape}")
+        if not np.isfinite(array).all():
+            raise InputError(f"{where}: {name} holds NaN or infinity; every number of a tree must be finite")
+    return tree
