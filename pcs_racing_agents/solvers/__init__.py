@@ -1,0 +1,51 @@
+"""Solvers of two-player zero-sum games on dense trees: exact, by regret minimisation, and judges of both."""
+
+from pcs_racing_agents.solvers.cfr import VARIANTS, CFRResult, Variant, cfr
+from pcs_racing_agents.solvers.efg import efg_text, infoset_name, write_efg
+from pcs_racing_agents.solvers.evaluation import (
+    BestResponse,
+    Exploitability,
+    Profile,
+    advantages,
+    best_response,
+    check_profile,
+    exploitability,
+    node_values,
+    play_value,
+    q_values,
+    reach_probabilities,
+    uniform_profile,
+)
+from pcs_racing_agents.solvers.exact import ExactResult, solve_exact
+from pcs_racing_agents.solvers.game_tree import GameTree
+from pcs_racing_agents.solvers.matrix_games import MatrixSolution, solve_matrix_games
+from pcs_racing_agents.solvers.sequence_form import SequenceSolution, solve_sequence_form
+
+__all__ = [
+    "VARIANTS",
+    "BestResponse",
+    "CFRResult",
+    "ExactResult",
+    "Exploitability",
+    "GameTree",
+    "MatrixSolution",
+    "Profile",
+    "SequenceSolution",
+    "Variant",
+    "advantages",
+    "best_response",
+    "cfr",
+    "check_profile",
+    "efg_text",
+    "exploitability",
+    "infoset_name",
+    "node_values",
+    "play_value",
+    "q_values",
+    "reach_probabilities",
+    "solve_exact",
+    "solve_matrix_games",
+    "solve_sequence_form",
+    "uniform_profile",
+    "write_efg",
+]

@@ -1,0 +1,200 @@
+"""Counterfactual regret minimisation on a dense tree: vanilla, alternating, CFR+, linear and discounted."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pcs_racing.errors import InputError, UnknownNameError
+from pcs_racing_agents.solvers.cfr_kernels import Layout, State, initial_state, iterate, node_order, tree_layout
+from pcs_racing_agents.solvers.evaluation import Profile
+from pcs_racing_agents.solvers.game_tree import Floats, GameTree
+
+__all__ = ["VARIANTS", "CFRResult", "Variant", "cfr"]
+
+CHUNK = 200
+"""Iterations between two chances to interrupt."""
+
+MOST_ITERATIONS = 10_000_000
+
+
+class Variant(NamedTuple):
+    """A member of the family of discounted CFR (Brown and Sandholm 2019, "Solving imperfect-information games via
+    discounted regret minimization").
+
+    After iteration t cumulative regrets are multiplied with t^e / (t^e + 1), where e is ``alpha`` if they are positive
+    and ``beta`` if not; the strategies of iteration t count t^gamma in the average.
+
+    Attributes
+    ----------
+    alternating : bool
+        Whether the second player already answers the first one's new strategy.
+    alpha, beta : float
+        Infinity keeps regrets as they are, minus infinity removes them.
+    gamma : float
+        At least 0.
+    """
+
+    alternating: bool
+    alpha: float
+    beta: float
+    gamma: float
+
+
+VARIANTS = {
+    "vanilla": Variant(alternating=False, alpha=math.inf, beta=math.inf, gamma=0.0),
+    "alternating": Variant(alternating=True, alpha=math.inf, beta=math.inf, gamma=0.0),
+    "alternating+": Variant(alternating=True, alpha=math.inf, beta=-math.inf, gamma=1.0),
+    "linear": Variant(alternating=True, alpha=1.0, beta=1.0, gamma=1.0),
+    "discounted": Variant(alternating=True, alpha=1.5, beta=0.0, gamma=2.0),
+}
+"""``vanilla``: both players at once (Zinkevich et al. 2007). ``alternating``: by turns, OpenSpiel's ``CFRSolver``.
+``alternating+``: CFR+ (Tammelin 2014), OpenSpiel's ``CFRPlusSolver``. ``linear``, ``discounted``: Brown and Sandholm
+(2019), as OpenSpiel's ``LCFRSolver`` and ``DCFRSolver``."""
+
+
+@dataclass(frozen=True, eq=False)
+class CFRResult:
+    """Where some iterations of CFR led; all lists have a pair for each level, of car 0 and car 1.
+
+    Attributes
+    ----------
+    average : Profile
+        The average strategies, which approach an equilibrium.
+    current : Profile
+        The strategies of the next iteration.
+    regrets : list of (ndarray, ndarray)
+        Cumulative counterfactual regrets, shapes (rows, A_k) and (rows, B_k), in units of the payoffs: each iteration
+        counts as often as chance and the other player led to the infoset in it.
+    opponent_reach : list of (ndarray, ndarray)
+        That probability summed over the iterations, shape (rows,) each; regrets divided by it are per visit. It is
+        discounted like positive regrets.
+    strategy_sums : list of (ndarray, ndarray)
+        What ``average`` is made of: strategies summed with the weights of the player's own reach.
+    iterations : int
+        How many have been made in all.
+    variant : Variant
+    """
+
+    average: Profile
+    current: Profile
+    regrets: list[tuple[Floats, Floats]]
+    opponent_reach: list[tuple[Floats, Floats]]
+    strategy_sums: list[tuple[Floats, Floats]]
+    iterations: int
+    variant: Variant
+
+
+def cfr(
+    tree: GameTree, iterations: int, variant: str | Variant = "alternating+", resume: CFRResult | None = None
+) -> CFRResult:
+    """Run counterfactual regret minimisation.
+
+    Parameters
+    ----------
+    tree : GameTree
+    iterations : int
+        1 to 10 million.
+    variant : str or Variant
+        One of :data:`VARIANTS`, or your own.
+    resume : CFRResult, optional
+        Go on from here; ``iterations`` come on top. The result is that of one long run, to the bit.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, or ``resume`` comes from another variant or a tree of other infosets.
+    UnknownNameError
+        If there is no such variant.
+    """
+    rules = _variant(variant)
+    if isinstance(iterations, bool) or not isinstance(iterations, int | np.integer):
+        raise InputError(f"iterations is {iterations!r}; it must be a whole number")
+    if not 1 <= iterations <= MOST_ITERATIONS:
+        raise InputError(f"iterations is {iterations}; it must be 1 to {MOST_ITERATIONS}")
+    tree = tree.averaged
+    layout = tree_layout(tree)
+    state = initial_state(tree, layout)
+    done = 0
+    if resume is not None:
+        if resume.variant != rules:
+            raise InputError(f"the run to resume is of variant {resume.variant}, not {rules}")
+        done = resume.iterations
+        for array, at, pairs in (
+            (state.regrets, layout.regret_at, resume.regrets),
+            (state.sums, layout.regret_at, resume.strategy_sums),
+            (state.opponent_reach, layout.row_at, resume.opponent_reach),
+        ):
+            _put(tree, layout, array, at, pairs)
+    last = done + int(iterations) + 1
+    for begin in range(done + 1, last, CHUNK):
+        end = min(begin + CHUNK, last)
+        iterate(layout, state, begin, end, rules.alternating, rules.alpha, rules.beta, rules.gamma)
+    return _result(tree, layout, state, done + int(iterations), rules)
+
+
+def _variant(variant: str | Variant) -> Variant:
+    if isinstance(variant, str):
+        if variant not in VARIANTS:
+            raise UnknownNameError(f"CFR variant {variant!r} is unknown; choose from {', '.join(VARIANTS)}")
+        return VARIANTS[variant]
+    if math.isnan(variant.alpha) or math.isnan(variant.beta) or not 0.0 <= variant.gamma < math.inf:
+        raise InputError(f"{variant} is impossible: alpha and beta must be numbers, gamma finite and at least 0")
+    return Variant(bool(variant.alternating), float(variant.alpha), float(variant.beta), float(variant.gamma))
+
+
+def _result(tree: GameTree, layout: Layout, state: State, iterations: int, variant: Variant) -> CFRResult:
+    regrets = _take(tree, layout, state.regrets, layout.regret_at, True)
+    sums = _take(tree, layout, state.sums, layout.regret_at, True)
+    reach = _take(tree, layout, state.opponent_reach, layout.row_at, False)
+    return CFRResult(
+        average=[(_shares(first), _shares(second)) for first, second in sums],
+        current=[(_shares(np.maximum(r0, 0.0)), _shares(np.maximum(r1, 0.0))) for r0, r1 in regrets],
+        regrets=regrets,
+        opponent_reach=reach,
+        strategy_sums=sums,
+        iterations=iterations,
+        variant=variant,
+    )
+
+
+def _shares(weights: Floats) -> Floats:
+    """Each row divided by its sum; evenly where that is 0."""
+    total = weights.sum(axis=1, keepdims=True)
+    even = np.full_like(weights, 1.0 / weights.shape[1])
+    return np.divide(weights, total, out=even, where=total > 0.0)
+
+
+def _order(tree: GameTree, layout: Layout, level: int, player: int) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
+    """Which row of the tree stands at each of the kernels' rows."""
+    if layout.single[player, level]:
+        return node_order(tree, level)
+    return np.arange(tree.rows(level, player))
+
+
+def _take(tree: GameTree, layout: Layout, flat: Floats, at: object, moves: bool) -> list[tuple[Floats, Floats]]:
+    """Cut an array of the kernels into levels and players, with rows in the tree's order."""
+    result = []
+    for k in range(tree.depth):
+        pair = []
+        for player in (0, 1):
+            rows, count = tree.rows(k, player), tree.moves[k][player] if moves else 1
+            begin = int(at[player, k])  # type: ignore[index]
+            array = np.empty((rows, count))
+            array[_order(tree, layout, k, player)] = flat[begin : begin + rows * count].reshape(count, rows).T
+            pair.append(array if moves else array[:, 0])
+        result.append((pair[0], pair[1]))
+    return result
+
+
+def _put(tree: GameTree, layout: Layout, flat: Floats, at: object, pairs: list[tuple[Floats, Floats]]) -> None:
+    """The inverse of :func:`_take`."""
+    for k in range(tree.depth):
+        for player in (0, 1):
+            order = _order(tree, layout, k, player)
+            if k >= len(pairs) or len(pairs[k][player]) != len(order):
+                raise InputError("the run to resume is of a tree with other infosets")
+            begin = int(at[player, k])  # type: ignore[index]
+            array = pairs[k][player].reshape(len(order), -1)[order].T
+            flat[begin : begin + array.size] = array.reshape(-1)

@@ -1,0 +1,323 @@
+"""The compiled part of counterfactual regret minimisation: passes over the levels of a tree.
+
+Everything is laid out for vector instructions. Within a level, nodes are numbered with the *last* move slowest, so the
+children that follow one pair of moves are neighbours, in the order of their parents; strategies and regrets hold the
+numbers of one move together. Then all loops run over neighbouring nodes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pcs_racing.compilation import compiled, kernel
+from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
+
+__all__ = ["Layout", "State", "initial_state", "iterate", "node_order", "tree_layout"]
+
+BLOCK = 256
+"""Nodes worked on at a time: what is summed up for them stays in the fastest cache."""
+
+
+class Layout(NamedTuple):
+    """What the kernels know about a tree; the first axis of an array is the player, where it says (2, m).
+
+    Attributes
+    ----------
+    moves, rows : ndarray, shape (2, m)
+        Moves and infosets of each level.
+    nodes : ndarray, shape (m,)
+        Nodes of each level.
+    node_at : ndarray, shape (m + 1,)
+        Where a level begins in an array with a number per node.
+    sigma_at, regret_at : ndarray, shape (2, m)
+        Where a level begins in arrays with a number per node and move, or per infoset and move.
+    label_at, row_at : ndarray, shape (2, m)
+        Where a level begins in ``labels`` and in ``first`` (and in all arrays with a number per infoset).
+    labels : ndarray
+        Row of every node.
+    first : ndarray
+        One node of every row.
+    single : ndarray of bool, shape (2, m)
+        Whether rows are nodes.
+    chance : ndarray, shape (nodes of all levels,)
+        Probability of the root above each node.
+    """
+
+    moves: Integers
+    rows: Integers
+    nodes: Integers
+    node_at: Integers
+    sigma_at: Integers
+    regret_at: Integers
+    label_at: Integers
+    row_at: Integers
+    labels: Integers
+    first: Integers
+    single: "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"
+    chance: Floats
+
+
+class State(NamedTuple):
+    """What the iterations change.
+
+    Attributes
+    ----------
+    values : ndarray, shape (nodes of all levels and leaves,)
+        What a node pays to car 0 under the current strategies.
+    sigma : ndarray
+        Current strategies per node and move.
+    reach : ndarray, shape (2, nodes of all levels)
+        Probability with which each player's own moves lead to a node.
+    regrets, sums : ndarray
+        Cumulative regrets and summed strategies, per infoset and move.
+    opponent_reach : ndarray
+        Summed probability with which chance and the other player lead to an infoset.
+    """
+
+    values: Floats
+    sigma: Floats
+    reach: Floats
+    regrets: Floats
+    sums: Floats
+    opponent_reach: Floats
+
+
+def node_order(tree: GameTree, level: int) -> Integers:
+    """For each place in the kernels' order, which node of the tree it is, shape (nodes,)."""
+    shape = [tree.roots, *(a * b for a, b in tree.moves[:level])]
+    return np.arange(tree.nodes(level)).reshape(shape).transpose().reshape(-1)
+
+
+def tree_layout(tree: GameTree) -> Layout:
+    """Lay a tree out for the kernels."""
+    m = tree.depth
+    nodes = np.array([tree.nodes(k) for k in range(m)])
+    moves = np.array(tree.moves, dtype=np.int64).T.copy()
+    rows = np.array([[tree.rows(k, player) for k in range(m)] for player in (0, 1)])
+    labels, first = [], []
+    for player in (0, 1):
+        for k in range(m):
+            places = tree.infosets[k][player][node_order(tree, k)]
+            if rows[player, k] == nodes[k]:
+                places = np.arange(nodes[k])  # rows in the kernels' order, too
+            labels.append(places)
+            first.append(np.unique(places, return_index=True)[1])
+
+    def starts(sizes: Integers) -> Integers:
+        return (np.cumsum(sizes) - sizes.reshape(-1)).reshape(sizes.shape)
+
+    return Layout(
+        moves=moves,
+        rows=rows,
+        nodes=nodes,
+        node_at=np.concatenate([[0], np.cumsum(nodes)]),
+        sigma_at=starts(moves * nodes),
+        regret_at=starts(moves * rows),
+        label_at=starts(np.stack([nodes, nodes])),
+        row_at=starts(rows),
+        labels=np.concatenate(labels),
+        first=np.concatenate(first),
+        single=rows == nodes,
+        chance=np.concatenate([np.tile(tree.chance, count // tree.roots) for count in nodes]),
+    )
+
+
+def initial_state(tree: GameTree, layout: Layout) -> State:
+    """Return the state before the first iteration: no regrets."""
+    leaves = tree.payoffs.reshape(-1)[node_order(tree, tree.depth)]
+    inner = int(layout.node_at[-1])
+    entries = int((layout.moves * layout.rows).sum())
+    return State(
+        values=np.concatenate([np.zeros(inner), leaves]),
+        sigma=np.zeros(int((layout.moves * layout.nodes).sum())),
+        reach=np.ones((2, inner)),
+        regrets=np.zeros(entries),
+        sums=np.zeros(entries),
+        opponent_reach=np.zeros(int(layout.rows.sum())),
+    )
+
+
+@compiled
+def iterate(layout, state, begin, end, alternating, alpha, beta, gamma):  # type: ignore[no-untyped-def]
+    """Run iterations ``begin`` (from 1) to ``end - 1``; strategies follow from the regrets at hand."""
+    widest = max(layout.moves.max(), 1)
+    work = np.empty((widest + 1) * BLOCK)
+    table = np.empty(max(1, (layout.moves * layout.rows).max()))
+    for player in range(2):
+        match_regrets(layout, state, player, work, table)
+        push_reach(layout, state, player)
+    for t in range(begin, end):
+        keep_gains = discount_factor(t, alpha)
+        keep_losses = discount_factor(t, beta)
+        weight = float(t) ** gamma
+        for player in range(2):
+            add_regrets(layout, state, player, work)
+            add_strategy(layout, state, player, weight)
+            if alternating:
+                discount(layout, state, player, keep_gains, keep_losses)
+                match_regrets(layout, state, player, work, table)
+                push_reach(layout, state, player)
+        if not alternating:
+            for player in range(2):
+                discount(layout, state, player, keep_gains, keep_losses)
+                match_regrets(layout, state, player, work, table)
+                push_reach(layout, state, player)
+
+
+@kernel
+def discount_factor(t, exponent):  # type: ignore[no-untyped-def]
+    """t^e / (t^e + 1): 1 for an infinite exponent, 0 for minus infinity."""
+    if exponent == np.inf:
+        return 1.0
+    if exponent == -np.inf:
+        return 0.0
+    power = float(t) ** exponent
+    return power / (power + 1.0)
+
+
+@kernel
+def match_regrets(layout, state, player, work, table):  # type: ignore[no-untyped-def]
+    """Strategies in proportion to positive regrets, evenly where there are none; then a copy for every node."""
+    for k in range(layout.nodes.size):
+        moves, rows, nodes = layout.moves[player, k], layout.rows[player, k], layout.nodes[k]
+        regrets = state.regrets[layout.regret_at[player, k] :]
+        sigma = state.sigma[layout.sigma_at[player, k] :]
+        single = layout.single[player, k]
+        target = sigma if single else table
+        even = 1.0 / moves
+        for low in range(0, rows, BLOCK):
+            n = min(BLOCK, rows - low)
+            total = work[:n]
+            for j in range(n):
+                total[j] = 0.0
+            for a in range(moves):
+                r = regrets[a * rows + low : a * rows + low + n]
+                for j in range(n):
+                    total[j] += max(r[j], 0.0)
+            for a in range(moves):
+                r = regrets[a * rows + low : a * rows + low + n]
+                s = target[a * rows + low : a * rows + low + n]
+                for j in range(n):
+                    share = max(r[j], 0.0) / total[j]
+                    s[j] = share if total[j] > 0.0 else even
+        if not single:
+            labels = layout.labels[layout.label_at[player, k] :]
+            for a in range(moves):
+                for j in range(nodes):
+                    sigma[a * nodes + j] = table[a * rows + labels[j]]
+
+
+@kernel
+def push_reach(layout, state, player):  # type: ignore[no-untyped-def]
+    """Probability of a player's own moves, from the root down."""
+    for k in range(layout.nodes.size - 1):
+        nodes, first, second = layout.nodes[k], layout.moves[0, k], layout.moves[1, k]
+        sigma = state.sigma[layout.sigma_at[player, k] :]
+        here = state.reach[player, layout.node_at[k] : layout.node_at[k] + nodes]
+        below = state.reach[player, layout.node_at[k + 1] :]
+        for a in range(first):
+            for b in range(second):
+                own = a if player == 0 else b
+                s = sigma[own * nodes : (own + 1) * nodes]
+                target = below[(a * second + b) * nodes : (a * second + b + 1) * nodes]
+                for j in range(nodes):
+                    target[j] = here[j] * s[j]
+
+
+@kernel
+def add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
+    """Values of all nodes, from the last level up, and what each move of a player would have gained there."""
+    other = 1 - player
+    sign = 1.0 if player == 0 else -1.0
+    for k in range(layout.nodes.size - 1, -1, -1):
+        nodes, rows, single = layout.nodes[k], layout.rows[player, k], layout.single[player, k]
+        own_moves, other_moves = layout.moves[player, k], layout.moves[other, k]
+        own_step = layout.moves[1, k] if player == 0 else 1
+        other_step = 1 if player == 0 else layout.moves[1, k]
+        own_sigma = state.sigma[layout.sigma_at[player, k] :]
+        other_sigma = state.sigma[layout.sigma_at[other, k] :]
+        children = state.values[layout.node_at[k + 1] :]
+        regrets = state.regrets[layout.regret_at[player, k] :]
+        reached = state.opponent_reach[layout.row_at[player, k] :]
+        labels = layout.labels[layout.label_at[player, k] :]
+        for low in range(0, nodes, BLOCK):
+            n = min(BLOCK, nodes - low)
+            at = layout.node_at[k] + low
+            value = state.values[at : at + n]
+            for j in range(n):
+                value[j] = 0.0
+            for a in range(own_moves):
+                q = work[(a + 1) * BLOCK : (a + 1) * BLOCK + n]
+                for j in range(n):
+                    q[j] = 0.0
+                for b in range(other_moves):
+                    place = (a * own_step + b * other_step) * nodes + low
+                    child = children[place : place + n]
+                    s = other_sigma[b * nodes + low : b * nodes + low + n]
+                    for j in range(n):
+                        q[j] += child[j] * s[j]
+                s = own_sigma[a * nodes + low : a * nodes + low + n]
+                for j in range(n):
+                    value[j] += q[j] * s[j]
+            weight = work[:n]
+            reach = state.reach[other, at : at + n]
+            chance = layout.chance[at : at + n]
+            for j in range(n):
+                weight[j] = reach[j] * chance[j]
+            if single:
+                seen = reached[low : low + n]
+                for j in range(n):
+                    seen[j] += weight[j]
+                for a in range(own_moves):
+                    q = work[(a + 1) * BLOCK : (a + 1) * BLOCK + n]
+                    r = regrets[a * rows + low : a * rows + low + n]
+                    for j in range(n):
+                        r[j] += sign * weight[j] * (q[j] - value[j])
+            else:
+                for j in range(n):
+                    reached[labels[low + j]] += weight[j]
+                for a in range(own_moves):
+                    for j in range(n):
+                        gain = sign * weight[j] * (work[(a + 1) * BLOCK + j] - value[j])
+                        regrets[a * rows + labels[low + j]] += gain
+
+
+@kernel
+def add_strategy(layout, state, player, weight):  # type: ignore[no-untyped-def]
+    """Sum up the current strategies, each weighted with the probability of the player's own moves."""
+    for k in range(layout.nodes.size):
+        moves, rows, nodes = layout.moves[player, k], layout.rows[player, k], layout.nodes[k]
+        sigma = state.sigma[layout.sigma_at[player, k] :]
+        sums = state.sums[layout.regret_at[player, k] :]
+        reach = state.reach[player, layout.node_at[k] : layout.node_at[k] + nodes]
+        if layout.single[player, k]:
+            for a in range(moves):
+                s = sigma[a * nodes : (a + 1) * nodes]
+                total = sums[a * nodes : (a + 1) * nodes]
+                for j in range(nodes):
+                    total[j] += weight * reach[j] * s[j]
+        else:
+            first = layout.first[layout.row_at[player, k] :]
+            for a in range(moves):
+                for row in range(rows):
+                    j = first[row]
+                    sums[a * rows + row] += weight * reach[j] * sigma[a * nodes + j]
+
+
+@kernel
+def discount(layout, state, player, keep_gains, keep_losses):  # type: ignore[no-untyped-def]
+    """Shrink positive and negative cumulative regrets."""
+    if keep_gains == 1.0 and keep_losses == 1.0:
+        return
+    last = layout.nodes.size - 1
+    begin = layout.regret_at[player, 0]
+    end = layout.regret_at[player, last] + layout.moves[player, last] * layout.rows[player, last]
+    regrets = state.regrets[begin:end]
+    for j in range(regrets.size):
+        r = regrets[j]
+        regrets[j] = r * keep_gains if r > 0.0 else r * keep_losses
+    if keep_gains != 1.0:
+        rows = layout.rows[player, last]
+        reached = state.opponent_reach[layout.row_at[player, 0] : layout.row_at[player, last] + rows]
+        for j in range(reached.size):
+            reached[j] *= keep_gains

@@ -1,0 +1,70 @@
+"""The exact solution by backward induction: every node is a zero-sum matrix game over the values of its children."""
+
+from typing import NamedTuple
+
+from pcs_racing.errors import InputError
+from pcs_racing_agents.solvers.evaluation import Profile
+from pcs_racing_agents.solvers.game_tree import Floats, GameTree
+from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
+
+__all__ = ["ExactResult", "solve_exact"]
+
+
+class ExactResult(NamedTuple):
+    """The solution of a tree whose players see all past moves.
+
+    Attributes
+    ----------
+    value : float
+        What the game is worth to car 0.
+    profile : Profile
+        An equilibrium, and one in every subtree (subgame perfect). Where there are several it is one of them.
+    node_values : list of ndarray, shape (rows,)
+        What each joint history of levels 0 to m is worth to car 0.
+    q : list of (ndarray, ndarray)
+        What each move is worth to its player against the equilibrium, shapes (rows, A_k) and (rows, B_k).
+    advantages : list of (ndarray, ndarray)
+        The same above the node's value: 0 for the moves of the equilibrium, below 0 for mistakes.
+    gap : float
+        Largest sum of what the players of one matrix game could still gain: rounding errors.
+    """
+
+    value: float
+    profile: Profile
+    node_values: list[Floats]
+    q: list[tuple[Floats, Floats]]
+    advantages: list[tuple[Floats, Floats]]
+    gap: float
+
+
+def solve_exact(tree: GameTree) -> ExactResult:
+    """Solve a game of observed past moves exactly.
+
+    Chance that no player sees is averaged out first; rows are then joint histories.
+
+    Raises
+    ------
+    InputError
+        If the players do not see all past moves; :func:`~pcs_racing_agents.solvers.solve_sequence_form` and
+        :func:`~pcs_racing_agents.solvers.cfr` solve such trees.
+    """
+    game = tree.averaged
+    if not game.perfect:
+        raise InputError(
+            "this tree can't be solved by backward induction, since its players do not see all past moves; use "
+            "solve_sequence_form or cfr"
+        )
+    values = [game.payoffs.reshape(-1)]
+    profile, q, advantages, gap = [], [], [], 0.0
+    for k in reversed(range(game.depth)):
+        games = values[-1].reshape(-1, *game.moves[k])
+        solution = solve_matrix_games(games)
+        q0 = (games @ solution.columns[:, :, None])[:, :, 0]
+        q1 = -(solution.rows[:, None, :] @ games)[:, 0, :]
+        values.append(solution.values)
+        profile.append((solution.rows, solution.columns))
+        q.append((q0, q1))
+        advantages.append((q0 - solution.values[:, None], q1 + solution.values[:, None]))
+        gap = max(gap, float(solution.gaps.max()))
+    value = float(game.chance @ values[-1])
+    return ExactResult(value, profile[::-1], values[::-1], q[::-1], advantages[::-1], gap)

@@ -1,0 +1,271 @@
+"""The game tree as dense arrays: simultaneous moves, level by level, with payoffs at the leaves.
+
+All nodes of a level stand in one array, in row-major order of their history. That makes every algorithm on the tree a
+few array operations per level, and a strategy one array per level and player.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.errors import InputError
+
+__all__ = ["Floats", "GameTree", "Integers"]
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+CHANCE_TOLERANCE = 1e-9
+LARGEST = 1e100  # so that sums and products stay finite
+
+
+@dataclass(frozen=True, eq=False)
+class GameTree:
+    """A two-player zero-sum game of ``m`` simultaneous moves each; make it with :meth:`from_payoffs`.
+
+    Level ``k`` (0 to m - 1) has ``roots * N_k`` nodes, one for each outcome of chance and each joint history; child
+    ``(a, b)`` of node ``j`` is node ``(j * A_k + a) * B_k + b`` of the next level. A player does not tell the nodes of
+    one *information set* (infoset) apart, so its strategy is an array with a row per infoset.
+
+    Attributes
+    ----------
+    payoffs : ndarray, shape (roots, leaves)
+        What each leaf pays to car 0; car 1 gets minus that. Read-only.
+    moves : tuple of (int, int)
+        ``(A_k, B_k)``: how many moves car 0 and car 1 have at each level.
+    chance : ndarray, shape (roots,)
+        Probability of each root.
+    infosets : tuple of (ndarray, ndarray)
+        For each level and player the row of every node, shape (roots * N_k,). Infosets are numbered in the order in
+        which their first nodes come.
+    """
+
+    payoffs: Floats
+    moves: tuple[tuple[int, int], ...]
+    chance: Floats
+    infosets: tuple[tuple[Integers, Integers], ...]
+
+    @classmethod
+    def from_payoffs(cls, payoffs: ArrayLike, chance: ArrayLike | None = None) -> "GameTree":
+        """Make a tree in which both players see all past moves.
+
+        Parameters
+        ----------
+        payoffs : array, shape (A_0, B_0, A_1, B_1, ...)
+            What car 0 gets for each sequence of moves, in the order car 0, car 1, car 0, ... With ``chance``, the
+            first axis is its outcome: (S, A_0, B_0, ...).
+        chance : array, shape (S,), optional
+            Probabilities of outcomes (seeds of the noise, say) that no player sees; they are at least 0 and sum up to
+            1. See :meth:`with_infosets` for outcomes that somebody sees.
+
+        Raises
+        ------
+        InputError
+            If a payoff is not finite (or beyond 1e100), or a shape or probability is impossible.
+        """
+        table = _real(payoffs, "payoffs")
+        if chance is None:
+            table = table[None]
+        weights = np.ones(1) if chance is None else _real(chance, "chance")
+        if table.ndim < 3 or table.ndim % 2 == 0 or 0 in table.shape:
+            raise InputError(
+                f"payoffs have shape {np.shape(payoffs)}; they need an axis for each move, car 0 and car 1 by turns"
+                f"{'' if chance is None else ', after one for chance'}, and none may be empty"
+            )
+        if weights.shape != table.shape[:1]:
+            raise InputError(f"chance has shape {weights.shape}; payoffs of {len(table)} roots need ({len(table)},)")
+        wrong = np.argwhere(~(np.abs(table) <= LARGEST))
+        if len(wrong):
+            place = tuple(int(i) for i in wrong[0][0 if chance is not None else 1 :])
+            raise InputError(f"payoff {place} is {table[tuple(wrong[0])]}; it must lie within +-{LARGEST:g}")
+        if not (weights >= 0.0).all() or abs(weights.sum() - 1.0) > CHANCE_TOLERANCE:
+            raise InputError(f"chance is {weights.tolist()}; probabilities are at least 0 and sum up to 1")
+        roots, moves = len(table), tuple(zip(table.shape[1::2], table.shape[2::2], strict=True))
+        histories = [int(np.prod(table.shape[1 : 2 * k + 1])) for k in range(len(moves))]
+        rows = [np.tile(np.arange(count), roots) for count in histories]
+        flat = np.array(table.reshape(roots, -1), order="C")
+        return cls(_fixed(flat), moves, _fixed(weights / weights.sum()), tuple((_fixed(r), _fixed(r)) for r in rows))
+
+    def with_infosets(self, labels: Sequence[tuple[ArrayLike, ArrayLike]]) -> "GameTree":
+        """Return the tree with other infosets: nodes of equal label are one to that player.
+
+        Parameters
+        ----------
+        labels : sequence of (array, array)
+            For each level, the label of every node for car 0 and for car 1, whole numbers of shape (roots * N_k,) or
+            (roots, N_k).
+
+        Raises
+        ------
+        InputError
+            If a shape is wrong, or a player forgets its own past: nodes of one infoset must come from one infoset by
+            one own move (perfect recall).
+        """
+        self._check_levels(labels, "labels")
+        made: list[tuple[Integers, Integers]] = []
+        for k, pair in enumerate(labels):
+            rows = []
+            for player in (0, 1):
+                given = np.asarray(pair[player])
+                if given.dtype.kind not in "iub" or given.size != self.nodes(k) or given.ndim not in (1, 2):
+                    raise InputError(
+                        f"labels of level {k}, car {player} have shape {given.shape} and type {given.dtype}; they must "
+                        f"be {self.nodes(k)} whole numbers, one for each node"
+                    )
+                rows.append(_numbered(given.reshape(-1)))
+                if k:
+                    self._check_recall(k, player, rows[player], self._past(k, player, made[k - 1][player]))
+            made.append((rows[0], rows[1]))
+        return replace(self, infosets=tuple(made))
+
+    def with_observations(self, observations: Sequence[tuple[ArrayLike, ArrayLike]]) -> "GameTree":
+        """Return the tree whose players see what is given here, beside their own moves, and remember all of it.
+
+        Parameters
+        ----------
+        observations : sequence of (array, array)
+            For each level, what car 0 and car 1 see at every node: shape (roots * N_k,) or (roots * N_k, d). Nodes
+            whose numbers are all equal look alike: round measured numbers to what a player could tell apart.
+
+        Raises
+        ------
+        InputError
+            If a shape is wrong or a number is not finite.
+        """
+        self._check_levels(observations, "observations")
+        made: list[tuple[Integers, Integers]] = []
+        for k, pair in enumerate(observations):
+            rows = []
+            for player in (0, 1):
+                seen = _real(pair[player], f"observations of level {k}, car {player}")
+                if seen.ndim not in (1, 2) or len(seen) != self.nodes(k) or not np.isfinite(seen).all():
+                    raise InputError(
+                        f"observations of level {k}, car {player} have shape {seen.shape}; they must be finite "
+                        f"numbers, {self.nodes(k)} rows of them"
+                    )
+                key = seen.reshape(len(seen), -1)
+                if k:
+                    key = np.column_stack([self._past(k, player, made[k - 1][player]), key])
+                rows.append(_numbered(np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)))
+            made.append((rows[0], rows[1]))
+        return replace(self, infosets=tuple(made))
+
+    def __copy__(self) -> "GameTree":
+        """Return the tree itself: it never changes."""
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "GameTree":
+        """Return the tree itself: it never changes."""
+        return self
+
+    # Sizes
+
+    @property
+    def depth(self) -> int:
+        """Number of moves of each player, m."""
+        return len(self.moves)
+
+    @property
+    def roots(self) -> int:
+        """Number of outcomes of chance."""
+        return len(self.chance)
+
+    def nodes(self, level: int) -> int:
+        """Number of nodes of a level; level m are the leaves."""
+        return self.roots * int(np.prod([a * b for a, b in self.moves[:level]], dtype=np.int64))
+
+    def rows(self, level: int, player: int) -> int:
+        """Number of a player's infosets at a level: the rows of its strategy."""
+        return self._row_counts[level][player]
+
+    @cached_property
+    def _row_counts(self) -> list[tuple[int, int]]:
+        return [(int(first.max()) + 1, int(second.max()) + 1) for first, second in self.infosets]
+
+    # Properties
+
+    @cached_property
+    def perfect(self) -> bool:
+        """Whether every infoset holds one node: both players see everything but the other's simultaneous move."""
+        return all(self.rows(k, player) == self.nodes(k) for k in range(self.depth) for player in (0, 1))
+
+    @cached_property
+    def hides_chance(self) -> bool:
+        """Whether both players see all past moves and nothing of chance: their infosets are the joint histories."""
+        return all(
+            np.array_equal(rows, np.tile(np.arange(self.nodes(k) // self.roots), self.roots))
+            for k, pair in enumerate(self.infosets)
+            for rows in pair
+        )
+
+    @cached_property
+    def averaged(self) -> "GameTree":
+        """The tree with expected payoffs, where chance is hidden (profiles keep their rows); else the tree itself."""
+        if self.roots == 1 or not self.hides_chance:
+            return self
+        shape = [size for pair in self.moves for size in pair]
+        return GameTree.from_payoffs((self.chance @ self.payoffs).reshape(shape))
+
+    def swapped(self) -> "GameTree":
+        """Return the same game with the names of the cars exchanged."""
+        m, axes = self.depth, [0]
+        for k in range(m):
+            axes += [2 * k + 2, 2 * k + 1]
+        shape = [self.roots, *(size for pair in self.moves for size in pair)]
+        payoffs = -self.payoffs.reshape(shape).transpose(axes)
+        other = GameTree.from_payoffs(payoffs, self.chance)
+        labels = []
+        for k, (first, second) in enumerate(self.infosets):
+            places = np.arange(self.nodes(k)).reshape(shape[: 2 * k + 1]).transpose(axes[: 2 * k + 1]).reshape(-1)
+            labels.append((second[places], first[places]))
+        return other.with_infosets(labels)
+
+    # Checks
+
+    def _check_levels(self, given: Sequence[tuple[ArrayLike, ArrayLike]], what: str) -> None:
+        if len(given) != self.depth or any(len(pair) != 2 for pair in given):
+            raise InputError(f"{what} must be {self.depth} pairs, one for each level: of car 0 and of car 1")
+
+    def _past(self, level: int, player: int, before: Integers) -> Integers:
+        """For every node of a level: a number for the player's infoset and own move one level up."""
+        a, b = self.moves[level - 1]
+        child = np.arange(self.nodes(level))
+        own = (child // b) % a if player == 0 else child % b
+        return before[child // (a * b)] * (a, b)[player] + own
+
+    def _check_recall(self, level: int, player: int, rows: Integers, past: Integers) -> None:
+        representative = np.zeros(rows.max() + 1, dtype=np.int64)
+        representative[rows] = past
+        mixed = np.flatnonzero(representative[rows] != past)
+        if len(mixed):
+            raise InputError(
+                f"labels of level {level}, car {player}: node {int(mixed[0])} shares its label with nodes that the car "
+                "reaches otherwise; whoever remembers its own past (perfect recall) tells them apart"
+            )
+
+
+def _numbered(labels: Integers) -> Integers:
+    """Labels replaced by 0, 1, 2, ... in the order in which they first come."""
+    _, first, place = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.empty(len(first), dtype=np.int64)
+    order[np.argsort(first)] = np.arange(len(first))
+    return _fixed(order[place])
+
+
+def _real(values: ArrayLike, what: str) -> Floats:
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise InputError(f"{what} do not form an array: their rows differ in length") from None
+    if array.dtype.kind not in "fiub":
+        raise InputError(f"{what} have type {array.dtype}; they must be real numbers")
+    return array.astype(np.float64)
+
+
+def _fixed(array: Any) -> Any:
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,305 @@
+"""Zero-sum matrix games, solved exactly and in large numbers by compiled code.
+
+A saddle point is taken where there is one. Otherwise the simplex method solves the linear program of Dantzig (1951):
+with all payoffs made positive, the column player finds max sum(y) subject to P y <= 1, y >= 0; the game's value is
+1 / sum(y), and the dual solution is the row player's strategy. What the two could still gain is measured on every
+solution; a game whose moves are so nearly equal that rounding led astray is solved once more in whole numbers.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pcs_racing.compilation import compiled, kernel
+from pcs_racing.errors import InputError
+from pcs_racing_agents.solvers.game_tree import Floats
+from pcs_racing_agents.solvers.rational_games import solve_rationally
+
+__all__ = ["MatrixSolution", "solve_matrix_games"]
+
+TOLERANCE = 1e-14
+"""A move must promise more than this, in units of the payoffs' range, for the simplex method to go on."""
+
+GOOD_GAP = 1e-12
+"""Gap, in units of the payoffs' range, above which a game is solved again: with more care, then in whole numbers."""
+
+
+class MatrixSolution(NamedTuple):
+    """Equilibria of B matrix games.
+
+    Attributes
+    ----------
+    values : ndarray, shape (B,)
+        What the row player gets.
+    rows, columns : ndarray, shapes (B, A) and (B, C)
+        Strategies of the row player, who maximises, and of the column player, who minimises.
+    gaps : ndarray, shape (B,)
+        What the two players could gain by best replies, added up: rounding errors.
+    """
+
+    values: Floats
+    rows: Floats
+    columns: Floats
+    gaps: Floats
+
+
+def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
+    """Solve zero-sum matrix games.
+
+    Where a game has several equilibria, one of them is returned, always the same.
+
+    Parameters
+    ----------
+    payoffs : array, shape (B, A, C) or (A, C)
+        What the row player gets, who has A moves against C; the column player gets minus that.
+
+    Raises
+    ------
+    InputError
+        If a payoff is not finite or a shape is impossible.
+    """
+    games = np.ascontiguousarray(payoffs, dtype=np.float64)
+    if games.ndim not in (2, 3) or 0 in games.shape:
+        raise InputError(f"payoffs have shape {games.shape}; they must have (B, A, C) or (A, C), none of them 0")
+    if not np.isfinite(games).all():
+        raise InputError("payoffs of a matrix game must be finite")
+    games = games.reshape(-1, *games.shape[-2:])
+    count, a, c = games.shape
+    solution = MatrixSolution(np.empty(count), np.empty((count, a)), np.empty((count, c)), np.empty(count))
+    solve_games(games, *solution)
+    span = games.max(axis=(1, 2)) - games.min(axis=(1, 2))
+    for g in np.flatnonzero(~(solution.gaps <= GOOD_GAP * span)):
+        values, rows, columns = solve_rationally(games[g])
+        solution.values[g], solution.rows[g], solution.columns[g] = values, rows, columns
+        solution.gaps[g] = max(0.0, (games[g] @ columns).max() - (rows @ games[g]).min())
+    return solution
+
+
+@compiled
+def solve_games(games, values, rows, columns, gaps):  # type: ignore[no-untyped-def]
+    """Solve games of shape (B, A, C) into arrays like those of :class:`MatrixSolution`."""
+    count, a, c = games.shape
+    table = np.empty((a + 1, c + 1))
+    labels = np.empty(a + c, np.int64)
+    basic = np.empty(a + c, np.bool_)
+    x, y = np.empty(a), np.empty(c)
+    for g in range(count):
+        game = games[g]
+        if not saddle_point(game, rows[g], columns[g]):
+            low, high = bounds(game)
+            simplex(game, low, high, False, table, labels, basic, rows[g], columns[g])
+            gap = duality_gap(game, low, rows[g], columns[g])
+            if not gap <= GOOD_GAP * (high - low):
+                simplex(game, low, high, True, table, labels, basic, x, y)
+                if not duality_gap(game, low, x, y) >= gap:
+                    rows[g, :] = x
+                    columns[g, :] = y
+            values[g] = expected(game, low, rows[g], columns[g])
+            gaps[g] = duality_gap(game, low, rows[g], columns[g])
+        else:
+            values[g] = game[rows[g].argmax(), columns[g].argmax()]
+            gaps[g] = 0.0
+
+
+@kernel
+def saddle_point(game, row, column):  # type: ignore[no-untyped-def]
+    """Whether there is an equilibrium in pure moves; it is the first one, if so."""
+    a, c = game.shape
+    best, best_row = -np.inf, 0
+    for i in range(a):
+        worst = game[i, 0]
+        for j in range(1, c):
+            worst = min(worst, game[i, j])
+        if worst > best:
+            best, best_row = worst, i
+    least, least_column = np.inf, 0
+    for j in range(c):
+        most = game[0, j]
+        for i in range(1, a):
+            most = max(most, game[i, j])
+        if most < least:
+            least, least_column = most, j
+    if best < least:
+        return False
+    row[:] = 0.0
+    column[:] = 0.0
+    row[best_row] = 1.0
+    column[least_column] = 1.0
+    return True
+
+
+@kernel
+def bounds(game):  # type: ignore[no-untyped-def]
+    """Smallest and largest payoff."""
+    low, high = game[0, 0], game[0, 0]
+    for i in range(game.shape[0]):
+        for j in range(game.shape[1]):
+            low, high = min(low, game[i, j]), max(high, game[i, j])
+    return low, high
+
+
+@kernel
+def expected(game, low, row, column):  # type: ignore[no-untyped-def]
+    """What the row player gets. Payoffs are taken above the smallest, so that a large common part costs no digits."""
+    total = 0.0
+    for i in range(row.size):
+        for j in range(column.size):
+            total += row[i] * (game[i, j] - low) * column[j]
+    return low + total
+
+
+@kernel
+def duality_gap(game, low, row, column):  # type: ignore[no-untyped-def]
+    """What the best reply to the column player gets, minus what the best reply to the row player leaves."""
+    most, least = -np.inf, np.inf
+    for i in range(row.size):
+        total = 0.0
+        for j in range(column.size):
+            total += (game[i, j] - low) * column[j]
+        most = max(most, total)
+    for j in range(column.size):
+        total = 0.0
+        for i in range(row.size):
+            total += (game[i, j] - low) * row[i]
+        least = min(least, total)
+    return most - least
+
+
+@kernel
+def simplex(game, low, high, careful, table, labels, basic, row, column):  # type: ignore[no-untyped-def]
+    """Solve a game that has no saddle point by the simplex method on a condensed tableau.
+
+    ``labels`` holds the variable of each row of the tableau, then that of each column: 0 to C - 1 are the column
+    player's moves, C + i the slack of the row player's move i. Moves enter by the largest gain, and after a while by
+    the smallest label (Bland 1977), which never cycles. ``careful`` does the latter from the start and computes the
+    tableau anew after each exchange, so that small pivots (nearly equal moves) leave no errors behind.
+    """
+    a, c = game.shape
+    begin(game, low, high, table, labels)
+    for step in range(50 * (a + c)):
+        bland = careful or step >= 4 * (a + c)
+        enter = entering(table, labels, a, c, bland)
+        if enter < 0:
+            break
+        leave = leaving(table, labels, a, c, enter, careful, bland)
+        if leave < 0:
+            break
+        pivot(table, labels, a, c, leave, enter)
+        if careful:
+            rebuild(game, low, high, table, labels, basic)
+    row[:] = 0.0
+    column[:] = 0.0
+    for i in range(a):
+        if labels[i] < c:
+            column[labels[i]] = max(table[i, c], 0.0)
+    for j in range(c):
+        if labels[a + j] >= c:
+            row[labels[a + j] - c] = max(table[a, j], 0.0)
+    normalise(row)
+    normalise(column)
+
+
+@kernel
+def begin(game, low, high, table, labels):  # type: ignore[no-untyped-def]
+    """Tableau of the basis of slacks, with payoffs scaled into [1, 2]."""
+    a, c = game.shape
+    scale = 1.0 / (high - low)
+    for i in range(a):
+        for j in range(c):
+            table[i, j] = 1.0 + (game[i, j] - low) * scale
+        table[i, c] = 1.0
+        labels[i] = c + i
+    for j in range(c):
+        table[a, j] = -1.0
+        labels[a + j] = j
+    table[a, c] = 0.0
+
+
+@kernel
+def rebuild(game, low, high, table, labels, basic):  # type: ignore[no-untyped-def]
+    """Compute the tableau of the present basis from the payoffs, with complete pivoting."""
+    a, c = game.shape
+    exchanges = 0
+    for i in range(a):
+        basic[labels[i]] = True
+        exchanges += labels[i] < c
+    for j in range(c):
+        basic[labels[a + j]] = False
+    begin(game, low, high, table, labels)
+    for _ in range(exchanges):
+        leave, enter, most = -1, -1, 0.0
+        for i in range(a):
+            if not basic[labels[i]]:
+                for j in range(c):
+                    if basic[labels[a + j]] and abs(table[i, j]) > most:
+                        leave, enter, most = i, j, abs(table[i, j])
+        if leave < 0:
+            break  # singular: the method goes on from here
+        pivot(table, labels, a, c, leave, enter)
+
+
+@kernel
+def entering(table, labels, a, c, bland):  # type: ignore[no-untyped-def]
+    """Column of the variable to enter, or -1 at the optimum."""
+    chosen = -1
+    for j in range(c):
+        if table[a, j] < -TOLERANCE:
+            if chosen < 0:
+                chosen = j
+            elif bland:
+                if labels[a + j] < labels[a + chosen]:
+                    chosen = j
+            elif table[a, j] < table[a, chosen]:
+                chosen = j
+    return chosen
+
+
+@kernel
+def leaving(table, labels, a, c, enter, careful, bland):  # type: ignore[no-untyped-def]
+    """Row of the variable that reaches 0 first; among equals the largest pivot, or by Bland the smallest label."""
+    chosen, best = -1, np.inf
+    smallest = 1e-14 if careful else 1e-11
+    for i in range(a):
+        size = table[i, enter]
+        if size > smallest:
+            ratio = max(table[i, c], 0.0) / size
+            if chosen < 0 or ratio < best - 1e-13:
+                chosen, best = i, ratio
+            elif ratio <= best + 1e-13:
+                if bland:
+                    better = labels[i] < labels[chosen]
+                else:
+                    better = size > table[chosen, enter]
+                if better:
+                    chosen, best = i, min(ratio, best)
+    return chosen
+
+
+@kernel
+def pivot(table, labels, a, c, leave, enter):  # type: ignore[no-untyped-def]
+    """Exchange a row's variable for a column's."""
+    inverse = 1.0 / table[leave, enter]
+    for j in range(c + 1):
+        if j != enter:
+            table[leave, j] *= inverse
+    for i in range(a + 1):
+        if i != leave:
+            factor = table[i, enter]
+            if factor != 0.0:
+                for j in range(c + 1):
+                    if j != enter:
+                        table[i, j] -= factor * table[leave, j]
+            table[i, enter] = -factor * inverse
+    table[leave, enter] = inverse
+    labels[leave], labels[a + enter] = labels[a + enter], labels[leave]
+
+
+@kernel
+def normalise(weights):  # type: ignore[no-untyped-def]
+    """Divide weights by their sum."""
+    total = 0.0
+    for i in range(weights.size):
+        total += weights[i]
+    for i in range(weights.size):
+        weights[i] /= total
