@@ -341,6 +341,10 @@ def test_drivers_from_outside_in_either_car(track):
     for one, other in zip(state.race, race, strict=True):
         np.testing.assert_array_equal(one, other)
 
+    small = RaceGame(track, archive, config, PURE_PURSUIT, ego_planner=PURE_PURSUIT)  # fewer parameters than the archive
+    end = play(small, small.reset([1], egos=egos[0], opponents=egos[1]), [(0, 0)] * 4)
+    assert small.done(end).all()
+
     with pytest.raises(InputError, match=r"game 0: car 0 is driven by planner 'pure-pursuit', .* give egos"):
         game.reset(1, opponents=wild)
     with pytest.raises(InputError, match="there are 1 games but 2 egos"):
