@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.errors import InputError
 
-__all__ = ["Rows", "join_rows", "pair_number", "split_by_pair"]
+__all__ = ["Rows", "draw_pairs", "join_rows", "pair_number", "split_by_pair"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +124,21 @@ def pair_number(policies: ArrayLike) -> NDArray[np.int64]:
     return both[..., 1] * (both[..., 1] + 1) // 2 + both[..., 0]
 
 
+def draw_pairs(pairs: NDArray[np.int64], share: float, seed: np.random.SeedSequence) -> NDArray[np.int64]:
+    """Draw a share of the different pairs, sorted; at least one, and at least one stays behind.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two.
+    """
+    different = np.unique(pairs)
+    if len(different) < 2:
+        raise InputError("all rows come from one starting pair; validation needs rows of at least 2")
+    count = min(max(round(share * len(different)), 1), len(different) - 1)
+    return np.sort(np.random.default_rng(seed).permutation(different)[:count])
+
+
 def split_by_pair(rows: Rows, share: float, seed: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
     """Choose starting pairs to validate on, so that no pair is on both sides.
 
@@ -146,12 +161,7 @@ def split_by_pair(rows: Rows, share: float, seed: int) -> tuple[NDArray[np.bool_
     InputError
         If the rows come from fewer than two pairs, or all rows on one side have weight 0.
     """
-    pairs = np.unique(rows.pair)
-    if len(pairs) < 2:
-        raise InputError("all rows come from one starting pair; validation needs rows of at least 2")
-    count = min(max(round(share * len(pairs)), 1), len(pairs) - 1)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
-    chosen = np.sort(rng.permutation(pairs)[:count])
+    chosen = draw_pairs(rows.pair, share, np.random.SeedSequence(seed, spawn_key=(0,)))
     held_out = np.isin(rows.pair, chosen)
     for side in (held_out, ~held_out):
         if not rows.weights[side].any():

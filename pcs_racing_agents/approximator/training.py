@@ -4,7 +4,7 @@ The same settings and rows give the same network: initial weights and draws come
 settings' seed, torch works in one thread meanwhile, and its own random state is neither read nor changed.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -18,11 +18,11 @@ from pcs_racing_agents.approximator.rows import Rows, split_by_pair
 from pcs_racing_agents.approximator.settings import TrainSettings
 from pcs_racing_agents.approximator.targets import best_moves
 from pcs_racing_agents.configuration import plain_settings
+from pcs_racing_agents.jobs import Progress
 
 __all__ = ["Epoch", "Fit", "fit", "train_network"]
 
 Floats = NDArray[np.float32]
-Progress = Callable[[int, int, str], None]
 
 
 class Epoch(NamedTuple):
@@ -101,7 +101,7 @@ def train_network(
     clipped : bool
         Whether the network learns and shows targets below 0 as 0.
     progress : callable, optional
-        Called after every epoch as ``progress(epoch, epochs, what)``.
+        Called after every epoch as ``progress(epoch, epochs, what)``; an early stop makes ``epochs`` smaller.
 
     Returns
     -------
@@ -225,8 +225,8 @@ def fit(rows: Rows, settings: TrainSettings, *, clipped: bool = False, progress:
             elif since % max(settings.patience // 4, 1) == 0:
                 optimiser.param_groups[0]["lr"] *= 0.5
             if progress is not None:
-                last = settings.epochs if since == settings.patience else number
-                progress(last, settings.epochs, f"validation loss {epochs[-1].validation_loss:.4f}")
+                total_epochs = number if since == settings.patience else settings.epochs
+                progress(number, total_epochs, f"validation loss {epochs[-1].validation_loss:.4f}")
             if since == settings.patience:
                 break
     weights, biases = [layer.numpy() for layer in kept[::2]], [layer.numpy() for layer in kept[1::2]]
