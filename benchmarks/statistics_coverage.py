@@ -29,6 +29,7 @@ from pcs_racing_agents.tournament.statistics import (
 from pcs_racing_agents.tournament.statistics.student_t import two_sided_p
 
 Floats = NDArray[np.float64]
+FULL = (20, 20, 10)  # egos, opponents, races of each pair
 Draw = Callable[[np.random.Generator], "Data"]
 
 
@@ -63,6 +64,17 @@ def normal(
     return draw
 
 
+def pool(sd: float = 0.1, relation: float = 1.0) -> Draw:
+    """Twenty policies are egos and opponents; each brings as an opponent what it brings as an ego, or minus that."""
+    g, h, k = labels(*FULL)
+
+    def draw(rng: np.random.Generator) -> Data:
+        effect = sd * rng.normal(size=FULL[0])
+        return Data(effect[g] + relation * effect[h] + 0.5 * rng.normal(size=len(g)), g, h, k, 0.0)
+
+    return draw
+
+
 def binary(size: tuple[int, int, int], shift: float = 0.25) -> Draw:
     """Wins and losses of two arms in the same races: the unit's noise is mostly shared, egos and opponents matter."""
     egos, opponents, _ = size
@@ -93,7 +105,6 @@ def thinned(draw: Draw, kept: float) -> Draw:
     return fewer
 
 
-FULL = (20, 20, 10)
 SCENARIOS: dict[str, Draw] = {
     "races independent": normal(size=FULL),
     "egos differ": normal(ego=0.1, size=FULL),
@@ -106,6 +117,8 @@ SCENARIOS: dict[str, Draw] = {
     "both differ, 20 x 5": normal(ego=0.1, opponent=0.1, size=(20, 5, 10)),
     "both differ, 5 x 5": normal(ego=0.1, opponent=0.1, size=(5, 5, 10)),
     "both and the 10 lines differ": normal(ego=0.1, opponent=0.1, line=0.1, size=FULL),
+    "egos are the opponents": pool(),
+    "the same, opposed": pool(relation=-1.0),
 }
 
 
@@ -133,6 +146,7 @@ def misses(data: Data, rng: np.random.Generator) -> list[float]:
         result.p_clustered < 0.05,
         plain_two_way(data),
         clustered_mean(moved, data.ego, data.opponent, data.line).p < 0.05,
+        clustered_mean(moved, data.ego, data.opponent, same_pool=True).p < 0.05,
         not low <= 0.0 <= high,
         result.p_paired_t < 0.05,
         sign_flip_p(moved, data.ego) < 0.05,
@@ -142,9 +156,9 @@ def misses(data: Data, rng: np.random.Generator) -> list[float]:
 
 
 def coverage_table(datasets: int, seed: int) -> None:
-    estimators = "clustered | no floor | three-way | bootstrap | paired t | sign flip | independent | width"
+    estimators = "clustered | no floor | three-way | one pool | bootstrap | paired t | sign flip | independent | width"
     print(f"| differences | {estimators} |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|---|")
     for (name, draw), child in zip(SCENARIOS.items(), np.random.SeedSequence(seed).spawn(len(SCENARIOS)), strict=True):
         rng = np.random.default_rng(child)
         rates = np.mean([misses(draw(rng), rng) for _ in range(datasets)], axis=0)

@@ -1,14 +1,8 @@
 """Statistics of paired races: comparisons that know of clusters, resampling, rates, power and the adaptivity gain."""
 
 from pcs_racing_agents.tournament.statistics.adaptivity import AdaptivityGain, adaptivity_gain
-from pcs_racing_agents.tournament.statistics.comparison import (
-    Comparison,
-    Estimate,
-    PairedT,
-    clustered_mean,
-    compare,
-    paired_t,
-)
+from pcs_racing_agents.tournament.statistics.clusters import Estimate, clustered_mean
+from pcs_racing_agents.tournament.statistics.comparison import Comparison, PairedT, compare, paired_t
 from pcs_racing_agents.tournament.statistics.power import (
     VarianceComponents,
     detectable_effect,

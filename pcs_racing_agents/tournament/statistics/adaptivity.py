@@ -44,6 +44,7 @@ def adaptivity_gain(
     *,
     training: Mapping[str, ArrayLike],
     start: ArrayLike | None = None,
+    same_pool: bool = False,
     level: float = 0.95,
 ) -> AdaptivityGain:
     """Return the gain of an adaptive strategy over the best blind one, the latter chosen on separate races.
@@ -63,9 +64,8 @@ def adaptivity_gain(
         Labels of the test races.
     training : mapping of str to array_like
         Training scores of the same blind arms; all arms in the same training races, in any number.
-    start : array_like, shape (U,), optional
+    start, same_pool, level
         As in :func:`compare`.
-    level : float
 
     Returns
     -------
@@ -92,5 +92,8 @@ def adaptivity_gain(
         raise InputError("the training scores are the test scores; choose the blind arm on races of their own")
     means = {name: float(values.mean()) for name, values in scores.items()}
     best = max(means, key=lambda name: means[name])  # the first of equals
-    over_each = {name: compare(adaptive, tested[name], ego, opponent, start=start, level=level) for name in blind}
+    over_each = {
+        name: compare(adaptive, tested[name], ego, opponent, start=start, same_pool=same_pool, level=level)
+        for name in blind
+    }
     return AdaptivityGain(best, means, over_each[best], over_each)

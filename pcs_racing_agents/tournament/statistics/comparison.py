@@ -1,55 +1,21 @@
-"""Does one strategy race better than another? The mean difference, with an interval that knows of clusters.
+"""Does one strategy race better than another? Two arms that raced the same units.
 
 A unit is one race that both arms drove: (ego start policy, opponent, start line, side). Units that share an ego policy
 or an opponent go up and down together, so 4,000 races of 20 ego policies against 20 opponents are worth far less than
 4,000 independent ones. Which estimator keeps its promises on such data is measured in ``docs/statistics.md``.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.errors import InputError
+from pcs_racing_agents.tournament.statistics.clusters import clustered_mean, ratio
 from pcs_racing_agents.tournament.statistics.student_t import check_level, critical_value, two_sided_p
-from pcs_racing_agents.tournament.statistics.units import Floats, Ints, check_arms, check_values, cluster_codes
+from pcs_racing_agents.tournament.statistics.units import check_arms, cluster_codes
 
-__all__ = ["Comparison", "Estimate", "PairedT", "clustered_mean", "compare", "paired_t"]
-
-KINDS = ("ego", "opponent", "start")
-
-
-class Estimate(NamedTuple):
-    """A mean over races that are not independent.
-
-    Attributes
-    ----------
-    mean : float
-    low, high : float
-        Confidence interval.
-    se : float
-        Cluster-robust standard error.
-    df : int
-        Degrees of freedom of its t distribution: the smallest number of clusters minus 1.
-    p : float
-        Two-sided p-value of the mean being 0.
-    units : int
-        Number of races.
-    clusters : tuple of int
-        Number of clusters of each kind.
-    """
-
-    mean: float
-    low: float
-    high: float
-    se: float
-    df: int
-    p: float
-    units: int
-    clusters: tuple[int, ...]
+__all__ = ["Comparison", "PairedT", "compare", "paired_t"]
 
 
 class PairedT(NamedTuple):
@@ -121,54 +87,6 @@ class Comparison:
     level: float
 
 
-def clustered_mean(values: ArrayLike, *clusters: ArrayLike, level: float = 0.95) -> Estimate:
-    """Return a mean with an interval that is robust to clusters of one or several crossed kinds.
-
-    The variance adds up over the kinds of clusters and takes away what is counted twice (Cameron, Gelbach and Miller
-    2011), each term with the factor ``G / (G - 1)`` of its own ``G`` clusters. As it can come out too small, even
-    negative, where clusters matter little, it is at least the largest of its terms (MacKinnon, Nielsen and Webb 2024,
-    arXiv 2406.08880, take the largest one-way term). The t distribution has the smallest ``G`` minus 1 degrees of
-    freedom.
-
-    Parameters
-    ----------
-    values : array_like, shape (U,)
-        One number for each race; races may be missing from the crossed design.
-    *clusters : array_like, shape (U,)
-        For each kind of cluster the labels of the races, numbers or text: ego variant, opponent.
-    level : float
-        Level of the interval, between 0 and 1.
-
-    Returns
-    -------
-    Estimate
-
-    Raises
-    ------
-    InputError
-        If a value is not finite, shapes differ, or a kind has fewer than two clusters.
-    """
-    check_level(level)
-    x = check_values("values", values)
-    if not clusters:
-        raise InputError("there are no cluster labels; without them there is nothing to be robust to")
-    coded = [cluster_codes(labels, x, KINDS[i] if i < len(KINDS) else "cluster") for i, labels in enumerate(clusters)]
-    numbers = tuple(number for _, number in coded)
-    mean = float(x.mean())
-    residual = x - mean
-    variance, largest = 0.0, 0.0
-    for kinds in range(1, len(coded) + 1):
-        for chosen in combinations(coded, kinds):
-            term = _cluster_variance(residual, chosen)
-            variance += term if kinds % 2 else -term
-            largest = max(largest, term)
-    se = float(np.sqrt(max(variance, largest)))
-    df = min(numbers) - 1
-    reach = critical_value(level, df) * se
-    p = two_sided_p(_ratio(mean, se), df)
-    return Estimate(mean, mean - reach, mean + reach, se, df, p, len(x), numbers)
-
-
 def compare(
     a: ArrayLike,
     b: ArrayLike,
@@ -176,6 +94,7 @@ def compare(
     opponent: ArrayLike,
     *,
     start: ArrayLike | None = None,
+    same_pool: bool = False,
     level: float = 0.95,
 ) -> Comparison:
     """Compare two arms that raced the same units.
@@ -190,6 +109,8 @@ def compare(
     start : array_like, shape (U,), optional
         Labels of the start lines, where all pairs shared the same few: they are then a third kind of cluster. Leave it
         out where every pair had lines of its own.
+    same_pool : bool
+        The same policies were egos and opponents, under the same labels (:func:`clustered_mean`).
     level : float
         Level of the interval, between 0 and 1.
 
@@ -204,7 +125,7 @@ def compare(
     """
     first, second = check_arms(a, b)
     kinds = (ego, opponent) if start is None else (ego, opponent, start)
-    result = clustered_mean(first - second, *kinds, level=level)
+    result = clustered_mean(first - second, *kinds, same_pool=same_pool, level=level)
     paired = paired_t(first, second, ego, level=level)
     return Comparison(
         mean_a=float(first.mean()),
@@ -250,25 +171,5 @@ def paired_t(a: ArrayLike, b: ArrayLike, ego: ArrayLike, *, level: float = 0.95)
         deviation = 0.0  # equal differences whose means differ in the last digit
     se = deviation / np.sqrt(number)
     reach = critical_value(level, number - 1) * se
-    p = two_sided_p(_ratio(mean, se), number - 1)
-    return PairedT(mean, mean - reach, mean + reach, p, number - 1, _ratio(mean, deviation))
-
-
-def _cluster_variance(residual: Floats, kinds: Sequence[tuple[Ints, int]]) -> float:
-    """One-way variance of the mean for the clusters that share all the labels of these kinds."""
-    codes, number = kinds[0]
-    for more, size in kinds[1:]:
-        codes = codes * size + more
-        found, codes = np.unique(codes, return_inverse=True)
-        number = len(found)
-    sums = np.bincount(codes, residual)
-    if number < 2:
-        return 0.0
-    return float(sums @ sums) / len(residual) ** 2 * number / (number - 1)
-
-
-def _ratio(value: float, scale: float) -> float:
-    """Return ``value / scale``; 0 where both are 0 (identical arms), infinite where only the scale is."""
-    if scale > 0.0:
-        return float(value / scale)
-    return 0.0 if value == 0.0 else float(np.copysign(np.inf, value))
+    p = two_sided_p(ratio(mean, se), number - 1)
+    return PairedT(mean, mean - reach, mean + reach, p, number - 1, ratio(mean, deviation))

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.errors import InputError
 
-__all__ = ["check_arms", "check_values", "cluster_codes", "match_units", "score"]
+__all__ = ["check_arms", "check_values", "cluster_codes", "match_units", "pool_codes", "score"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -106,3 +106,13 @@ def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, i
             f"there is 1 {kind} variant, {found[0]!s}; a test needs at least 2, since it looks at how they differ"
         )
     return codes.astype(np.intp), len(found)
+
+
+def pool_codes(ego: ArrayLike, opponent: ArrayLike) -> tuple[Ints, Ints]:
+    """Return checked labels of both roles as numbers from 0 that mean the same policy in both, shape (U,) each."""
+    first, second = np.asarray(ego), np.asarray(opponent)
+    if (first.dtype.kind in "US") != (second.dtype.kind in "US"):
+        raise InputError(f"ego labels are {first.dtype} and opponent labels {second.dtype}; one pool has one kind")
+    _, codes = np.unique(np.concatenate([first, second]), return_inverse=True)
+    both = codes.astype(np.intp)
+    return both[: len(first)], both[len(first) :]

@@ -127,6 +127,38 @@ def test_the_variance_is_the_formula_where_races_are_missing():
     assert (wide.low, wide.high) == pytest.approx((x.mean() - reach, x.mean() + reach))
 
 
+def test_policies_in_both_roles_are_one_cluster():
+    """Twelve policies are egos and opponents, and what each brings is the same in both roles."""
+    rng = np.random.default_rng(16)
+    two, pool = [], []
+    for _ in range(400):
+        policy = 0.2 * rng.normal(size=EGOS)
+        x = differences(rng) + policy[EGO] + policy[OPPONENT]
+        two.append(clustered_mean(x, EGO, OPPONENT).p < 0.05)
+        pool.append(clustered_mean(x, EGO, OPPONENT, same_pool=True).p < 0.05)
+    assert np.mean(two) > 0.15
+    assert 0.03 <= np.mean(pool) <= 0.11
+
+
+def test_the_variance_of_a_pool_is_the_sum_over_races_that_share_a_policy():
+    """Against the sum over all pairs of races; the corrections G / (G - 1) are near 1 with hundreds of policies."""
+    rng = np.random.default_rng(17)
+    policies = rng.normal(size=400)
+    ego, opponent, line = rng.integers(0, 400, 1500), rng.integers(0, 400, 1500), rng.integers(0, 300, 1500)
+    x = policies[ego] + policies[opponent] + rng.normal(size=1500)
+    e = (x - x.mean()) / 1500
+    shared = (ego[:, None] == ego) | (ego[:, None] == opponent)
+    shared |= (opponent[:, None] == ego) | (opponent[:, None] == opponent)
+    expected = e @ shared @ e
+    assert clustered_mean(x, ego, opponent, same_pool=True).se ** 2 == pytest.approx(expected, rel=0.01)
+    names = np.char.add("policy ", ego.astype(str)), np.char.add("policy ", opponent.astype(str))
+    assert clustered_mean(x, *names, same_pool=True).se ** 2 == pytest.approx(expected, rel=0.01)
+    e += 0.5 * rng.normal(size=300)[line] / 1500
+    e -= e.mean()
+    expected = e @ (shared | (line[:, None] == line)) @ e
+    assert clustered_mean(1500 * e, ego, opponent, line, same_pool=True).se ** 2 == pytest.approx(expected, rel=0.01)
+
+
 def test_a_negative_variance_estimate_does_not_become_certainty():
     """On a chess board the sums of rows and columns vanish: the two-way formula alone gives less than nothing."""
     board = 0.01 + np.where((EGO + OPPONENT) % 2 == 0, 0.5, -0.5)
@@ -376,6 +408,8 @@ ONES = [1.0, 0.0, 1.0, 1.0]
         (lambda: compare([], [], [], []), r"a has shape \(0,\)"),
         (lambda: compare(["win"] * 4, ONES, TWO, TWO), "a must be numbers"),
         (lambda: clustered_mean(ONES), "there are no cluster labels"),
+        (lambda: clustered_mean(ONES, TWO, same_pool=True), "same_pool is about the labels of ego and opponent"),
+        (lambda: compare(ONES, ONES, TWO, list("ooxx"), same_pool=True), "one pool has one kind"),
         (lambda: paired_t(ONES, ONES, [3] * 4), "there is 1 ego variant, 3"),
         (lambda: bootstrap_interval(ONES, TWO, TWO, np.random.default_rng(0), replicates=10), "replicates is 10"),
         (lambda: bootstrap_interval(ONES, TWO, TWO, np.random.default_rng(0)), "4 races of 2 egos and 2 opponents"),
