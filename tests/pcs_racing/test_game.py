@@ -341,7 +341,8 @@ def test_drivers_from_outside_in_either_car(track):
     for one, other in zip(state.race, race, strict=True):
         np.testing.assert_array_equal(one, other)
 
-    small = RaceGame(track, archive, config, PURE_PURSUIT, ego_planner=PURE_PURSUIT)  # fewer parameters than the archive
+    # Fewer parameters than the archive's policies have.
+    small = RaceGame(track, archive, config, PURE_PURSUIT, ego_planner=PURE_PURSUIT)
     end = play(small, small.reset([1], egos=egos[0], opponents=egos[1]), [(0, 0)] * 4)
     assert small.done(end).all()
 
