@@ -1,21 +1,13 @@
 """``pcs-racing tournament``: all against all, as a table, a payoff matrix and a results file."""
 
 import argparse
+from importlib.util import find_spec
 from pathlib import Path
 
-from pcs_racing.errors import InputError
 from pcs_racing.registry import parse_policy
 from pcs_racing.track import load_track
-from pcs_racing_agents.commands.options import (
-    POLICY_HELP,
-    TRACK_HELP,
-    Commands,
-    add_command,
-    add_rules,
-    output_folder,
-    rules,
-)
-from pcs_racing_agents.tournament import play_tournament, show_progress, tournament_text, write_results
+from pcs_racing_agents.commands.options import POLICY_HELP, TRACK_HELP, Commands, add_command, add_rules, rules
+from pcs_racing_agents.jobs import add_executor_options, executor_from, open_job, show_progress
 
 __all__ = ["add"]
 
@@ -25,31 +17,62 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "tournament",
-        "play every pair of policies against each other",
-        "pcs-racing tournament --track Tarnfjord --policies lattice lattice:pace=0.2 lattice:pace=0.9 --races 40",
-        "pcs-racing tournament --track Pipkin Saltmere --policies lattice lattice:pace=0.9 --preset contest",
+        "play every pair of agents, drivers and policies against each other",
+        "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher --races 40",
+        "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --preset contest --out out/mine",
     )
     parser.add_argument("--track", required=True, nargs="+", metavar="T", help=TRACK_HELP)
-    parser.add_argument("--policies", required=True, nargs="+", metavar="POLICY", help=POLICY_HELP)
+    parser.add_argument(
+        "--agents",
+        nargs="+",
+        default=[],
+        metavar="AGENT",
+        help="name, or name:option=value,... (see 'pcs-racing agents' and docs/agents.md)",
+    )
+    parser.add_argument("--policies", nargs="+", default=[], metavar="POLICY", help=POLICY_HELP)
     add_rules(parser)
+    parser.add_argument(
+        "--archive", default="default", help="archive that agents move in: its name or folder (default: default)"
+    )
     parser.add_argument(
         "--races", type=int, default=20, metavar="N", help="races of each pair on each track, even (default: 20)"
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write results.csv to")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for results.csv and the payoff matrix; a tournament that was stopped there goes on",
+    )
+    add_executor_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Play, print the table, write the results."""
-    config = rules(arguments)
-    policies = [parse_policy(text) for text in arguments.policies]
-    if len(policies) < 2:
-        raise InputError("a tournament needs at least two policies")
-    tracks = [load_track(name) for name in arguments.track]
-    folder = output_folder(arguments.out) if arguments.out else None
-    tournament = play_tournament(
-        tracks, policies, config, races_per_pair=arguments.races, seed=arguments.seed, progress=show_progress()
+    from pcs_racing_agents.tournament import (
+        payoff_picture,
+        plan_tournament,
+        play_plan,
+        tournament_settings,
+        tournament_text,
+        write_results,
     )
-    print(tournament_text(tournament))
-    if folder is not None:
-        print(f"results: {write_results(tournament, folder / 'results.csv')}")
+
+    plan = plan_tournament(
+        [load_track(name) for name in arguments.track],
+        [*arguments.agents, *(parse_policy(text) for text in arguments.policies)],
+        rules(arguments),
+        archive=arguments.archive,
+        races_per_pair=arguments.races,
+        seed=arguments.seed,
+    )
+    with executor_from(arguments) as executor:
+        if arguments.out is None:
+            print(tournament_text(play_plan(plan, executor=executor, progress=show_progress())))
+            return
+        with open_job(arguments.out, "tournament", tournament_settings(plan)) as job:
+            tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
+            print(tournament_text(tournament))
+            print(f"results: {write_results(tournament, arguments.out / 'results.csv')}")
+            if find_spec("matplotlib") is not None:
+                print(f"picture: {payoff_picture(tournament, arguments.out / 'payoffs.png')}")

@@ -1,118 +1,192 @@
-"""All against all: every pair of policies drives the same races, each of them from both sides of the grid."""
+"""All against all: every pair of competitors drives the same races, each of them from both seats of the grid."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
 from itertools import combinations
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from pcs_racing.archive import PolicyArchive
 from pcs_racing.errors import InputError
+from pcs_racing.game import RaceGame
+from pcs_racing.game_config import GameConfig, load_game_config
 from pcs_racing.planner import Policy
-from pcs_racing.race import RaceResult, draw_starts, run_races
-from pcs_racing.race_config import PAPER, RaceConfig
+from pcs_racing.race_config import RaceConfig, load_race_config
 from pcs_racing.track import Track
-from pcs_racing_agents.jobs import Progress, show_progress
+from pcs_racing_agents.jobs import Job, Progress
+from pcs_racing_agents.strategies.agent import Competitor, as_competitor, competitor_hash
+from pcs_racing_agents.strategies.setting import Setting, make_setting
+from pcs_racing_agents.strategies.zoo import parse_agent
+from pcs_racing_agents.tournament.matches import game_between, variant_count
+from pcs_racing_agents.tournament.rows import RaceRow, race_rows
+from pcs_racing_agents.tournament.runner import Pairing, play_pairings
+from pcs_racing_agents.tournament.schedule import Schedule, draw_schedule
+from pcs_racing_agents.tournament.watching import Recording, record_match
 
-__all__ = ["Progress", "RaceRow", "Tournament", "play_tournament", "show_progress"]
+__all__ = [
+    "Tournament",
+    "TournamentPlan",
+    "game_rules",
+    "plan_tournament",
+    "play_plan",
+    "play_tournament",
+    "record_row",
+    "tournament_settings",
+]
+
+Entrant = str | Policy | Competitor
+Rules = GameConfig | RaceConfig | str | Path
 
 
-class RaceRow(NamedTuple):
-    """One race of a tournament.
+@dataclass(frozen=True, eq=False)
+class TournamentPlan:
+    """What a tournament is, before a race has been driven; everything in it has been checked.
 
     Attributes
     ----------
-    ego, opponent : str
-        Names of the policies that drove car 0 and car 1.
-    track : str
-    race : int
-        Number of the race within its pair: the same number is the same start line, side and noise for every pair.
-    start_s : float
-        Arc length of the start line, m.
-    side : int
-        0 when the ego started on the left or in front.
+    competitors : tuple of Competitor
+    tracks : tuple of Track
+    setting : Setting
+        The archive and the rules, the move "stay" included.
+    schedules : tuple of Schedule
+        The races of each pair, by track.
+    races_per_pair : int
+        On each track.
     seed : int
-        Seed of the tournament.
-    lead : float
-        Progress of the ego minus that of the opponent at the end, m.
-    winner : str
-        ``"ego"``, ``"opponent"``, or ``""`` for a tie and for a crash that pays nobody.
-    crash : str
-        ``""``, ``"wall"`` or ``"car"``.
-    fault : str
-        Who is to blame for the crash: ``""``, ``"ego"``, ``"opponent"`` or ``"both"``.
-    ego_overtakes, opponent_overtakes : int
-        How often each passed the other.
-    duration : float
-        Length of the race, s; shorter than the rules say after a crash.
     """
 
-    ego: str
-    opponent: str
-    track: str
-    race: int
-    start_s: float
-    side: int
+    competitors: tuple[Competitor, ...]
+    tracks: tuple[Track, ...]
+    setting: Setting
+    schedules: tuple[Schedule, ...]
+    races_per_pair: int
     seed: int
-    lead: float
-    winner: str
-    crash: str
-    fault: str
-    ego_overtakes: int
-    opponent_overtakes: int
-    duration: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the competitors, in the order of the table."""
+        return tuple(str(getattr(one, "name", "")) for one in self.competitors)
+
+    @property
+    def config(self) -> RaceConfig:
+        """The rules of the race, as long as the game."""
+        return self.setting.config.race_rules
 
 
 @dataclass(frozen=True, eq=False)
 class Tournament:
-    """What a tournament was, and every race of it.
+    """A tournament that was played.
 
     Attributes
     ----------
-    policies : tuple of str
-        Names, in the order of the table.
-    tracks : tuple of str
-    config : RaceConfig
-        The rules; :func:`pcs_racing.record_race` drives race ``k`` of a pair again with them, the seed and ``index=k``.
-    races_per_pair : int
-        On each track.
-    seed : int
+    plan : TournamentPlan
     rows : tuple of RaceRow
+        Every race.
     """
 
-    policies: tuple[str, ...]
-    tracks: tuple[str, ...]
-    config: RaceConfig
-    races_per_pair: int
-    seed: int
+    plan: TournamentPlan
     rows: tuple[RaceRow, ...]
+
+
+def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
+    """Return the rules of a game as long as a race: its duration is cut into a step for each move and one more.
+
+    Parameters
+    ----------
+    race : GameConfig, RaceConfig, str or path
+        Rules of a game are taken as they are.
+    **settings
+        Fields of :class:`pcs_racing.GameConfig` to change.
+
+    Raises
+    ------
+    InputError
+        If a value is impossible, or the duration can't be cut into such steps.
+    """
+    if isinstance(race, GameConfig):
+        return load_game_config(race, **settings)
+    rules = load_race_config(race)
+    steps = load_game_config(rules, **settings).moves + 1
+    if "step_seconds" not in settings:
+        tenths = round(rules.duration * 10.0)
+        if tenths % steps:
+            raise InputError(
+                f"duration is {rules.duration:g} s; a game of {steps - 1} moves lasts a multiple of {0.1 * steps:g} s"
+            )
+        settings["step_seconds"] = tenths / steps / 10.0
+    return load_game_config(rules, **settings)
+
+
+def plan_tournament(
+    tracks: Track | Sequence[Track],
+    entrants: Sequence[Entrant] | Mapping[str, Entrant],
+    race: Rules = "paper",
+    *,
+    archive: PolicyArchive | str | Path = "default",
+    races_per_pair: int = 20,
+    seed: int = 0,
+) -> TournamentPlan:
+    """Check everything that a tournament needs, and draw its races; see :func:`play_tournament`."""
+    circuits = [tracks] if isinstance(tracks, Track) else list(tracks)
+    _check_distinct("tracks", [track.name for track in circuits], 1)
+    setting = make_setting(archive, game_rules(race))
+    if isinstance(entrants, Mapping):
+        given = [as_competitor(_made(one, setting, seed), name) for name, one in entrants.items()]
+    else:
+        given = [as_competitor(_made(one, setting, seed)) for one in entrants]
+    _check_distinct("competitors", [str(getattr(one, "name", "")) for one in given], 2)
+    rules = setting.config.race_rules
+    schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
+    plan = TournamentPlan(tuple(given), tuple(circuits), setting, schedules, races_per_pair, seed)
+    for track in circuits:
+        game = RaceGame(track, setting.archive, setting.config)
+        for one in given:
+            game_between(game, one, one)  # who does not fit is an error before any race is driven
+    return plan
 
 
 def play_tournament(
     tracks: Track | Sequence[Track],
-    policies: Sequence[Policy],
-    config: RaceConfig = PAPER,
+    entrants: Sequence[Entrant] | Mapping[str, Entrant],
+    race: Rules = "paper",
     *,
+    archive: PolicyArchive | str | Path = "default",
     races_per_pair: int = 20,
     seed: int = 0,
+    job: Job | None = None,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Tournament:
-    """Play every pair of policies against each other.
+    """Play every pair of competitors against each other.
 
     All pairs drive the same races (common random numbers): the same start lines, spread over the circuit, each of them
-    from both sides, and the same noise.
+    from both sides, with the same start policies and the same noise.
 
     Parameters
     ----------
     tracks : Track or sequence of Track
-    policies : sequence of Policy
-        At least two; their names tell them apart.
-    config : RaceConfig
-        The rules. ``start_lines`` is replaced by half of ``races_per_pair``, so that no race is driven twice.
+    entrants : sequence, or mapping by name
+        At least two agents, drivers, policies, names (:func:`pcs_racing_agents.strategies.make`), or models with
+        ``predict``. Their names tell them apart.
+    race : GameConfig, RaceConfig, str or path
+        The rules. Those of a race alone make a game of the same duration (:func:`game_rules`); its ``start_lines`` is
+        not used, since every two races have a line of their own.
+    archive : PolicyArchive, str or path
+        Where agents find their policies.
     races_per_pair : int
         Races of each pair on each track; even, from 2 to 2000.
     seed : int
-        Root of the start lines and of the noise.
+        Root of start lines, start policies and noise, and of the draws of agents that are given by name.
+    job : Job, optional
+        Where results are kept, so that a tournament that was stopped goes on: opened with :func:`tournament_settings`.
+    executor : Executor, optional
+        Where the races are driven; by default here, on all cores. It does not change the result.
     progress : callable, optional
-        Called as ``progress(done, total, what)`` after the races of each pair; :func:`show_progress` prints a line.
+        Called as ``progress(done, total, what)``, counting races; :func:`pcs_racing_agents.jobs.show_progress` prints
+        a line.
 
     Returns
     -------
@@ -121,31 +195,80 @@ def play_tournament(
     Raises
     ------
     InputError
-        If names appear twice, there are too few policies, a number is impossible, or a track has no place to start.
+        If names appear twice, there are too few competitors, one of them does not fit the archive or the rules, a
+        number is impossible, or a track has no place to start.
     """
-    tracks = [tracks] if isinstance(tracks, Track) else list(tracks)
-    names = [policy.name for policy in policies]
-    _check_distinct("policies", names, 2)
-    _check_distinct("tracks", [track.name for track in tracks], 1)
-    whole = isinstance(races_per_pair, int) and not isinstance(races_per_pair, bool)
-    if not whole or races_per_pair % 2 or not 2 <= races_per_pair <= 2000:
-        raise InputError(
-            f"races_per_pair is {races_per_pair!r}; it must be an even number from 2 to 2000, since every start "
-            "line is driven from both sides"
-        )
-    rules = replace(config, start_lines=races_per_pair // 2)
-    for track in tracks:
-        draw_starts(track, rules, races_per_pair, seed)  # an impossible start is an error before any race is driven
-    pairs = list(combinations(policies, 2))
-    total = len(tracks) * len(pairs) * races_per_pair
+    plan = plan_tournament(tracks, entrants, race, archive=archive, races_per_pair=races_per_pair, seed=seed)
+    return play_plan(plan, job=job, executor=executor, progress=progress)
+
+
+def play_plan(
+    plan: TournamentPlan,
+    *,
+    job: Job | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Tournament:
+    """Play a tournament that was planned; see :func:`play_tournament`."""
+    archive, config = plan.setting.archive, plan.setting.config
+    pairings = []
+    for track, schedule in zip(plan.tracks, plan.schedules, strict=True):
+        game = RaceGame(track, archive, config)
+        for ego, opponent in combinations(plan.competitors, 2):
+            variants = schedule.variants(variant_count(game, ego), variant_count(game, opponent))
+            pairings.append(Pairing(track, ego, opponent, variants, schedule.starts, schedule.seeds))
+    played = play_pairings(pairings, archive, config, job=job, executor=executor, progress=progress)
     rows: list[RaceRow] = []
-    for track in tracks:
-        for ego, opponent in pairs:
-            result = run_races(track, [ego] * races_per_pair, opponent, rules, seed=seed)
-            rows += _rows(result, ego.name, opponent.name, track.name, seed)
-            if progress is not None:
-                progress(len(rows), total, f"{track.name}: {ego.name} against {opponent.name}")
-    return Tournament(tuple(names), tuple(t.name for t in tracks), rules, races_per_pair, seed, tuple(rows))
+    for pairing, matches in zip(pairings, played, strict=True):
+        names = (str(getattr(pairing.ego, "name", "")), str(getattr(pairing.opponent, "name", "")))
+        rows += race_rows(
+            names, pairing.track.name, plan.seed, pairing.starts, pairing.policies, matches, plan.setting.moves
+        )
+    return Tournament(plan, tuple(rows))
+
+
+def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
+    """Return all that the results of a tournament depend on, for :func:`pcs_racing_agents.jobs.open_job`."""
+    setting = plan.setting
+    return {
+        "agents": {name: competitor_hash(one) for name, one in zip(plan.names, plan.competitors, strict=True)},
+        "tracks": {track.name: track.content_hash for track in plan.tracks},
+        "archive": setting.archive.name,
+        "archive_sha256": setting.archive.content_hash,
+        "game": setting.config,
+        "races_per_pair": plan.races_per_pair,
+        "seed": plan.seed,
+    }
+
+
+def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True) -> Recording:
+    """Drive a race of a tournament again, and record it.
+
+    Raises
+    ------
+    InputError
+        If the race is none of this tournament.
+    """
+    plan = tournament.plan
+    names = [track.name for track in plan.tracks]
+    if row.track not in names or not {row.ego, row.opponent} <= set(plan.names):
+        raise InputError(f"race {row.race} of {row.ego!r} against {row.opponent!r} on {row.track!r} was not raced here")
+    schedule = plan.schedules[names.index(row.track)]
+    ego, opponent = (plan.competitors[plan.names.index(name)] for name in (row.ego, row.opponent))
+    game = RaceGame(plan.tracks[names.index(row.track)], plan.setting.archive, plan.setting.config)
+    return record_match(
+        game,
+        ego,
+        opponent,
+        policies=np.array([row.ego_variant, row.opponent_variant]),
+        start=schedule.starts.take([row.race]),
+        seed=int(schedule.seeds[row.race]),
+        candidates=candidates,
+    )
+
+
+def _made(given: Entrant, setting: Setting, seed: int) -> Any:
+    return parse_agent(given, setting, seed=seed) if isinstance(given, str) else given
 
 
 def _check_distinct(what: str, names: list[str], least: int) -> None:
@@ -154,27 +277,3 @@ def _check_distinct(what: str, names: list[str], least: int) -> None:
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise InputError(f"{what} must have different names; there is more than one {', '.join(sorted(twice))}")
-
-
-def _rows(result: RaceResult, ego: str, opponent: str, track: str, seed: int) -> Iterator[RaceRow]:
-    state = result.state
-    cars = ("ego", "opponent")
-    faults = ("", "ego", "opponent", "both")
-    for race in range(state.races):
-        winner = int(result.winner[race])
-        yield RaceRow(
-            ego=ego,
-            opponent=opponent,
-            track=track,
-            race=race,
-            start_s=float(result.starts.s[race]),
-            side=int(result.starts.side[race]),
-            seed=seed,
-            lead=float(result.lead[race]),
-            winner=cars[winner] if winner >= 0 else "",
-            crash=("", "wall", "car")[int(state.crash[race].max())],
-            fault=faults[int(state.fault[race, 0]) + 2 * int(state.fault[race, 1])],
-            ego_overtakes=int(state.overtakes[race, 0]),
-            opponent_overtakes=int(state.overtakes[race, 1]),
-            duration=float(result.time[race]),
-        )

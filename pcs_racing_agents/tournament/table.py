@@ -1,4 +1,4 @@
-"""A tournament as text and as a file: the table of the policies, the payoff matrix, and a line for every race."""
+"""A tournament as text and as files: the table of the competitors, the payoff matrix, and a line for every race."""
 
 import csv
 import io
@@ -10,16 +10,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
-from pcs_racing_agents.tournament.play import RaceRow, Tournament
+from pcs_racing_agents.tournament.play import Tournament
+from pcs_racing_agents.tournament.ratings import rate
+from pcs_racing_agents.tournament.rows import RaceRow
 
-__all__ = ["Standing", "payoff_matrix", "standings", "tournament_text", "write_results"]
+__all__ = ["Standing", "payoff_matrix", "payoff_picture", "standings", "tournament_text", "write_results", "write_rows"]
 
-COLUMNS = ("policy", "races", "score", "win", "tie", "loss", "crash: own", "other's", "overtakes")
+COLUMNS = ("agent", "races", "score", "rating", "win", "tie", "loss", "crash: own", "other's", "overtakes")
 
 
 class Standing(NamedTuple):
-    """How one policy did, as shares of its races; the five shares from ``win`` on sum up to 1.
+    """How one competitor did, as shares of its races; the five shares from ``win`` on sum up to 1.
 
     Attributes
     ----------
@@ -28,10 +31,12 @@ class Standing(NamedTuple):
     score : float
         Share of races that the rules count as won, plus half of the ties. After a crash nobody wins under the crash
         rule ``nobody``; under ``fault-loses`` the car that is not to blame does.
+    rating : float
+        Bradley-Terry strength on the scale of chess ratings, mean 0; NaN where the races do not tell.
     win, tie, loss : float
         Races without a crash.
     own_crash, other_crash : float
-        Races that ended in a crash that this policy is (also) to blame for, or the other alone.
+        Races that ended in a crash that this one is (also) to blame for, or the other alone.
     overtakes : float
         Mean number of times that it passed the other car.
     """
@@ -39,6 +44,7 @@ class Standing(NamedTuple):
     name: str
     races: int
     score: float
+    rating: float
     win: float
     tie: float
     loss: float
@@ -50,7 +56,8 @@ class Standing(NamedTuple):
 def standings(tournament: Tournament) -> list[Standing]:
     """Return the table of a tournament, highest score first."""
     table = []
-    for name in tournament.policies:
+    ratings = _ratings(tournament)
+    for name in tournament.plan.names:
         own = [(row, row.ego == name) for row in tournament.rows if name in (row.ego, row.opponent)]
         share = 1.0 / len(own)
         won = [row.winner == ("ego" if ego else "opponent") for row, ego in own]
@@ -63,6 +70,7 @@ def standings(tournament: Tournament) -> list[Standing]:
                 name=name,
                 races=len(own),
                 score=share * (sum(won) + 0.5 * sum(tied)),
+                rating=ratings.get(name, np.nan),
                 win=share * sum(clean),
                 tie=share * sum(tied),
                 loss=share * (len(own) - sum(clean) - sum(tied) - sum(crashed)),
@@ -74,9 +82,20 @@ def standings(tournament: Tournament) -> list[Standing]:
     return sorted(table, key=lambda standing: -standing.score)
 
 
+def _ratings(tournament: Tournament) -> dict[str, float]:
+    rows = tournament.rows
+    crashed_for_nobody = [row.winner == "" and row.crash != "" for row in rows]
+    result = [{"ego": 1.0, "opponent": -1.0, "": 0.0}[row.winner] for row in rows]
+    try:
+        found = rate([row.ego for row in rows], [row.opponent for row in rows], result, nobody=crashed_for_nobody)
+    except InputError:  # too few races that somebody won: there is nothing to rate
+        return {}
+    return dict(zip(found.names, found.elo.tolist(), strict=True))
+
+
 def payoff_matrix(tournament: Tournament) -> NDArray[np.float64]:
-    """Return each policy's score against each other one, shape (N, N), in the order of ``policies``; else NaN."""
-    place = {name: i for i, name in enumerate(tournament.policies)}
+    """Return each competitor's score against each other one, shape (N, N), in the order of the plan; else NaN."""
+    place = {name: i for i, name in enumerate(tournament.plan.names)}
     total = np.zeros((len(place), len(place)))
     races = np.zeros_like(total)
     for row in tournament.rows:
@@ -95,25 +114,60 @@ def tournament_text(tournament: Tournament) -> str:
     crashes = sum(row.crash != "" for row in tournament.rows)
     passed = sum(row.ego_overtakes + row.opponent_overtakes > 0 for row in tournament.rows)
     races = len(tournament.rows)
+    plan = tournament.plan
     head = (
-        f"{races} races of {tournament.config.duration:g} s, preset {tournament.config.name}, on "
-        f"{', '.join(tournament.tracks)}; seed {tournament.seed}\n"
+        f"{races} races of {plan.config.duration:g} s, preset {plan.config.name}, on "
+        f"{', '.join(track.name for track in plan.tracks)}; seed {plan.seed}\n"
         f"{1.0 - crashes / races:.0%} finished, {passed / races:.0%} with an overtake\n"
     )
     rows: list[tuple[str, ...]] = [COLUMNS]
     for s in table:
         shares = (f"{share:.1%}" for share in (s.win, s.tie, s.loss, s.own_crash, s.other_crash))
-        rows.append((s.name, str(s.races), f"{s.score:.3f}", *shares, f"{s.overtakes:.2f}"))
+        rating = "-" if np.isnan(s.rating) else f"{s.rating:+.0f}"
+        rows.append((s.name, str(s.races), f"{s.score:.3f}", rating, *shares, f"{s.overtakes:.2f}"))
     payoffs = payoff_matrix(tournament)
-    order = [tournament.policies.index(standing.name) for standing in table]
+    order = [plan.names.index(standing.name) for standing in table]
     matrix: list[tuple[str, ...]] = [("score against", *(f"({k + 1})" for k in range(len(order))))]
     matrix += [
-        (f"({k + 1}) {tournament.policies[i]}", *("-" if i == j else f"{payoffs[i, j]:.3f}" for j in order))
+        (f"({k + 1}) {plan.names[i]}", *("-" if i == j else f"{payoffs[i, j]:.3f}" for j in order))
         for k, i in enumerate(order)
     ]
-    paid = "the car not to blame" if tournament.config.crash_rule == "fault-loses" else "nobody"
-    note = f"score: races won, a tie counting half; a crash is won by {paid}"
+    paid = "the car not to blame" if plan.config.crash_rule == "fault-loses" else "nobody"
+    note = f"score: races won, a tie counting half; a crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10"
     return "\n".join([head, *_aligned(rows), "", *_aligned(matrix), "", note])
+
+
+def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
+    """Draw the payoff matrix; the ending of the path says the format.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist.
+    ModuleNotFoundError
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError('a picture needs matplotlib: pip install "pcs-racing[plots]"') from None
+    names = [standing.name for standing in standings(tournament)]
+    order = [tournament.plan.names.index(name) for name in names]
+    payoffs = payoff_matrix(tournament)[np.ix_(order, order)]
+    size = 2.2 + 0.55 * len(names)
+    figure = Figure(figsize=(size + 0.8, size), layout="constrained")
+    axes = figure.add_subplot()
+    image = axes.imshow(payoffs, cmap="RdYlGn", vmin=0.0, vmax=1.0)
+    axes.set_xticks(range(len(names)), names, rotation=90)
+    axes.set_yticks(range(len(names)), names)
+    for (row, column), value in np.ndenumerate(payoffs):
+        if not np.isnan(value):
+            axes.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=8)
+    figure.colorbar(image, label="score of the row against the column", shrink=0.8)
+    content = io.BytesIO()
+    figure.savefig(content, format=Path(path).suffix.lstrip(".") or "png", dpi=120)
+    write_atomically(Path(path), lambda file: file.write(content.getvalue()))
+    return Path(path)
 
 
 def write_results(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
@@ -124,17 +178,26 @@ def write_results(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
     InputError
         If the folder does not exist.
     """
+    return write_rows(tournament.rows, tournament.plan.config.name, path)
+
+
+def write_rows(rows: Iterable[RaceRow], preset: str, path: str | os.PathLike[str]) -> Path:
+    """Write races of one preset as CSV; see :func:`write_results`."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("preset", *RaceRow._fields))
-    writer.writerows((tournament.config.name, *_plain(row)) for row in tournament.rows)
+    writer.writerows((preset, *map(_plain, row)) for row in rows)
     write_atomically(Path(path), lambda file: file.write(text.getvalue().encode()))
     return Path(path)
 
 
-def _plain(row: RaceRow) -> Iterable[object]:
-    """Floats to a tenth of a millimetre or millisecond, so that the file is the same on every machine."""
-    return (f"{value:.4f}" if isinstance(value, float) else value for value in row)
+def _plain(value: object) -> object:
+    """Floats to a tenth of a millimetre or millisecond: the file is the same on every machine. Lists as text."""
+    if isinstance(value, float):
+        return f"{value:.4f}"
+    if isinstance(value, tuple):
+        return "; ".join(str(item) for item in value)
+    return value
 
 
 def _aligned(rows: list[tuple[str, ...]]) -> list[str]:

@@ -1,0 +1,69 @@
+"""Who starts where: races that are the same for all pairs, and fair to both seats."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.errors import InputError
+from pcs_racing.race import Starts, draw_starts, race_seeds
+from pcs_racing.race_config import RaceConfig
+from pcs_racing.track import Track
+
+__all__ = ["Schedule", "draw_schedule"]
+
+MOST_RACES = 2000
+
+
+class Schedule(NamedTuple):
+    """Races of one pair on one track; the same for all pairs (common random numbers).
+
+    Attributes
+    ----------
+    starts : Starts
+        N of them; races 2j and 2j + 1 start on the same line, from either side.
+    lots : ndarray, shape (N, 2), uint64
+        What the variants of ego and opponent are chosen by. Races 2j and 2j + 1 swap them with the sides: whatever luck
+        lies in a seat of the grid, both competitors have it once.
+    seeds : ndarray, shape (N,), uint64
+        Keys of the noise.
+    """
+
+    starts: Starts
+    lots: NDArray[np.uint64]
+    seeds: NDArray[np.uint64]
+
+    def variants(self, ego: int, opponent: int) -> NDArray[np.int64]:
+        """Variants in each race, shape (N, 2), for competitors that have so many of them."""
+        return (self.lots % np.array([ego, opponent], np.uint64)).astype(np.int64)
+
+
+def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Schedule:
+    """Draw the races of each pair on a track.
+
+    Parameters
+    ----------
+    track : Track
+    config : RaceConfig
+        Its ``start_lines`` is not used: every two races have a line of their own.
+    races : int
+        Even, from 2 to 2000.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        If a number is impossible, or the track has no place to start.
+    """
+    whole = isinstance(races, int) and not isinstance(races, bool)
+    if not whole or races % 2 or not 2 <= races <= MOST_RACES:
+        raise InputError(
+            f"races_per_pair is {races!r}; it must be an even number from 2 to {MOST_RACES}, since every start line is "
+            "driven from both sides"
+        )
+    starts = draw_starts(track, replace(config, start_lines=races // 2), races, seed)
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
+    lots = generator.integers(2**63, size=(races // 2, 2), dtype=np.uint64)
+    both = np.stack([lots, lots[:, ::-1]], axis=1).reshape(races, 2)
+    return Schedule(starts, both, race_seeds(seed, races))
