@@ -1,6 +1,10 @@
-"""Policies and agents for :mod:`pcs_racing`: motion planners, archives, strategies and tournaments."""
+"""Policies and agents for :mod:`pcs_racing`: motion planners, archives, strategies and tournaments.
+
+``make(name)`` makes one of the agents that ``names()`` lists.
+"""
 
 from pathlib import Path
+from typing import Any
 
 from pcs_racing.code_cache import forget_stale_code
 from pcs_racing.registry import register_planner
@@ -17,3 +21,12 @@ PLANNERS = {
 
 for _name, _place in PLANNERS.items():
     register_planner(_place, name=_name)
+
+
+def __getattr__(name: str) -> Any:
+    """Import the zoo when somebody asks for an agent."""
+    if name in ("make", "names"):
+        from pcs_racing_agents.strategies import zoo
+
+        return getattr(zoo, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

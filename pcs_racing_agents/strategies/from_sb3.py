@@ -35,9 +35,8 @@ def network_from_sb3(
     try:
         hidden, last = list(policy.mlp_extractor.policy_net), policy.action_net  # type: ignore[union-attr]
     except AttributeError:
-        raise InputError(
-            f"{type(model).__name__} has no actor of fully connected layers; train with MlpPolicy"
-        ) from None
+        kind = type(model).__name__
+        raise InputError(f"{kind} has no actor of fully connected layers; train with MlpPolicy") from None
     layers = []
     for i, module in enumerate(hidden):
         kind = type(module).__name__

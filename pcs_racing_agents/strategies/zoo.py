@@ -26,7 +26,18 @@ from pcs_racing_agents.strategies import agents, drivers
 from pcs_racing_agents.strategies.agent import Agent, Competitor, Driver, as_competitor
 from pcs_racing_agents.strategies.setting import Setting, make_setting
 
-__all__ = ["ENTRY_POINTS", "ZOO", "Entry", "build", "entries", "make", "names", "parse_agent", "register_agent"]
+__all__ = [
+    "ENTRY_POINTS",
+    "ZOO",
+    "Entry",
+    "build",
+    "entries",
+    "make",
+    "names",
+    "options",
+    "parse_agent",
+    "register_agent",
+]
 
 ENTRY_POINTS = "pcs_racing.agents"
 """Entry point group in which a distribution names its agents: ``name = "package.module:function"``."""
@@ -244,24 +255,25 @@ def make(
     return build(name, make_setting(archive, race), seed=seed, **options)
 
 
-def build(name: str, setting: Setting, *, seed: int = 0, **options: Any) -> Any:
+def build(name: str, setting: Setting, *, seed: int = 0, **given: Any) -> Any:
     """Make an agent or a driver for a setting; see :func:`make`."""
     if not isinstance(name, str):
         raise InputError(f"agent {name!r} must be a name")
     known = entries()
     if name.startswith(ALWAYS):
-        _check_options(name, agents.always, options, ("move",))
+        for key in given:
+            raise InputError(f"agent {name!r} has no option {key!r}; it has none")
         return agents.always(setting, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
     if name not in known:
-        if name.partition(":")[0] in planner_names() and not options:
+        if name.partition(":")[0] in planner_names() and not given:
             return as_competitor(parse_policy(name))
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise UnknownNameError(f"agent {name!r} is unknown; {hint}there are: {', '.join(sorted(known))}, {ALWAYS}MOVE")
     entry = known[name]
     if not isinstance(entry.build, _Place):
-        _check_options(name, entry.build, options, ())
-    made = entry.build(setting, name=name, seed=seed, **{**entry.defaults, **options})
+        _check_options(name, entry.build, given)
+    made = entry.build(setting, name=name, seed=seed, **{**entry.defaults, **given})
     if not isinstance(made, Agent | Driver):
         return as_competitor(made, name)
     facts = {"does": entry.summary, "source": entry.source, **made.facts}
@@ -279,13 +291,16 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
     name, separator, rest = str(text).strip().partition(":")
     if not separator or name not in entries():
         return build(str(text).strip(), setting, seed=seed)
-    options: dict[str, Any] = {}
+    given: dict[str, Any] = {}
     for part in rest.split(","):
         key, equals, value = part.partition("=")
-        if not equals or key.strip() in options or key.strip() in ("name", "seed", "setting"):
+        if not equals or key.strip() in given or key.strip() in ("name", "seed", "setting"):
             raise InputError(f"agent {text!r}: {part!r} is not of the form option=value, each option once")
-        options[key.strip()] = yaml.safe_load(value)
-    made = build(name, setting, seed=seed, **options)
+        try:
+            given[key.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise InputError(f"agent {text!r}: {value!r} is no value; it must be a number or plain text") from None
+    made = build(name, setting, seed=seed, **given)
     return as_competitor(made, str(text).strip())
 
 
@@ -309,12 +324,30 @@ def _declared() -> dict[str, str]:
     return {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
 
 
-def _check_options(name: str, function: Callable[..., Any], options: Iterable[str], fixed: Iterable[str]) -> None:
-    known = inspect.signature(function).parameters
-    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values()):
+def options(name: str) -> dict[str, Any]:
+    """Return the options of an entry with their defaults (None: it is worked out); of another distribution's, none."""
+    entry = entries()[name]
+    if isinstance(entry.build, _Place):
+        return {}
+    free = _free_options(entry.build)
+    return {key: entry.defaults.get(key, value) for key, value in free.items()}
+
+
+def _free_options(function: Callable[..., Any]) -> dict[str, Any]:
+    parameters = inspect.signature(function).parameters
+    return {
+        key: None if parameter.default is parameter.empty else parameter.default
+        for key, parameter in parameters.items()
+        if key not in ("setting", "name", "seed") and parameter.kind is not parameter.VAR_KEYWORD
+    }
+
+
+def _check_options(name: str, function: Callable[..., Any], given: Iterable[str]) -> None:
+    parameters = inspect.signature(function).parameters.values()
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
         return
-    free = [key for key in known if key not in ("setting", "name", "seed", *fixed)]
-    for key in options:
+    free = _free_options(function)
+    for key in given:
         if key not in free:
             raise InputError(f"agent {name!r} has no option {key!r}; it has {', '.join(free) or 'none'}")
 
