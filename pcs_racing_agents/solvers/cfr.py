@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pcs_racing.compilation import announce_compilation
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing_agents.solvers.cfr_kernels import Layout, State, initial_state, iterate, node_order, tree_layout
 from pcs_racing_agents.solvers.evaluation import Profile
@@ -118,19 +119,16 @@ def cfr(
     state = initial_state(tree, layout)
     done = 0
     if resume is not None:
-        if resume.variant != rules:
-            raise InputError(f"the run to resume is of variant {resume.variant}, not {rules}")
         done = resume.iterations
-        for array, at, pairs in (
-            (state.regrets, layout.regret_at, resume.regrets),
-            (state.sums, layout.regret_at, resume.strategy_sums),
-            (state.opponent_reach, layout.row_at, resume.opponent_reach),
-        ):
-            _put(tree, layout, array, at, pairs)
+        _check_resumed(tree, resume, rules)
+        _put(tree, layout, state.regrets, layout.regret_at, resume.regrets)
+        _put(tree, layout, state.sums, layout.regret_at, resume.strategy_sums)
+        _put(tree, layout, state.opponent_reach, layout.row_at, resume.opponent_reach)
     last = done + int(iterations) + 1
-    for begin in range(done + 1, last, CHUNK):
-        end = min(begin + CHUNK, last)
-        iterate(layout, state, begin, end, rules.alternating, rules.alpha, rules.beta, rules.gamma)
+    with announce_compilation(iterate, "counterfactual regret minimisation", 5):
+        for begin in range(done + 1, last, CHUNK):
+            end = min(begin + CHUNK, last)
+            iterate(layout, state, begin, end, rules.alternating, rules.alpha, rules.beta, rules.gamma)
     return _result(tree, layout, state, done + int(iterations), rules)
 
 
@@ -142,6 +140,15 @@ def _variant(variant: str | Variant) -> Variant:
     if math.isnan(variant.alpha) or math.isnan(variant.beta) or not 0.0 <= variant.gamma < math.inf:
         raise InputError(f"{variant} is impossible: alpha and beta must be numbers, gamma finite and at least 0")
     return Variant(bool(variant.alternating), float(variant.alpha), float(variant.beta), float(variant.gamma))
+
+
+def _check_resumed(tree: GameTree, resume: CFRResult, variant: Variant) -> None:
+    if resume.variant != variant:
+        raise InputError(f"the run to resume is of {resume.variant}, not of {variant}")
+    wanted = [tuple((tree.rows(k, player), tree.moves[k][player]) for player in (0, 1)) for k in range(tree.depth)]
+    found = [(first.shape, second.shape) for first, second in resume.regrets]
+    if found != wanted:
+        raise InputError(f"the run to resume is of a tree with other infosets: its regrets have shapes {found}")
 
 
 def _result(tree: GameTree, layout: Layout, state: State, iterations: int, variant: Variant) -> CFRResult:
@@ -193,8 +200,6 @@ def _put(tree: GameTree, layout: Layout, flat: Floats, at: object, pairs: list[t
     for k in range(tree.depth):
         for player in (0, 1):
             order = _order(tree, layout, k, player)
-            if k >= len(pairs) or len(pairs[k][player]) != len(order):
-                raise InputError("the run to resume is of a tree with other infosets")
             begin = int(at[player, k])  # type: ignore[index]
             array = pairs[k][player].reshape(len(order), -1)[order].T
             flat[begin : begin + array.size] = array.reshape(-1)

@@ -238,13 +238,12 @@ class GameTree:
         return before[child // (a * b)] * (a, b)[player] + own
 
     def _check_recall(self, level: int, player: int, rows: Integers, past: Integers) -> None:
-        representative = np.zeros(rows.max() + 1, dtype=np.int64)
-        representative[rows] = past
+        representative = past[np.unique(rows, return_index=True)[1]]
         mixed = np.flatnonzero(representative[rows] != past)
         if len(mixed):
             raise InputError(
-                f"labels of level {level}, car {player}: node {int(mixed[0])} shares its label with nodes that the car "
-                "reaches otherwise; whoever remembers its own past (perfect recall) tells them apart"
+                f"labels of level {level}, car {player}: node {int(mixed[0])} shares its label with a node that the "
+                "car reaches otherwise; whoever remembers its own past (perfect recall) tells them apart"
             )
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.compilation import compiled, kernel
+from pcs_racing.compilation import announce_compilation, compiled, kernel
 from pcs_racing.errors import InputError
 from pcs_racing_agents.solvers.game_tree import Floats
 from pcs_racing_agents.solvers.rational_games import solve_rationally
@@ -67,9 +67,10 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     games = games.reshape(-1, *games.shape[-2:])
     count, a, c = games.shape
     solution = MatrixSolution(np.empty(count), np.empty((count, a)), np.empty((count, c)), np.empty(count))
-    solve_games(games, *solution)
+    with announce_compilation(solve_games, "the solver of matrix games", 5):
+        solve_games(games, *solution)
     span = games.max(axis=(1, 2)) - games.min(axis=(1, 2))
-    for g in np.flatnonzero(~(solution.gaps <= GOOD_GAP * span)):
+    for g in np.flatnonzero(~(np.abs(solution.gaps) <= GOOD_GAP * span)):
         values, rows, columns = solve_rationally(games[g])
         solution.values[g], solution.rows[g], solution.columns[g] = values, rows, columns
         solution.gaps[g] = max(0.0, (games[g] @ columns).max() - (rows @ games[g]).min())
@@ -90,9 +91,9 @@ def solve_games(games, values, rows, columns, gaps):  # type: ignore[no-untyped-
             low, high = bounds(game)
             simplex(game, low, high, False, table, labels, basic, rows[g], columns[g])
             gap = duality_gap(game, low, rows[g], columns[g])
-            if not gap <= GOOD_GAP * (high - low):
+            if not abs(gap) <= GOOD_GAP * (high - low):
                 simplex(game, low, high, True, table, labels, basic, x, y)
-                if not duality_gap(game, low, x, y) >= gap:
+                if not abs(duality_gap(game, low, x, y)) >= abs(gap):
                     rows[g, :] = x
                     columns[g, :] = y
             values[g] = expected(game, low, rows[g], columns[g])

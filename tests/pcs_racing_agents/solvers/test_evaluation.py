@@ -1,0 +1,135 @@
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_games import PENNIES, random_profile, random_tree
+
+from pcs_racing.errors import InputError
+from pcs_racing_agents.solvers import (
+    GameTree,
+    advantages,
+    best_response,
+    check_profile,
+    exploitability,
+    node_values,
+    play_value,
+    q_values,
+    reach_probabilities,
+    uniform_profile,
+)
+
+
+def test_matching_pennies_by_hand():
+    fair = uniform_profile(PENNIES)
+    assert play_value(PENNIES, fair) == 0.0
+    assert exploitability(PENNIES, fair).nash_conv == 0.0
+    biased = [(np.array([[0.75, 0.25]]), np.array([[0.5, 0.5]]))]
+    result = exploitability(PENNIES, biased)
+    assert result.value == 0.0
+    assert result.gains.tolist() == [0.0, 0.5]  # the other one shows the side that car 0 shows less
+    assert result.nash_conv == 0.5
+    assert result.exploitability == 0.25
+    assert best_response(PENNIES, biased, 1).strategy[0].tolist() == [[0.0, 1.0]]
+    assert q_values(PENNIES, biased)[0][1].tolist() == [[-0.5, 0.5]]
+    assert advantages(PENNIES, biased)[0][0].tolist() == [[0.0, 0.0]]
+
+
+def test_two_steps_by_hand():
+    """After (0, 0) a second game is played; everything else ends the race."""
+    payoffs = np.zeros((2, 2, 2, 2))
+    payoffs[0, 0] = [[4.0, 0.0], [0.0, 2.0]]
+    payoffs[0, 1] = 1.0
+    payoffs[1, 0] = 3.0
+    payoffs[1, 1] = -1.0
+    tree = GameTree.from_payoffs(payoffs)
+    profile = uniform_profile(tree)
+    assert [values.tolist() for values in node_values(tree, profile)[:2]] == [[1.125], [1.5, 1.0, 3.0, -1.0]]
+    assert q_values(tree, profile)[0][0].tolist() == [[1.25, 1.0]]
+    assert q_values(tree, profile)[0][1].tolist() == [[-2.25, 0.0]]
+    assert q_values(tree, profile)[1][0].tolist() == [[2.0, 1.0], [1.0, 1.0], [3.0, 3.0], [-1.0, -1.0]]
+    best = best_response(tree, profile, 0)  # move 0, then 0: (2 + 1) / 2
+    assert best.value == 1.5
+    assert best.q[0].tolist() == [[1.5, 1.0]]
+    assert [rows[0].tolist() for rows in best.strategy] == [[1.0, 0.0], [1.0, 0.0]]
+
+
+def test_reach():
+    tree = random_tree(0, 2, 3, 3, 2)
+    profile = random_profile(tree)
+    own, other = reach_probabilities(tree, profile)[1]
+    assert own == pytest.approx(np.repeat(profile[0][0][0], 3))
+    assert other == pytest.approx(np.tile(profile[0][1][0], 2))
+    assert (own * other).sum() == pytest.approx(1.0)
+
+
+def pure_strategies(tree: GameTree, player: int):
+    """Every plan of a player: a move for each of its infosets."""
+    rows = [tree.rows(k, player) for k in range(tree.depth)]
+    choices = [range(tree.moves[k][player]) for k in range(tree.depth) for _ in range(rows[k])]
+    for plan in product(*choices):
+        at, levels = 0, []
+        for k, count in enumerate(rows):
+            levels.append(np.eye(tree.moves[k][player])[list(plan[at : at + count])])
+            at += count
+        yield levels
+
+
+@given(seed=st.integers(0, 10**6), blur=st.integers(1, 2), sharp=st.sampled_from([0.05, 1.0]))
+def test_a_best_response_is_the_best_of_all_plans(seed, blur, sharp):
+    """Also where it can't tell nodes apart, and where the other player never leads."""
+    tree = random_tree(seed, 2, 2, 2, 2, chance=2, blur=blur)
+    profile = random_profile(tree, seed, sharp)
+    for player in (0, 1):
+        values = []
+        for plan in pure_strategies(tree, player):
+            tried = [(own, pair[1]) if player == 0 else (pair[0], own) for own, pair in zip(plan, profile, strict=True)]
+            values.append((1, -1)[player] * play_value(tree, tried))
+        best = best_response(tree, profile, player)
+        assert best.value == pytest.approx(max(values), abs=1e-12)
+        answer = [(a, p[1]) if player == 0 else (p[0], a) for a, p in zip(best.strategy, profile, strict=True)]
+        assert (1, -1)[player] * play_value(tree, answer) == pytest.approx(best.value, abs=1e-12)
+
+
+@given(seed=st.integers(0, 10**6), chance=st.sampled_from([0, 3]), blur=st.integers(0, 2))
+def test_q_values_are_what_one_other_move_is_worth(seed, chance, blur):
+    """Changing a strategy at one infoset changes the value by the reach of chance and the other, times own reach."""
+    tree = random_tree(seed, 2, 3, 2, 2, chance=chance, blur=blur)
+    profile = random_profile(tree, seed)
+    rng = np.random.default_rng(seed)
+    k, player = int(rng.integers(2)), int(rng.integers(2))
+    row, move = int(rng.integers(tree.rows(k, player))), int(rng.integers(tree.moves[k][player]))
+    changed = [[own.copy() for own in pair] for pair in profile]
+    changed[k][player][row] = np.eye(tree.moves[k][player])[move]
+    nodes = tree.infosets[k][player] == row
+    reach = reach_probabilities(tree, profile)[k]
+    visits = (reach[0] * reach[1] * np.repeat(tree.chance, tree.nodes(k) // tree.roots))[nodes].sum()
+    gain = (1, -1)[player] * (play_value(tree, changed) - play_value(tree, profile))
+    assert gain == pytest.approx(visits * advantages(tree, profile)[k][player][row, move], abs=1e-12)
+
+
+def test_what_network_strategies_may_look_like():
+    tree = random_tree(0, 3, 3)
+    third = np.full((1, 3), 1.0 / 3.0, dtype=np.float32)
+    assert np.array_equal(check_profile(tree, [(third, third)])[0][0].sum(axis=1), [1.0])
+
+
+@pytest.mark.parametrize(
+    ("profile", "message"),
+    [
+        ([], "has 1 pairs"),
+        ([([[0.5, 0.5]], [[1.0]])], r"level 0, car 1: a strategy has shape \(1, 1\)"),
+        ([([[0.5, 0.6]], [[0.5, 0.5]])], "car 0, row 0: .* is no distribution"),
+        ([([[1.5, -0.5]], [[0.5, 0.5]])], "is no distribution"),
+        ([([[0.5, 0.5]], [[np.nan, 0.5]])], "car 1, row 0"),
+    ],
+)
+def test_impossible_profiles(profile, message):
+    with pytest.raises(InputError, match=message):
+        play_value(PENNIES, profile)
+
+
+def test_there_are_two_players():
+    with pytest.raises(InputError, match="player is 2"):
+        best_response(PENNIES, uniform_profile(PENNIES), 2)

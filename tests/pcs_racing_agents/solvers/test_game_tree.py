@@ -1,0 +1,142 @@
+import copy
+
+import numpy as np
+import pytest
+from small_games import random_profile, random_tree
+
+from pcs_racing.errors import InputError
+from pcs_racing_agents.solvers import GameTree, play_value
+
+
+def test_nodes_stand_in_the_order_of_their_history():
+    payoffs = np.arange(2 * 3 * 4 * 2, dtype=float).reshape(2, 3, 4, 2)
+    tree = GameTree.from_payoffs(payoffs)
+    assert tree.depth == 2
+    assert tree.moves == ((2, 3), (4, 2))
+    assert [tree.nodes(k) for k in range(3)] == [1, 6, 48]
+    # Pure strategies pick one leaf: history (1, 2), then (3, 0) at that node.
+    node = 1 * 3 + 2
+    second = np.zeros((6, 4)), np.zeros((6, 2))
+    second[0][:, 0] = second[1][:, 1] = 1.0
+    second[0][node], second[1][node] = [0, 0, 0, 1], [1, 0]
+    assert play_value(tree, [(np.array([[0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])), second]) == payoffs[1, 2, 3, 0]
+
+
+def test_what_players_see_by_default():
+    tree = GameTree.from_payoffs(np.zeros((2, 3, 2, 2)))
+    assert tree.perfect
+    assert tree.averaged is tree
+    noisy = GameTree.from_payoffs(np.zeros((5, 2, 3, 2, 2)), np.full(5, 0.2))
+    assert not noisy.perfect
+    assert noisy.hides_chance
+    assert [noisy.rows(k, 0) for k in range(2)] == [1, 6]
+    assert noisy.nodes(1) == 30
+
+
+def test_hidden_chance_is_averaged_out():
+    payoffs = np.random.default_rng(1).normal(size=(3, 2, 2, 3, 2))
+    weights = np.array([0.5, 0.2, 0.3])
+    tree = GameTree.from_payoffs(payoffs, weights)
+    assert tree.averaged.payoffs[0] == pytest.approx(np.einsum("s,s...->...", weights, payoffs).reshape(-1))
+    profile = random_profile(tree)
+    each = [play_value(GameTree.from_payoffs(table), profile) for table in payoffs]
+    assert play_value(tree, profile) == pytest.approx(weights @ each)
+
+
+def test_infosets_are_numbered_as_they_come():
+    tree = GameTree.from_payoffs(np.zeros((2, 2, 2, 2)))
+    seen = tree.with_infosets([([7], [7]), ([9, 9, 4, 4], [8, 3, 8, 3])])
+    assert seen.infosets[1][0].tolist() == [0, 0, 1, 1]
+    assert seen.infosets[1][1].tolist() == [0, 1, 0, 1]
+    assert seen.rows(1, 0) == 2
+    # Labels that tell all nodes apart change nothing, whatever their order.
+    same = tree.with_infosets([([0], [0]), ([5, 2, 9, 1], [3, 2, 1, 0])])
+    assert same.perfect
+    assert same.infosets[1][0].tolist() == [0, 1, 2, 3]
+
+
+def test_observations_add_to_what_is_remembered():
+    tree = GameTree.from_payoffs(np.zeros((2, 2, 2, 2, 2, 2)))
+    nothing = [(np.zeros(tree.nodes(k)), np.zeros(tree.nodes(k))) for k in range(3)]
+    blind = tree.with_observations(nothing)
+    assert [blind.rows(k, 0) for k in range(3)] == [1, 2, 4]  # its own moves, and nothing else
+    # Car 0 sees the other's first move when the second is due. It still knows it later.
+    nothing[1] = (np.arange(4) % 2, np.zeros(4))
+    seen = tree.with_observations(nothing)
+    assert [seen.rows(k, 0) for k in range(3)] == [1, 4, 8]
+    assert [seen.rows(k, 1) for k in range(3)] == [1, 2, 4]
+    # Several numbers a node; equal rows look alike.
+    pairs = [(np.zeros((tree.nodes(k), 2)), np.stack([np.arange(tree.nodes(k))] * 2, axis=1)) for k in range(3)]
+    assert [tree.with_observations(pairs).rows(k, 1) for k in range(3)] == [1, 4, 16]
+
+
+def test_exchanged_cars():
+    tree = random_tree(3, 2, 3, 4, 2, chance=2, blur=2)
+    other = tree.swapped()
+    assert other.moves == ((3, 2), (2, 4))
+    assert [(other.rows(k, 0), other.rows(k, 1)) for k in range(2)] == [
+        (tree.rows(k, 1), tree.rows(k, 0)) for k in (0, 1)
+    ]
+    back = other.swapped()
+    assert np.array_equal(back.payoffs, tree.payoffs)
+    for rows, wanted in zip(back.infosets, tree.infosets, strict=True):
+        assert np.array_equal(rows, wanted)
+    plain = random_tree(4, 2, 3)
+    x, y = random_profile(plain)[0]
+    assert play_value(plain.swapped(), [(y, x)]) == pytest.approx(-play_value(plain, [(x, y)]))
+
+
+def test_a_tree_is_a_value():
+    given = np.zeros((2, 2))
+    tree = GameTree.from_payoffs(given)
+    given[0, 0] = 5.0
+    assert tree.payoffs[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        tree.payoffs[0, 0] = 1.0
+    assert copy.deepcopy(tree) is tree
+
+
+@pytest.mark.parametrize(
+    ("payoffs", "chance", "message"),
+    [
+        (np.zeros(4), None, r"payoffs have shape \(4,\)"),
+        (np.zeros((2, 2, 2)), None, "an axis for each move"),
+        (np.zeros((2, 0)), None, "none may be empty"),
+        (5.0, None, r"payoffs have shape \(\)"),
+        ([[1.0, np.nan], [0.0, 1.0]], None, r"payoff \(0, 1\) is nan"),
+        ([[1.0, 2.0], [0.0, -np.inf]], None, r"payoff \(1, 1\) is -inf"),
+        ([[1.0, 1e200]], None, r"payoff \(0, 1\) is 1e\+200"),
+        ([[1.0, 2.0], [3.0]], None, "rows differ in length"),
+        ([["a", "b"]], None, "they must be real numbers"),
+        (np.zeros((3, 2, 2)), [0.5, 0.5], "payoffs of 3 roots"),
+        (np.zeros((2, 2, 2)), [0.5, 0.6], "sum up to 1"),
+        (np.zeros((2, 2, 2)), [1.5, -0.5], "at least 0"),
+        (np.zeros((2, 2, 2)), [np.nan, 1.0], "at least 0"),
+        (np.full((2, 1, 1), np.inf), [0.5, 0.5], r"payoff \(0, 0, 0\) is inf"),
+    ],
+)
+def test_impossible_trees(payoffs, chance, message):
+    with pytest.raises(InputError, match=message):
+        GameTree.from_payoffs(payoffs, chance)
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        ([([0], [0])], "must be 2 pairs"),
+        ([([0], [0]), ([0, 0, 1], [0] * 4)], "must be 4 whole numbers"),
+        ([([0], [0]), ([0.0] * 4, [0] * 4)], "type float64"),
+        ([([0], [0]), ([0, 1, 0, 1], [0, 1, 0, 1])], "level 1, car 0: node 2 shares its label"),  # forgets its own move
+        ([([0], [0]), ([0, 0, 1, 1], [0, 0, 1, 1])], "level 1, car 1: node 1 shares its label"),
+    ],
+)
+def test_impossible_infosets(labels, message):
+    with pytest.raises(InputError, match=message):
+        GameTree.from_payoffs(np.zeros((2, 2, 2, 2))).with_infosets(labels)
+
+
+def test_impossible_observations():
+    tree = GameTree.from_payoffs(np.zeros((2, 2)))
+    for seen in (np.zeros(2), np.zeros((1, 1, 1)), [np.nan]):
+        with pytest.raises(InputError, match="level 0, car 1"):
+            tree.with_observations([(np.zeros(1), seen)])
