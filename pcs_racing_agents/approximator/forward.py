@@ -62,12 +62,20 @@ def forward(x, sizes, packed, scratch, out):  # type: ignore[no-untyped-def]
             for j in range(width):
                 above[j] = packed[at + j]
             at += width
-            for i in range(sizes[layer]):
-                value = below[i]
-                # Of the inputs of a history those of later steps are 0, of the neurons within about half.
-                if value != 0.0:
-                    for j in range(width):
-                        above[j] += value * packed[at + j]
+            count = sizes[layer]
+            whole = count - count % 4
+            for i in range(0, whole, 4):  # four inputs at a time: the sums in ``above`` are loaded and stored once
+                a, b, c, d = below[i], below[i + 1], below[i + 2], below[i + 3]
+                w0 = packed[at : at + width]
+                w1 = packed[at + width : at + 2 * width]
+                w2 = packed[at + 2 * width : at + 3 * width]
+                w3 = packed[at + 3 * width : at + 4 * width]
+                for j in range(width):
+                    above[j] = (((above[j] + a * w0[j]) + b * w1[j]) + c * w2[j]) + d * w3[j]
+                at += 4 * width
+            for i in range(whole, count):
+                for j in range(width):
+                    above[j] += below[i] * packed[at + j]
                 at += width
             if layer < layers - 1:
                 for j in range(width):
