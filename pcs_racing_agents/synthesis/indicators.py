@@ -1,0 +1,233 @@
+"""Hypervolume and what follows from it: how good a set of points is, and what one more point would add.
+
+All objectives are **maximised**. The hypervolume of a set is the volume of the region that its points dominate, above a
+reference point: what lies below the set and above the reference on every axis. ``pip install "pcs-racing[synthesis]"``
+brings moocore, which computes it exactly.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.errors import InputError
+from pcs_racing.mapping.optional import require
+
+__all__ = [
+    "contributions",
+    "distance_to_improvement",
+    "hypervolume",
+    "non_dominated",
+    "search_corners",
+    "total_hypervolume",
+    "uncrowded_improvement",
+]
+
+Floats = NDArray[np.float64]
+
+
+def non_dominated(points: ArrayLike, *, duplicates: bool = True) -> NDArray[np.bool_]:
+    """Which points no other point beats, shape (K,).
+
+    A point beats another if it is at least as large on all axes and larger on one.
+
+    Parameters
+    ----------
+    points : array_like, shape (K, G)
+    duplicates : bool
+        Whether equal points all stay (none beats the other), or only the first of them.
+
+    Raises
+    ------
+    InputError
+        If the points are no finite table.
+    """
+    points = _points(points)
+    if len(points) == 0:
+        return np.zeros(0, np.bool_)
+    return np.asarray(_moocore().is_nondominated(points, maximise=True, keep_weakly=duplicates), np.bool_)
+
+
+def hypervolume(points: ArrayLike, reference: ArrayLike) -> float:
+    """Volume of what a set of points dominates above a reference point (Fonseca, Paquete, Lopez-Ibanez, CEC 2006).
+
+    Points that don't exceed the reference on all axes add nothing.
+
+    Parameters
+    ----------
+    points : array_like, shape (K, G)
+    reference : array_like, shape (G,) or ()
+        The worst point that counts; one number stands for all axes.
+
+    Raises
+    ------
+    InputError
+        If the points are no finite table or the reference doesn't fit them.
+    """
+    points = _points(points)
+    return _hypervolume(points, _reference(reference, points.shape[1]))
+
+
+def contributions(points: ArrayLike, reference: ArrayLike) -> Floats:
+    """Hypervolume that would be lost without each point, shape (K,); 0 for points that another one beats or equals.
+
+    Raises
+    ------
+    InputError
+        As :func:`hypervolume`.
+    """
+    points = _points(points)
+    reference = _reference(reference, points.shape[1])
+    if len(points) == 0:
+        return np.zeros(0)
+    return np.maximum(np.asarray(_moocore().hv_contributions(points, ref=reference, maximise=True), np.float64), 0.0)
+
+
+def total_hypervolume(points: ArrayLike, front: ArrayLike, reference: ArrayLike) -> Floats:
+    """Hypervolume of a set of points with each of some other points added, shape (n,).
+
+    Parameters
+    ----------
+    points : array_like, shape (n, G)
+    front : array_like, shape (K, G)
+    reference : array_like, shape (G,) or ()
+
+    Raises
+    ------
+    InputError
+        As :func:`hypervolume`.
+    """
+    points = _points(points)
+    front = _front(front, points.shape[1])
+    reference = _reference(reference, points.shape[1])
+    total = np.full(len(points), _hypervolume(front, reference))
+    better = distance_to_improvement(points, front, reference) == 0.0
+    for i in np.flatnonzero(better):
+        total[i] = max(total[i], _hypervolume(np.vstack([front, points[i]]), reference))
+    return total
+
+
+def uncrowded_improvement(points: ArrayLike, front: ArrayLike, reference: ArrayLike) -> Floats:
+    """Uncrowded hypervolume improvement of each point, shape (n,): what to maximise to improve a front.
+
+    Positive where a point would add hypervolume to the front: that hypervolume. Elsewhere minus the distance to the
+    nearest place where it would. Unlike the hypervolume alone it tells bad points from worse ones (C. Toure and others,
+    Uncrowded hypervolume improvement: COMO-CMA-ES and the Sofomore framework, GECCO 2019).
+
+    Parameters
+    ----------
+    points : array_like, shape (n, G)
+    front : array_like, shape (K, G)
+        May be empty, and may hold points that others beat.
+    reference : array_like, shape (G,) or ()
+
+    Raises
+    ------
+    InputError
+        As :func:`hypervolume`.
+    """
+    points = _points(points)
+    front = _front(front, points.shape[1])
+    reference = _reference(reference, points.shape[1])
+    distance = distance_to_improvement(points, front, reference)
+    before = _hypervolume(front, reference)
+    gain = -distance
+    for i in np.flatnonzero(distance == 0.0):
+        gain[i] = max(_hypervolume(np.vstack([front, points[i]]), reference) - before, 0.0)
+    return gain
+
+
+def distance_to_improvement(points: ArrayLike, front: ArrayLike, reference: ArrayLike) -> Floats:
+    """Euclidean distance from each point to the region in which a point improves on the front, shape (n,).
+
+    0 in that region and on its border. The region is where all axes exceed the reference and no point of the front is
+    at least as large on all of them.
+
+    Raises
+    ------
+    InputError
+        As :func:`hypervolume`.
+    """
+    points = _points(points)
+    corners = search_corners(front, _reference(reference, points.shape[1]))
+    nearest = np.empty(len(points))
+    for first in range(0, len(points), 256):  # bounded memory
+        short = np.maximum(corners[None] - points[first : first + 256, None], 0.0)
+        nearest[first : first + 256] = np.sqrt(np.sum(short * short, axis=-1)).min(axis=1)
+    return nearest
+
+
+def search_corners(front: ArrayLike, reference: ArrayLike) -> Floats:
+    """Lower corners of the region in which a point improves on the front, shape (C, G).
+
+    A point improves the front if it exceeds one of the corners on all axes: the region is the union of the boxes above
+    them (the local bounds of K. Klamroth, R. Lacour and D. Vanderpooten, On the representation of the search region in
+    multi-objective optimization, EJOR 2015, for maximisation).
+
+    Parameters
+    ----------
+    front : array_like, shape (K, G)
+    reference : array_like, shape (G,)
+
+    Raises
+    ------
+    InputError
+        As :func:`hypervolume`.
+    """
+    reference = _reference(reference, np.size(reference))
+    front = _front(front, len(reference))
+    front = front[np.all(front > reference, axis=1)]
+    front = front[non_dominated(front, duplicates=False)]
+    if len(front) == 0:
+        return reference[None]
+    if len(reference) == 2:  # the inner corners of a staircase
+        front = front[np.argsort(-front[:, 0])]
+        return np.column_stack([np.append(front[:, 0], reference[0]), np.insert(front[:, 1], 0, reference[1])])
+    corners = reference[None]
+    for point in front:
+        inside = np.all(corners < point, axis=1)
+        cut = np.repeat(corners[inside], len(reference), axis=0)
+        axes = np.tile(np.arange(len(reference)), int(inside.sum()))
+        cut[np.arange(len(cut)), axes] = point[axes]
+        corners = np.vstack([corners[~inside], cut])
+        # A box above a corner that another corner lies below is part of the other's box.
+        corners = corners[non_dominated(-corners, duplicates=False)]
+    return corners
+
+
+def _points(points: ArrayLike) -> Floats:
+    try:
+        table = np.ascontiguousarray(points, np.float64)
+    except (TypeError, ValueError):
+        raise InputError("points hold something that is no number") from None
+    if table.ndim != 2 or table.shape[1] == 0:
+        raise InputError(f"points have shape {table.shape}; they must have (number of points, number of axes)")
+    if not np.isfinite(table).all():
+        row, axis = np.argwhere(~np.isfinite(table))[0]
+        raise InputError(f"points hold {table[row, axis]} in row {row}, axis {axis}; they must be finite")
+    return table
+
+
+def _front(front: ArrayLike, axes: int) -> Floats:
+    if np.size(front) == 0:
+        return np.zeros((0, axes))
+    table = _points(front)
+    if table.shape[1] != axes:
+        raise InputError(f"the front has {table.shape[1]} axes; it must have {axes}")
+    return table
+
+
+def _reference(reference: ArrayLike, axes: int) -> Floats:
+    point = np.asarray(reference, np.float64)
+    if point.shape not in ((), (axes,)) or not np.isfinite(point).all():
+        raise InputError(f"the reference point is {point.tolist()}; it must be one finite number or {axes} of them")
+    return np.array(np.broadcast_to(point, (axes,)))
+
+
+def _hypervolume(points: Floats, reference: Floats) -> float:
+    return float(_moocore().hypervolume(points, ref=reference, maximise=True)) if len(points) else 0.0
+
+
+def _moocore():  # type: ignore[no-untyped-def]
+    require("moocore", extra="synthesis")
+    import moocore
+
+    return moocore

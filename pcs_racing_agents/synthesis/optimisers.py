@@ -1,0 +1,300 @@
+"""Other people's optimisers behind the same two calls, to compare ours with: all are given the same information.
+
+That is: the bounds, the size of a generation, a seed, and after every generation its objectives and violations. Nobody
+knows the ideal or the nadir point beforehand unless the caller states them.
+
+- ``nsga2``: pymoo's NSGA-II with its default operators.
+- ``comocma``: COMO-CMA-ES, a handful of CMA-ES that look for a place each on the front; two objectives only.
+- ``cma-mae``: CMA-MAE of pyribs. The cells of its archive are directions of the trade-off (differences between
+  normalised objectives), and in every cell it maximises the sum of the normalised objectives. Its ranges must be known:
+  they come from a first generation at random.
+- ``random``: uniform in the box.
+
+All but ``random`` need ``pip install "pcs-racing[baselines]"``.
+"""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.errors import InputError, UnknownNameError
+from pcs_racing.mapping.optional import require
+from pcs_racing_agents.synthesis.explored import Explored, Scale
+from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, Setting, cma_es
+
+__all__ = ["METHODS", "Optimiser", "make_optimiser"]
+
+Floats = NDArray[np.float64]
+
+
+class Optimiser(Protocol):
+    """What an optimiser offers: points in the unit cube on request, and ears for what came of them."""
+
+    restarts: int
+
+    @property
+    def step_size(self) -> float:
+        """Largest standard deviation of a parameter, as a share of its range; NaN where there is no such thing."""
+
+    def ask(self) -> Floats:
+        """Return a generation of points, shape (n, P), in the unit cube."""
+
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+        """Learn from the generation that was asked for, and return the archive with its points in it."""
+
+
+class Random:
+    """Points at random."""
+
+    restarts = 0
+    step_size = np.nan
+
+    def __init__(self, setting: Setting) -> None:
+        self._shape = setting.population, setting.dimension
+        self._rng = np.random.default_rng(setting.seed)
+
+    def ask(self) -> Floats:
+        """Return points drawn uniformly."""
+        return self._rng.random(self._shape)
+
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+        """Learn nothing."""
+        return archive.joined(points, objectives, violation)
+
+
+class NSGA2:
+    """NSGA-II: K. Deb and others, IEEE Transactions on Evolutionary Computation 6(2), 2002; pymoo's."""
+
+    restarts = 0
+    step_size = np.nan
+
+    def __init__(self, setting: Setting) -> None:
+        require("pymoo", extra="baselines")
+        self._setting = setting
+        self._algorithm: Any = None
+        self._asked: Any = None
+
+    def _set_up(self, objectives: int) -> None:
+        from pymoo.algorithms.moo.nsga2 import NSGA2 as Algorithm  # noqa: N811
+        from pymoo.core.problem import Problem
+        from pymoo.core.termination import NoTermination
+
+        self._algorithm = Algorithm(pop_size=self._setting.population)
+        problem = Problem(n_var=self._setting.dimension, n_obj=objectives, n_ieq_constr=1, xl=0.0, xu=1.0)
+        seed = int(self._setting.seed.generate_state(1)[0])
+        self._algorithm.setup(problem, termination=NoTermination(), seed=seed, verbose=False)
+
+    def ask(self) -> Floats:
+        """Return the first population (drawn uniformly) or the children of the present one."""
+        if self._algorithm is None:
+            self._set_up(2)  # how many objectives there are makes no difference before the first are told
+        self._asked = self._algorithm.ask()
+        return np.clip(np.asarray(self._asked.get("X"), np.float64), 0.0, 1.0)
+
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+        """Let the generation compete with its parents."""
+        from pymoo.core.evaluator import Evaluator
+        from pymoo.problems.static import StaticProblem
+
+        self._algorithm.problem.n_obj = objectives.shape[1]
+        told = StaticProblem(self._algorithm.problem, F=-objectives, G=violation[:, None])
+        Evaluator().eval(told, self._asked)
+        self._algorithm.tell(infills=self._asked)
+        return archive.joined(points, objectives, violation)
+
+
+class COMO:
+    """COMO-CMA-ES: C. Toure and others, GECCO 2019; comocma's, without restarts.
+
+    As many kernels as have room in a generation, each with the default population of CMA-ES or a little more, and a
+    point for its mean. They start at points drawn uniformly.
+    """
+
+    restarts = 0
+
+    def __init__(self, setting: Setting) -> None:
+        require("comocma", extra="baselines")
+        import comocma
+
+        self._setting = setting
+        rng = np.random.default_rng(setting.seed)
+        default = 4 + int(3 * np.log(setting.dimension)) + 1
+        count = max(1, setting.population // default)
+        sizes = [len(part) - 1 for part in np.array_split(np.arange(setting.population), count)]
+        kernels = [
+            cma_es(
+                rng.random(setting.dimension),
+                setting.step_size,
+                max(size, 2),
+                max(size // 2, 1),
+                rng,
+                comocma.CmaKernel,
+            )
+            for size in sizes
+        ]
+        for kernel in kernels:
+            kernel.stop = _never
+        options = {"archive": False, "verb_log": 0, "verb_disp": 0, "update_order": lambda _: rng.random()}
+        reference = (-np.broadcast_to(np.asarray(setting.reference, np.float64), (2,))).tolist()
+        self._kernels, self._raw = kernels, [np.zeros(2)] * len(kernels)
+        self._sofomore = comocma.Sofomore(kernels, reference, options)
+        self._asked: Any = None
+
+    @property
+    def step_size(self) -> float:
+        """Of the kernel with the largest one."""
+        return float(max(kernel.sigma * np.sqrt(np.max(kernel.sm.variances)) for kernel in self._kernels))
+
+    def ask(self) -> Floats:
+        """Return the means of all kernels and what they sample around them."""
+        self._means = list(self._sofomore._told_indices)
+        self._asked = self._sofomore.ask("all")
+        return np.clip(np.stack(self._asked), 0.0, 1.0)
+
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+        """Update the kernels one after another, each against the means of the others."""
+        if objectives.shape[1] != 2:
+            raise InputError(f"method 'comocma' handles 2 objectives; there are {objectives.shape[1]}")
+        grown = archive.joined(points, objectives, violation)
+        scale = grown.scale(self._setting.ideal, self._setting.nadir)
+        worst = _worst(scale, objectives, violation)
+        # The scale has moved since the means were evaluated.
+        for kernel, row in zip(self._means, worst, strict=False):
+            self._raw[kernel] = row
+        for kernel, raw in zip(self._kernels, self._raw, strict=True):
+            kernel.objective_values = (-scale(raw)).tolist()
+        self._sofomore.tell(self._asked, (-scale(worst)).tolist())
+        return grown
+
+
+class CMAMAE:
+    """CMA-MAE: M. Fontaine and S. Nikolaidis, Covariance matrix adaptation MAP-annealing, GECCO 2023; pyribs'."""
+
+    LEARNING_RATE = 0.01  # both as in the paper
+    CELLS = 100
+
+    def __init__(self, setting: Setting) -> None:
+        require("ribs", extra="baselines")
+        self._setting = setting
+        self._rng = np.random.default_rng(setting.seed)
+        self._archive: Any = None
+        self._emitters: list[Any] = []
+        self._scale: Scale | None = None
+
+    @property
+    def restarts(self) -> int:
+        """Of all emitters together."""
+        return sum(emitter.restarts for emitter in self._emitters)
+
+    @property
+    def step_size(self) -> float:
+        """Of the emitter with the largest one, before its covariances; NaN in the first generation."""
+        return max((float(emitter._opt.sigma) for emitter in self._emitters), default=np.nan)
+
+    def ask(self) -> Floats:
+        """Return points at random in the first generation, then what the emitters propose."""
+        if self._archive is None:
+            return self._rng.random((self._setting.population, self._setting.dimension))
+        return np.clip(np.concatenate([emitter.ask() for emitter in self._emitters]), 0.0, 1.0)
+
+    def _set_up(self, objectives: int, lowest: float) -> None:
+        from ribs.archives import GridArchive
+        from ribs.emitters import EvolutionStrategyEmitter
+
+        axes, seeds = objectives - 1, self._setting.seed.spawn(5)
+        self._archive = GridArchive(
+            solution_dim=self._setting.dimension,
+            dims=[max(2, round(self.CELLS ** (1.0 / axes)))] * axes,
+            ranges=[(-1.0, 1.0)] * axes,
+            learning_rate=self.LEARNING_RATE,
+            threshold_min=lowest,
+            seed=seeds[0],
+        )
+        count = min(4, max(1, self._setting.population // 12))
+        self._emitters = [
+            EvolutionStrategyEmitter(
+                self._archive,
+                x0=self._setting.start,
+                sigma0=self._setting.step_size,
+                ranker="imp",
+                selection_rule="mu",
+                restart_rule="basic",
+                bounds=[(0.0, 1.0)] * self._setting.dimension,
+                batch_size=len(part),
+                seed=seed,
+            )
+            for part, seed in zip(np.array_split(np.arange(self._setting.population), count), seeds[1:], strict=False)
+        ]
+
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+        """Fill the cells, and let the emitters follow what improved them."""
+        grown = archive.joined(points, objectives, violation)
+        first = self._archive is None
+        if first:
+            everything = Explored.nothing(points.shape[1]).joined(points, objectives, violation)
+            self._scale = _whole_range(everything, self._setting)
+        assert self._scale is not None
+        values = self._scale(_worst(self._scale, objectives, violation))
+        total, ways = values.sum(axis=1), values[:, :-1] - values[:, 1:]
+        if first:
+            self._set_up(objectives.shape[1], float(total.min()))
+            self._archive.add(points, total, ways)
+            return grown
+        news = self._archive.add(points, total, ways)
+        begin = 0
+        for emitter in self._emitters:
+            rows = slice(begin, begin + emitter.batch_size)
+            begin += emitter.batch_size
+            emitter.tell(points[rows], total[rows], ways[rows], {key: value[rows] for key, value in news.items()})
+        return grown
+
+
+def _never(**_: Any) -> dict[str, Any]:
+    """Kernels go on for ever: as many are asked in every generation."""
+    return {}
+
+
+def _worst(scale: Scale, objectives: Floats, violation: Floats) -> Floats:
+    """Objectives with those of infeasible points worse than any feasible one's, by how much they violate."""
+    infeasible = violation > 0.0
+    if not infeasible.any():
+        return objectives
+    extent = scale.ideal - scale.nadir
+    lowest = np.minimum(objectives.min(axis=0), scale.nadir) - extent
+    return np.where(infeasible[:, None], lowest - violation[:, None] * extent, objectives)
+
+
+def _whole_range(explored: Explored, setting: Setting) -> Scale:
+    if setting.ideal is not None and setting.nadir is not None:
+        return Scale(setting.ideal, setting.nadir)
+    rows = explored.violation <= 0.0
+    values = explored.objectives[rows] if rows.any() else explored.objectives
+    low, high = values.min(axis=0), values.max(axis=0)
+    return Scale(np.where(low < high, high, low + 1.0), low)
+
+
+_METHODS: dict[str, Callable[[Setting], Optimiser]] = {
+    "mo-cma-es": MOCMAES,
+    "nsga2": NSGA2,
+    "comocma": COMO,
+    "cma-mae": CMAMAE,
+    "random": Random,
+}
+METHODS = tuple(_METHODS)
+
+
+def make_optimiser(method: str, setting: Setting) -> Optimiser:
+    """Return one of the optimisers by name.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of that name.
+    ModuleNotFoundError
+        If the library that it needs is not installed; the message says how to install it.
+    """
+    if method not in _METHODS:
+        raise UnknownNameError(f"method is {method!r}; it must be one of {', '.join(METHODS)}")
+    return _METHODS[method](setting)
