@@ -29,7 +29,7 @@ class Branches(NamedTuple):
     ----------
     observations : ndarray, shape (R, D), float32
         What car 0 saw.
-    outcomes : ndarray, shape (R, M)
+    outcomes : ndarray, shape (R, A)
         What the game was worth to car 0 in the end after each move.
     game : ndarray, shape (R,), int64
         Which of the games it is; those that were over before the moment are absent.
@@ -65,6 +65,7 @@ def branch_games(
     behaviours: Sequence[Competitor],
     continuation: Competitor,
     worth: str = "win",
+    count: int | None = None,
 ) -> Branches:
     """Play games up to a step, try every move there, and play all branches to their end.
 
@@ -83,6 +84,8 @@ def branch_games(
         Who plays it afterwards.
     worth : {"win", "utility"}
         What outcomes are worth.
+    count : int, optional
+        How many of the moves are tried, from the first on; by default all.
 
     Raises
     ------
@@ -104,7 +107,7 @@ def branch_games(
             moves[rows] = moves_of(behaviour, game, take_games(state, rows), 0)
         state = game.step(state, np.stack([moves, _reply(opponent, game, state)], axis=1))
     going = np.flatnonzero(~game.done(state))
-    count = len(game.move_names)
+    count = len(game.move_names) if count is None else count
     state = take_games(state, going)
     seen = game.observation(state)[:, 0]
     reply = _reply(opponent, game, state)

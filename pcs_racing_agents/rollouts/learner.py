@@ -172,12 +172,13 @@ def learn_response(
     """
     if len(games) == 0 or len(pool) == 0:
         raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")
-    count = len(setting.moves)
-    random_moves = _agent("random-moves", Blend(np.full(count, 1.0 / count)), setting, settings.seed)
+    identity = game_identity(games[0])
+    # Opponents may keep their policy whatever the rules; the learner has the moves that the rules offer.
+    chances = (np.arange(len(setting.moves)) < len(identity.moves)) / len(identity.moves)
+    random_moves = _agent("random-moves", Blend(chances), setting, settings.seed)
     arenas = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
-    identity = game_identity(arenas[0][0])
-    for game, row in zip(games, arenas, strict=True):
-        if game_identity(row[0]) != identity:
+    for game in games:
+        if game_identity(game) != identity:
             raise InputError(f"the game on {game.track.name!r} differs from the first in archive, moves or rules")
     rows: list[Rows] = []
     network: RegretNetwork | None = None
@@ -197,7 +198,7 @@ def learn_response(
             # At the last step nothing is left to be decided afterwards.
             continuation = random_moves if network is None else _follow(network, setting)
             tasks = _tasks(len(games), len(pool), settings, step, round_)
-            work = partial(_branch, arenas, pool, behaviours, continuation, settings.worth)
+            work = partial(_branch, arenas, pool, behaviours, continuation, settings.worth, len(identity.moves))
             found = job.run(f"round-{round_}-step-{step}", work, tasks, executor=executor, progress=progress)
             rows += [_rows(arrays, task) for arrays, task in zip(found, tasks, strict=True) if len(arrays["game"])]
             last = round_ == settings.rounds - 1 and step == 0
@@ -232,6 +233,7 @@ def _branch(
     behaviours: Sequence[Competitor],
     continuation: Competitor,
     worth: str,
+    count: int,
     task: BranchTask,
 ) -> Arrays:
     keys = race_seeds(task.root, task.last)[task.first :]

@@ -1,0 +1,134 @@
+"""The stages before the races: the archive, the trees, and everybody who learns from something."""
+
+import numpy as np
+
+from pcs_racing.errors import InputError
+from pcs_racing_agents.approximator.settings import load_train_settings
+from pcs_racing_agents.jobs import open_job
+from pcs_racing_agents.rollouts.learner import learn_response, load_response_settings
+from pcs_racing_agents.strategies.fits import save_fit
+from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.trees.storage import StoredTrees, build_trees, load_trees
+
+__all__ = [
+    "choose_blind",
+    "learn_responses",
+    "make_the_archive",
+    "play_trees",
+    "stored_trees",
+    "train_networks",
+    "train_ppo_baseline",
+]
+
+TREE_SEED = 1_000_000  # added to the study's seed: other starts than those of any race of the table
+FITTING_SEED = 2_000_000
+RESPONSE_SEED = 3_000_000
+
+
+def make_the_archive(study: Study) -> None:
+    """Search for policies as the configuration's synthesis says; nothing to do where an archive is given."""
+    if study.config.synthesis is None:
+        return
+    from pcs_racing_agents.synthesis.archive_run import make_archive
+    from pcs_racing_agents.synthesis.config import load_archive_config
+
+    config = load_archive_config(study.config.synthesis)
+    make_archive(config, study.folder / "archive", executor=study.executor)
+
+
+def play_trees(study: Study) -> None:
+    """Play game trees on every circuit that is learned on."""
+    for number, name in enumerate(study.config.circuits):
+        if study.config.pairs > 0:
+            build_trees(
+                study.game(name),
+                study.folder / "trees" / name,
+                pairs=study.config.pairs,
+                seeds_per_pair=study.config.seeds,
+                seed=study.config.seed + TREE_SEED + number,
+                executor=study.executor,
+                progress=study.progress(f"trees on {name}"),
+            )
+
+
+def stored_trees(study: Study) -> list[StoredTrees]:
+    """Return the trees that were played, one folder for each circuit."""
+    if study.config.pairs == 0:
+        return []
+    return [load_trees(study.folder / "trees" / name, study.archive) for name in study.config.circuits]
+
+
+def train_networks(study: Study) -> None:
+    """Train a network for every target; the trees held out are the same for all."""
+    from pcs_racing_agents.approximator.curves import write_curves
+    from pcs_racing_agents.approximator.from_trees import train_on_trees, trees_identity
+
+    stored = stored_trees(study)
+    if not stored:
+        return
+    places = [(trees, i) for trees in stored for i in range(len(trees))]
+    pairs = np.concatenate([np.asarray(trees.settings["pairs"]) for trees in stored])
+    for target in study.config.targets:
+        folder = study.network(target)
+        if (folder / "learning_curves.csv").is_file():
+            continue
+        trained = train_on_trees(
+            lambda number: places[number][0][places[number][1]],
+            pairs,
+            trees_identity(stored[0].settings),
+            load_train_settings(study.config.training, target=target, seed=study.config.seed),
+            name=target,
+            about={"tracks": ", ".join(study.config.circuits)},
+            learning=study.progress(f"epochs ({target})"),
+        )
+        trained.network.save(folder)
+        write_curves(trained.fit, folder / "learning_curves.csv")
+
+
+def choose_blind(study: Study) -> None:
+    """Choose the best schedule of moves and the best policy to walk to, on races of their own."""
+    from pcs_racing_agents.tournament.fitting import TrainingRaces, fit_best_fixed, fit_best_schedule
+
+    config = study.config
+    training = TrainingRaces(
+        tracks=tuple(study.track(name) for name in config.circuits),
+        opponents=tuple(study.agent(name) for name in config.fitting_opponents),
+        setting=study.setting,
+        races=config.fitting_games,
+        seed=config.seed + FITTING_SEED,
+    )
+    folder = study.folder / "blind"
+    settings = {"archive": study.archive.content_hash}
+    with open_job(folder / "races", "fitting", settings) as job:
+        for name, find in (("best-fixed", fit_best_fixed), ("best-schedule", fit_best_schedule)):
+            fit = find(training, job=job, executor=study.executor, progress=study.progress(f"races ({name})"))
+            save_fit(fit, folder / f"{name}.yaml")
+
+
+def learn_responses(study: Study) -> None:
+    """Learn the answers to the pool of opponents."""
+    config = study.config
+    games = [study.game(name) for name in config.circuits]
+    pool = [study.agent(name) for name in config.response_pool]
+    for name in config.responses:
+        settings = load_response_settings(name)
+        seeded = load_response_settings(settings, seed=config.seed + RESPONSE_SEED + settings.seed)
+        with open_job(study.folder / "responses" / name, "response", {"name": name}) as job:
+            network = learn_response(
+                games,
+                pool,
+                study.setting,
+                seeded,
+                job,
+                name=name,
+                executor=study.executor,
+                progress=study.progress(f"branch tasks ({name})"),
+            )
+        network.save(study.network(name))
+
+
+def train_ppo_baseline(study: Study) -> None:
+    """Train PPO on the game; nothing to do without settings for it."""
+    if study.config.ppo is None:
+        return
+    raise InputError("the PPO stage is not wired up yet")
