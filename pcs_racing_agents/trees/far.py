@@ -24,7 +24,7 @@ Indices = NDArray[np.int64]
 MARGIN = 2.0
 """Distance beyond the sight, m: more than the gap can change in the 0.1 s between two looks at it."""
 
-UNKNOWN, KNOWN, HARMED = range(3)
+UNKNOWN, KNOWN, CRASHES = range(3)
 
 
 def finish(
@@ -72,22 +72,20 @@ def finish(
         ends.put(far[chosen], found)
         fine = _stay_apart(trace[:, :, 0], trace[:, :, 1], length, sight)
         for car in range(2):
-            # A race stands still after a crash: what the other car would have done is not known then.
-            crashed = found.crash.any(axis=1)
+            # A race stands still after a crash: what the other car would have done is not known then. Where the cars
+            # came near each other nothing is known of either, and another race may show it.
             shown = drives[car, chosen]
-            harmed = (~fine | (found.crash[:, car] != 0)) & (status[car, shown] == UNKNOWN)
-            known = fine & ~crashed
-            status[car, shown[harmed]] = HARMED
+            known = fine & ~found.crash.any(axis=1)
+            status[car, shown[fine & (found.crash[:, car] != 0)]] = CRASHES
             status[car, shown[known]] = KNOWN
             source[car, shown[known]] = len(traces) + np.flatnonzero(known)
         seen = seen.and_then(found)
         traces = trace if len(traces) == 0 else np.concatenate([traces, trace])
         count += len(chosen)
         waiting = np.setdiff1d(waiting, chosen, assume_unique=True)
-        states = [status[car, drives[car, waiting]] for car in range(2)]
-        harmed = (states[0] == HARMED) | (states[1] == HARMED)
-        alone.append(far[waiting[harmed]])
-        waiting = waiting[~harmed]
+        crashing = (status[0, drives[0, waiting]] == CRASHES) | (status[1, drives[1, waiting]] == CRASHES)
+        alone.append(far[waiting[crashing]])
+        waiting = waiting[~crashing]
     for first in range(0, len(waiting), 4096):  # bounded memory
         part = waiting[first : first + 4096]
         from0, from1 = (source[car, drives[car, part]] for car in range(2))

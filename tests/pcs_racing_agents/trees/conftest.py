@@ -1,0 +1,80 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcs_racing import CONTEST, PolicyArchive, RaceGame, Starts, Track, load_track, make_game
+from pcs_racing.game_state import GameState
+from pcs_racing_agents.planners import LATTICE
+from pcs_racing_agents.trees import RaceTree
+
+FAR = replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.012)
+
+
+@pytest.fixture(scope="session")
+def track() -> Track:
+    return load_track("Tarnfjord")
+
+
+@pytest.fixture(scope="session")
+def archive() -> PolicyArchive:
+    """Nine policies from slow to fast; made up, so that no other archive of the project decides what is tested."""
+    pace = np.linspace(0.05, 0.95, 9)
+    odd = np.arange(9) % 2
+    theta = [
+        LATTICE.policy({"pace": p, "side_margin": 0.1 + 0.1 * o}).parameters for p, o in zip(pace, odd, strict=True)
+    ]
+    coordinates = np.stack([20.0 * pace - 10.0, 2.0 - pace + 0.7 * odd], axis=1)
+    names = ("aggressiveness", "restraint")
+    return PolicyArchive("tiny", "lattice", LATTICE.parameter_names, np.array(theta), names, coordinates)
+
+
+@pytest.fixture(scope="session")
+def paper(track, archive) -> RaceGame:
+    """Short games without noise."""
+    return make_game(track, archive, moves=2, step_seconds=2.0)
+
+
+@pytest.fixture(scope="session")
+def noisy(track, archive) -> RaceGame:
+    """Games with noise, in which some crash."""
+    return make_game(track, archive, replace(CONTEST, steering_noise=0.015), moves=2, step_seconds=6.0)
+
+
+@pytest.fixture(scope="session")
+def far(track, archive) -> RaceGame:
+    """Games of cars that start out of each other's sight, and in which some crash."""
+    rules = {"moves": 3, "step_seconds": 6.0, "utility": "lead-at-crash", "fault_penalty": 3.0}
+    return make_game(track, archive, FAR, **rules)
+
+
+@pytest.fixture(scope="session")
+def played() -> Callable[..., GameState]:
+    """Play histories of moves (n, k, 2) from a tree's start with the game itself."""
+
+    def play(game: RaceGame, tree: RaceTree, seed: int, histories: np.ndarray) -> GameState:
+        n = len(histories)
+        state = game.reset(
+            np.full(n, tree.seeds[seed]),
+            policies=tree.policies,
+            starts=Starts(np.full(n, tree.start_s), np.full(n, tree.side)),
+        )
+        for k in range(histories.shape[1]):
+            state = game.step(state, histories[:, k])
+        return state
+
+    return play
+
+
+@pytest.fixture(scope="session")
+def number() -> Callable[..., np.ndarray]:
+    """Nodes that histories (n, k, 2) of so many options lead to."""
+
+    def count(histories: np.ndarray, options: int) -> np.ndarray:
+        nodes = np.zeros(len(histories), np.int64)
+        for k in range(histories.shape[1]):
+            nodes = (nodes * options + histories[:, k, 0]) * options + histories[:, k, 1]
+        return nodes
+
+    return count

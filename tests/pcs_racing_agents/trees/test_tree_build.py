@@ -1,0 +1,173 @@
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from pcs_racing import CONTEST, InputError, PolicyArchive, RaceGame, Starts, make_game
+from pcs_racing_agents.planners import PURE_PURSUIT
+from pcs_racing_agents.trees import build_tree
+from pcs_racing_agents.trees import driving as _driving
+
+
+def same(tree, other, but: tuple[str, ...] = ()) -> None:
+    for name, array in other.arrays().items():
+        if name not in but:
+            np.testing.assert_array_equal(tree.arrays()[name], array, err_msg=name, strict=True)
+
+
+def test_the_leaves_are_the_races_of_all_sequences_of_moves(paper, played, number):
+    """Memoised, crash-cut and shared, yet every leaf is what 16 * 16 races from the start give."""
+    tree = build_tree(paper, (2, 7), (float(paper.start_lines[1]), 1), [5])
+    every = np.array(list(product(range(4), repeat=4))).reshape(-1, 2, 2)
+    ends = played(paper, tree, 0, every)
+    np.testing.assert_array_equal(tree.payoffs[0], paper.utility(ends)[:, 0].astype(np.float32))
+    table = tree.payoffs[0].reshape(4, 4, 4, 4)
+    assert table[2, 1, 0, 3] == paper.utility(ends)[number(np.array([[[2, 1], [0, 3]]]), 4)[0], 0].astype(np.float32)
+    assert tree.statistics.crashed == ends.race.crashed.mean()
+
+
+@pytest.mark.parametrize(("name", "policies", "line", "side"), [("noisy", (2, 6), 0, 1), ("far", (2, 6), 3, 0)])
+def test_what_is_seen_on_the_way_is_what_the_game_shows(name, policies, line, side, request, played, number):
+    game = request.getfixturevalue(name)
+    tree = build_tree(game, policies, (float(game.start_lines[line]), side), [1, 2])
+    options, moves = tree.options, tree.moves
+    assert options == 5
+    rng = np.random.default_rng(0)
+    histories = rng.integers(options, size=(40, moves, 2))
+    stopped = 0
+    for seed in range(2):
+        for k in range(moves + 1):
+            nodes = number(histories[:, :k], options)
+            state = played(game, tree, seed, histories[:, :k])
+            if k == moves:
+                np.testing.assert_array_equal(tree.payoffs[seed][nodes], game.utility(state)[:, 0].astype(np.float32))
+                continue
+            over = state.race.crashed
+            stopped += int(over.sum())
+            np.testing.assert_array_equal(tree.over[k][seed, nodes], over)
+            np.testing.assert_array_equal(tree.observations(k)[seed, nodes], game.observation(state))
+            np.testing.assert_array_equal(tree.leads[k][seed, nodes], state.leads[:, k])
+            np.testing.assert_array_equal(tree.estimates[k][seed, nodes], state.estimates[:, :, k].astype(np.float32))
+            np.testing.assert_array_equal(tree.policy[k][nodes][~over], state.policy[~over])
+    assert stopped > 0, "choose more noise: this test needs crashes"
+    assert not np.array_equal(tree.payoffs[0], tree.payoffs[1])
+
+
+def test_putting_far_races_together_changes_no_bit(far):
+    place = (float(far.start_lines[3]), 0)
+    tree = build_tree(far, (7, 1), place, [1, 2])
+    one_by_one = build_tree(far, (7, 1), place, [1, 2], share=False)
+    same(tree, one_by_one, but=("driven",))
+    assert 5 * tree.statistics.driven < one_by_one.statistics.driven == tree.statistics.live
+    assert 0.0 < tree.statistics.crashed < 1.0
+
+
+def test_cars_that_come_within_sight_are_driven_together(track, archive):
+    """The car behind is the faster one: what can be put together must end where it comes within sight."""
+    rules = {"moves": 3, "step_seconds": 4.0}
+    game = make_game(track, archive, replace(CONTEST, start_gap=30.0, steering_noise=0.0), **rules, utility="lead")
+    place = (float(game.start_lines[3]), 0)
+    tree = build_tree(game, (4, 7), place)
+    same(tree, build_tree(game, (4, 7), place, share=False), but=("driven",))
+    assert np.abs(tree.leads[2]).max() > 20.0
+    assert np.abs(tree.payoffs).min() < 11.0
+    assert 0.2 * tree.statistics.live < tree.statistics.driven < 0.8 * tree.statistics.live
+
+
+def test_drivers_that_promise_no_sight_are_all_driven(track):
+    theta = np.stack([PURE_PURSUIT.sample(np.random.default_rng(i)) for i in range(3)])
+    archive = PolicyArchive(
+        "pursuers", "pure-pursuit", PURE_PURSUIT.parameter_names, theta, ("pace", "restraint"), [[0, 1], [1, 0], [2, 2]]
+    )
+    rules = replace(CONTEST, start_gap=20.0, steering_noise=0.0)
+    tree = build_tree(make_game(track, archive, rules, moves=2, step_seconds=2.0), (0, 1), (20.0, 0))
+    assert tree.statistics.driven == tree.statistics.live
+
+
+def test_threads_and_chunks_change_nothing(noisy, monkeypatch):
+    place = (float(noisy.start_lines[0]), 0)
+    tree = build_tree(noisy, (2, 6), place, [7])
+    monkeypatch.setattr(_driving, "CHUNK", 13)
+    same(build_tree(replace(noisy, threads=1), (2, 6), place, [7]), tree)
+
+
+def test_a_tree_of_several_seeds_is_the_trees_of_each(noisy):
+    place = (float(noisy.start_lines[0]), 0)
+    both = build_tree(noisy, (2, 6), place, [7, 8])
+    for i, seed in enumerate((7, 8)):
+        one = build_tree(noisy, (2, 6), place, [seed])
+        np.testing.assert_array_equal(one.payoffs[0], both.payoffs[i])
+        np.testing.assert_array_equal(one.observations(1)[0], both.observations(1)[i])
+
+
+def test_a_root_that_is_over_has_one_outcome(noisy, played):
+    """Policies that crash while they watch: nothing is driven after that, and all leaves are worth the same."""
+    place = Starts(np.full(60, noisy.start_lines[0]), np.zeros(60, np.int64))
+    over = np.flatnonzero(noisy.reset(np.arange(60), policies=(8, 7), starts=place).race.crashed)
+    tree = build_tree(noisy, (8, 7), (float(noisy.start_lines[0]), 0), [over[0]])
+    assert tree.statistics.driven == 1
+    assert tree.statistics.crashed == 1.0
+    assert len(np.unique(tree.payoffs)) == 1
+    assert all(level.all() for level in tree.over)
+    state = played(noisy, tree, 0, np.array([[[1, 2]]]))
+    np.testing.assert_array_equal(tree.observations(1)[0, 1 * 5 + 2], noisy.observation(state)[0])
+
+
+def test_the_statistics_count_what_they_say(paper):
+    tree = build_tree(paper, (2, 7), (float(paper.start_lines[1]), 1))
+    s = tree.statistics
+    assert (s.seeds, s.shared, s.replayed) == (1, 1 + 16 + 256, 3 * 256)
+    counts = [[len({tuple(p) for p in sequences(paper, start, k)}) for k in range(3)] for start in (2, 7)]
+    if not tree.over[1].any():
+        assert s.live == sum(a * b for a, b in zip(*counts, strict=True))
+    assert s.duplicates == 1.0 - counts[0][2] * counts[1][2] / 256
+    assert s.driven <= s.live
+
+
+def sequences(game: RaceGame, start: int, k: int):
+    """Policies that every sequence of ``k`` moves leads through."""
+    for moves in product(range(len(game.move_names)), repeat=k):
+        policies = [start]
+        for move in moves:
+            policies.append(int(game.table[policies[-1], move]))
+        yield policies
+
+
+def test_the_solvers_get_the_mean_over_the_seeds(noisy):
+    from pcs_racing_agents.solvers import solve_exact
+
+    tree = build_tree(noisy, (2, 6), (float(noisy.start_lines[0]), 0), [7, 8])
+    game = tree.game_tree()
+    np.testing.assert_allclose(np.ravel(game.payoffs), tree.payoffs.astype(np.float64).mean(axis=0))
+    assert -1.0 <= solve_exact(game).value <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"policies": (3, 9)}, "game 0, car 1: policy 9 is not in archive 'tiny'; it must lie in 0 to 8"),
+        ({"policies": (3, -1)}, r"policies are \(3, -1\); give two policies of archive 'tiny'"),
+        ({"policies": (3,)}, r"policies are \(3,\); give two policies"),
+        ({"start": (-1.0, 0)}, r"the start line -1.0 m is not on track 'Tarnfjord'"),
+        ({"start": (20.0, 2)}, "start sides must be 0 or 1; found 2"),
+        ({"start": Starts(np.array([20.0, 21.0]), np.array([0, 0]))}, "there are 2 starts; a tree has one"),
+        ({"seeds": [1, 2]}, "there are 2 seeds, but no steering noise: every seed drives the same; give one"),
+        ({"seeds": [1, 1]}, r"seeds are \[1, 1\]; give one or more different whole numbers"),
+        ({"seeds": []}, r"seeds are \[\]; give one or more different"),
+        ({"seeds": [-1]}, r"seeds are .*-1.*; they must be whole numbers from 0"),
+    ],
+)
+def test_impossible_roots_are_refused(paper, change, message):
+    with pytest.raises(InputError, match=message):
+        build_tree(paper, **{"policies": (2, 7), "start": (20.0, 0), "seeds": [1], **change})
+
+
+def test_games_without_a_tree_are_refused(track, paper):
+    with pytest.raises(InputError, match="4 moves with 9 choices for each player"):
+        build_tree(make_game(track, paper.archive, epsilon=(0.2, 0.4), stay=True), (2, 7), (20.0, 0))
+    outside = replace(paper, opponent_planner="pure-pursuit")
+    with pytest.raises(InputError, match="car 1 is driven by planner 'pure-pursuit'; in a game tree both cars"):
+        build_tree(outside, (2, 7), (20.0, 0))
+    with pytest.raises(InputError, match="move 2 is none of the tree's; it must lie in 0 to 1"):
+        build_tree(paper, (2, 7), (20.0, 0)).observations(2)
