@@ -70,7 +70,7 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     with announce_compilation(solve_games, "the solver of matrix games", 5):
         solve_games(games, *solution)
     span = games.max(axis=(1, 2)) - games.min(axis=(1, 2))
-    for g in np.flatnonzero(~(np.abs(solution.gaps) <= GOOD_GAP * span)):
+    for g in np.flatnonzero(~(solution.gaps <= GOOD_GAP * span)):
         values, rows, columns = solve_rationally(games[g])
         solution.values[g], solution.rows[g], solution.columns[g] = values, rows, columns
         solution.gaps[g] = max(0.0, (games[g] @ columns).max() - (rows @ games[g]).min())
@@ -86,21 +86,22 @@ def solve_games(games, values, rows, columns, gaps):  # type: ignore[no-untyped-
     basic = np.empty(a + c, np.bool_)
     x, y = np.empty(a), np.empty(c)
     for g in range(count):
-        game = games[g]
-        if not saddle_point(game, rows[g], columns[g]):
-            low, high = bounds(game)
-            simplex(game, low, high, False, table, labels, basic, rows[g], columns[g])
-            gap = duality_gap(game, low, rows[g], columns[g])
-            if not abs(gap) <= GOOD_GAP * (high - low):
-                simplex(game, low, high, True, table, labels, basic, x, y)
-                if not abs(duality_gap(game, low, x, y)) >= abs(gap):
-                    rows[g, :] = x
-                    columns[g, :] = y
-            values[g] = expected(game, low, rows[g], columns[g])
-            gaps[g] = duality_gap(game, low, rows[g], columns[g])
-        else:
-            values[g] = game[rows[g].argmax(), columns[g].argmax()]
-            gaps[g] = 0.0
+        game, row, column = games[g], rows[g], columns[g]
+        low, high = bounds(game)
+        gaps[g] = 0.0
+        if not saddle_point(game, row, column):
+            for attempt in range(2):
+                simplex(game, low, high, attempt > 0, table, labels, basic, x, y)
+                gap = abs(duality_gap(game, low, x, y))
+                if attempt == 0 or gap < gaps[g]:
+                    gaps[g] = gap
+                    for i in range(a):
+                        row[i] = x[i]
+                    for j in range(c):
+                        column[j] = y[j]
+                if gaps[g] <= GOOD_GAP * (high - low):
+                    break
+        values[g] = expected(game, low, row, column)
 
 
 @kernel
@@ -123,8 +124,10 @@ def saddle_point(game, row, column):  # type: ignore[no-untyped-def]
             least, least_column = most, j
     if best < least:
         return False
-    row[:] = 0.0
-    column[:] = 0.0
+    for i in range(row.size):
+        row[i] = 0.0
+    for i in range(column.size):
+        column[i] = 0.0
     row[best_row] = 1.0
     column[least_column] = 1.0
     return True
@@ -189,8 +192,10 @@ def simplex(game, low, high, careful, table, labels, basic, row, column):  # typ
         pivot(table, labels, a, c, leave, enter)
         if careful:
             rebuild(game, low, high, table, labels, basic)
-    row[:] = 0.0
-    column[:] = 0.0
+    for i in range(row.size):
+        row[i] = 0.0
+    for i in range(column.size):
+        column[i] = 0.0
     for i in range(a):
         if labels[i] < c:
             column[labels[i]] = max(table[i, c], 0.0)

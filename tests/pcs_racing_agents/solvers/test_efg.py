@@ -1,0 +1,150 @@
+import re
+
+import numpy as np
+import pytest
+from small_games import kuhn_poker, random_profile, random_tree
+
+from pcs_racing.errors import InputError
+from pcs_racing_agents.solvers import (
+    GameTree,
+    cfr,
+    efg_text,
+    exploitability,
+    play_value,
+    solve_exact,
+    solve_sequence_form,
+    write_efg,
+)
+from pcs_racing_agents.solvers.openspiel import efg_game, efg_policy, efg_profile
+
+# Two and three steps, seeds that nobody sees, and any infosets.
+TREES = {
+    "two steps": random_tree(0, 3, 3, 3, 3),
+    "three steps": random_tree(1, 2, 3, 3, 2, 2, 2),
+    "moves of one": random_tree(2, 1, 3, 3, 1, 2, 2),
+    "hidden seeds": random_tree(3, 3, 2, 2, 3, chance=4),
+    "blurred": random_tree(4, 3, 2, 2, 3, blur=2),
+    "blurred chance": random_tree(5, 2, 2, 3, 2, 2, 2, chance=3, blur=2),
+    "kuhn": kuhn_poker(),
+}
+
+
+def test_the_text_of_matching_pennies(tmp_path):
+    path = write_efg(
+        GameTree.from_payoffs([[1.0, -1.0], [-1.5e-7, 0.0]]),
+        tmp_path / "pennies.efg",
+        title="Pennies",
+        move_names=[(("heads", "tails"), ("left", "right"))],
+    )
+    assert path.read_text().splitlines() == [
+        'EFG 2 R "Pennies" { "car_0" "car_1" }',
+        'p "" 1 1 "0:0" { "heads" "tails" } 0',
+        'p "" 2 1 "0:0" { "left" "right" } 0',
+        't "" 1 "" { 1.0 -1.0 }',
+        't "" 2 "" { -1.0 1.0 }',
+        'p "" 2 1 "0:0" { "left" "right" } 0',
+        't "" 3 "" { -0.00000015 0.00000015 }',
+        't "" 4 "" { 0.0 -0.0 }',
+    ]
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_openspiel_plays_the_same_game(name):
+    """Exploitability of its CFR, as it measures it and as we do for ours, at 9 and 13 iterations."""
+    pyspiel = pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
+    tree = TREES[name]
+    game = efg_game(tree)
+    for variant, solver in (
+        ("alternating", pyspiel.CFRSolver(game)),
+        ("alternating+", pyspiel.CFRPlusSolver(game)),
+    ):
+        done = 0
+        for iterations in (9, 13):
+            for _ in range(iterations - done):
+                solver.evaluate_and_update_policy()
+            done = iterations
+            theirs = pyspiel.exploitability(game, solver.tabular_average_policy())
+            ours = cfr(tree, iterations, variant).average
+            assert exploitability(tree, ours).exploitability == pytest.approx(theirs, rel=1e-10, abs=1e-12)
+            back = efg_profile(tree, solver.tabular_average_policy().policy_table())
+            assert exploitability(tree, back).exploitability == pytest.approx(theirs, rel=1e-10, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_openspiel_judges_profiles_alike(name):
+    pyspiel = pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
+    tree = TREES[name]
+    game = efg_game(tree)
+    for seed in range(3):
+        profile = random_profile(tree, seed, sharp=0.3)
+        policy = efg_policy(tree, profile)
+        assert pyspiel.nash_conv(game, policy) == pytest.approx(exploitability(tree, profile).nash_conv, rel=1e-10)
+        assert pyspiel.exploitability(game, policy) == pytest.approx(
+            exploitability(tree, profile).exploitability, rel=1e-10
+        )
+        assert play_value(tree, efg_profile(tree, policy)) == pytest.approx(play_value(tree, profile), abs=1e-12)
+
+
+def test_openspiel_s_linear_and_discounted_cfr():
+    pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
+    from open_spiel.python.algorithms import discounted_cfr
+    from open_spiel.python.algorithms.exploitability import exploitability as judge
+
+    tree = TREES["blurred"]
+    game = efg_game(tree)
+    for variant, solver in (
+        ("linear", discounted_cfr.LCFRSolver(game)),
+        ("discounted", discounted_cfr.DCFRSolver(game)),
+    ):
+        for _ in range(9):
+            solver.evaluate_and_update_policy()
+        ours = exploitability(tree, cfr(tree, 9, variant).average).exploitability
+        assert judge(game, solver.average_policy()) == pytest.approx(ours, rel=1e-10)
+
+
+@pytest.mark.parametrize("name", ["kuhn", "blurred", "hidden seeds"])
+def test_gambit_finds_the_same_value(name, tmp_path):
+    gambit = pytest.importorskip("pygambit", reason="pygambit is not installed")
+    tree = TREES[name]
+    rounded = GameTree(np.round(tree.payoffs, 2), tree.moves, tree.chance, tree.infosets)
+    game = gambit.read_efg(write_efg(rounded, tmp_path / "game.efg"))
+    solved = gambit.nash.lp_solve(game, rational=False).equilibria[0]
+    value = float(solved.payoff(game.players["car_0"]))
+    assert value == pytest.approx(solve_sequence_form(rounded).value, abs=1e-8)
+    if rounded.averaged.perfect:
+        assert value == pytest.approx(solve_exact(rounded).value, abs=1e-8)
+
+
+def test_uneven_chance_adds_up_to_exactly_one():
+    tree = GameTree.from_payoffs(np.zeros((7, 1, 2)), np.random.default_rng(0).dirichlet(np.ones(7)))
+    text = efg_text(tree.with_infosets([(np.arange(7), np.arange(7))]))
+    shares = re.findall(r'"\d" (0\.\d+)', text)
+    assert len(shares) == 7
+    assert sum(int(share[2:].ljust(20, "0")) for share in shares) == 10**20
+
+
+def test_a_policy_that_lacks_a_state():
+    with pytest.raises(InputError, match="lacks the information state '0-0-1-0:0'"):
+        efg_profile(TREES["two steps"], {})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"move_names": [(("a",), ("a", "b"))]}, "do not fit the tree"),
+        ({"move_names": [(("a", "a"), ("a", "b"))]}, "bear the same name"),
+        ({"move_names": [(('"', "a"), ("a", "b"))]}, "can't be a name"),
+        ({"title": "two\nlines"}, "can't be a name"),
+    ],
+)
+def test_impossible_names(options, message):
+    with pytest.raises(InputError, match=message):
+        efg_text(GameTree.from_payoffs(np.zeros((2, 2))), **options)
+
+
+def test_where_it_can_t_be_written(tmp_path):
+    tree = GameTree.from_payoffs(np.zeros((2, 2)))
+    for path, message in ((tmp_path / "game.txt", "must end in .efg"), (tmp_path / "no" / "game.efg", "no folder")):
+        with pytest.raises(InputError, match=message):
+            write_efg(tree, path)
+    assert not list(tmp_path.iterdir())
