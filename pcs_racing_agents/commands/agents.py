@@ -6,7 +6,7 @@ from pcs_racing_agents.commands.options import Commands, add_command
 
 __all__ = ["add"]
 
-NEEDS = {"": "", "fit": "; chosen on training races", "network": "; needs a network"}
+NEEDS = {"": "", "fit": "; needs a fit", "network": "; needs a network"}
 
 
 def add(commands: Commands) -> None:

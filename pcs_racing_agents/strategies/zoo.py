@@ -283,13 +283,15 @@ def build(name: str, setting: Setting, *, seed: int = 0, **given: Any) -> Any:
 def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
     """Make an agent from text: a name, which may be followed by options as in ``"cfr-argmax:network=out/net"``.
 
+    What begins with the name of a planner is a policy, as in ``"lane-switcher:3"``.
+
     Raises
     ------
     InputError
         As :func:`make`, or if the text is of another form.
     """
     name, separator, rest = str(text).strip().partition(":")
-    if not separator or name not in entries():
+    if not separator or name not in entries() or name in planner_names():
         return build(str(text).strip(), setting, seed=seed)
     given: dict[str, Any] = {}
     for part in rest.split(","):

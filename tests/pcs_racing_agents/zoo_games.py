@@ -1,0 +1,49 @@
+"""A small archive and short games on it, for the tests of agents and tournaments."""
+
+import numpy as np
+
+from pcs_racing import GameConfig, PolicyArchive, get_planner
+from pcs_racing_agents.approximator import RegretNetwork
+from pcs_racing_agents.approximator.network import GameIdentity
+from pcs_racing_agents.strategies import Setting
+
+CONFIG = GameConfig(step_seconds=0.8)
+
+
+def toy_archive(policies: int = 12) -> PolicyArchive:
+    """Lattice policies from slow to fast; their coordinates are made up."""
+    rng = np.random.default_rng(0)
+    lattice = get_planner("lattice")
+    pace = np.linspace(0.2, 0.9, policies)
+    drivers = [lattice.policy({"pace": value}).parameters for value in pace]
+    explored = [lattice.policy({"pace": value}).parameters for value in np.linspace(0.0, 1.0, 30)]
+    coordinates = np.stack([20.0 * pace - 10.0, 4.0 - 3.0 * pace], axis=1) + rng.normal(0.0, [1.5, 0.5], (policies, 2))
+    return PolicyArchive(
+        "toy",
+        "lattice",
+        lattice.parameter_names,
+        np.array(drivers),
+        ("aggressiveness", "restraint"),
+        coordinates,
+        explored_parameters=np.array(explored),
+        explored_coordinates=rng.normal(size=(30, 2)),
+    )
+
+
+def untrained(setting: Setting, target: str = "regret", seed: int = 2, stay: bool = True) -> RegretNetwork:
+    """A network that has learned nothing, but decides differently in different situations."""
+    rng = np.random.default_rng(seed)
+    moves = setting.moves if stay else setting.moves[:-1]
+    size, count = len(setting.elements), len(moves)
+    archive = setting.archive
+    identity = GameIdentity(setting.elements, moves, (0.35,), archive.name, archive.content_hash, setting.race)
+    return RegretNetwork(
+        f"untrained-{target}",
+        identity,
+        target,
+        False,
+        (rng.normal(size=(16, size)), rng.normal(size=(count, 16))),
+        (rng.normal(size=16), rng.normal(size=count)),
+        np.zeros(size),
+        np.ones(size),
+    )
