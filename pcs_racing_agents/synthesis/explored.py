@@ -86,11 +86,12 @@ class Explored:
         )
 
     def averaged(self, rows: Indices, objectives: Floats, violation: Floats) -> "Explored":
-        """Return this with one more evaluation of some (different) points in their means."""
+        """Return this with one more evaluation of some points in their means; a point may be there several times."""
         means, violations, counts = self.objectives.copy(), self.violation.copy(), self.evaluations.copy()
-        counts[rows] += 1
-        means[rows] += (objectives - means[rows]) / counts[rows][:, None]
-        violations[rows] += (violation - violations[rows]) / counts[rows]
+        for row, value, excess in zip(rows, objectives, violation, strict=True):
+            counts[row] += 1
+            means[row] += (value - means[row]) / counts[row]
+            violations[row] += (excess - violations[row]) / counts[row]
         return replace(self, objectives=means, violation=violations, evaluations=counts)
 
     def replaced(self, objectives: Floats, violation: Floats) -> "Explored":

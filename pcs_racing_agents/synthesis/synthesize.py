@@ -156,10 +156,11 @@ class Search:
         First mean of CMA-ES; the middle of the bounds by default.
     step_size : float
         First standard deviation of CMA-ES, as a share of the bounds' range, above 0 to 1.
-    reevaluation : float
-        Share of a generation that goes to points of the archive once more, 0 to 0.9: for noisy objectives. Those
-        evaluated least often come first, of these the ones that contribute most hypervolume, since they are the
-        likeliest to be there by luck. Objectives become means.
+
+    Attributes
+    ----------
+    repeats : ndarray, shape (n,)
+        How often each of the points asked for last had been evaluated before.
 
     Raises
     ------
@@ -186,7 +187,6 @@ class Search:
         nadir: ArrayLike | None = None,
         start: ArrayLike | None = None,
         step_size: float = 0.2,
-        reevaluation: float = 0.0,
     ) -> None:
         self._low, self._high = _checked_bounds(bounds)
         dimension = len(self._low)
@@ -194,7 +194,6 @@ class Search:
         _check_whole("seed", seed, 0, 2**63 - 1)
         _check_share("elite_ratio", elite_ratio, 0.0, 1.0, open_below=True)
         _check_share("step_size", step_size, 0.0, 1.0, open_below=True)
-        _check_share("reevaluation", reevaluation, 0.0, 0.9)
         for name, value, choices in (("loss", loss, LOSSES), ("mean", mean, MEANS)):
             if value not in choices:
                 raise InputError(f"{name} is {value!r}; it must be one of {', '.join(choices)}")
@@ -203,11 +202,11 @@ class Search:
         first = (self._low + self._high) / 2.0 if start is None else _checked_vector("start", start, dimension)
         if np.any(first < self._low) or np.any(first > self._high):
             raise InputError(f"start is {first.tolist()}; it must lie within the bounds")
-        self._again = min(round(reevaluation * population), population - 4)
+        self._population = population
         root = np.random.SeedSequence(int(seed))
         setting = Setting(
             dimension=dimension,
-            population=population - self._again,
+            population=population,
             seed=root,
             elite_ratio=float(elite_ratio),
             loss=loss,
@@ -223,8 +222,10 @@ class Search:
         self._parameters = np.zeros((0, dimension))
         self._generations: list[Generation] = []
         self._evaluations = 0
-        self._new: Floats | None = None
+        self._asked = np.zeros((0, dimension))
+        self._new: Floats | None = None  # the points asked for in the unit cube; None where they are old ones
         self._rows = np.zeros(0, np.int64)
+        self.repeats: Indices = self._rows
 
     @property
     def archive(self) -> Floats:
@@ -232,24 +233,42 @@ class Search:
         return self._parameters[self._explored.front]
 
     def ask(self) -> Floats:
-        """Return the points to evaluate next, shape (n, P): new ones, then those of the archive that are due again.
+        """Return the points to evaluate next, shape (n, P).
 
         Raises
         ------
         InputError
             If the last points were not told yet.
         """
-        if self._new is not None:
-            raise InputError("the points asked for last were not told yet; tell what came of them first")
+        self._check_told()
         self._new = self._optimiser.ask()
-        self._rows = self._due()
-        return self._asked()
+        self._asked = np.clip(self._low + self._new * (self._high - self._low), self._low, self._high)
+        self.repeats = np.zeros(len(self._asked), np.int64)
+        return self._asked.copy()
 
-    @property
-    def repeats(self) -> Indices:
-        """How often each of the points asked for had been evaluated before, shape (n,)."""
-        new = 0 if self._new is None else len(self._new)
-        return np.concatenate([np.zeros(new, np.int64), self._explored.evaluations[self._rows]])
+    def ask_again(self) -> Floats:
+        """Return points of the archive's front to evaluate once more, shape (n, P), for noisy objectives.
+
+        As many as a generation has, the front's points in turn: those evaluated least often first, and of these the
+        ones that contribute most hypervolume, which are the likeliest to be there by luck. Their objectives become
+        means; the optimiser is told nothing of it.
+
+        Raises
+        ------
+        InputError
+            If the last points were not told yet, or there is no feasible point.
+        """
+        self._check_told()
+        known, front = self._explored, self._explored.front
+        if len(front) == 0:
+            raise InputError("no point of the archive is feasible; there is nothing to evaluate again")
+        lost = contributions(known.scale(*self._scale_from)(known.objectives[front]), self._reference)
+        order = front[np.lexsort((-lost, known.evaluations[front]))]
+        places = np.arange(self._population)
+        self._rows = order[places % len(order)]
+        self.repeats = known.evaluations[self._rows] + places // len(order)
+        self._asked = self._parameters[self._rows]
+        return self._asked.copy()
 
     def tell(self, objectives: ArrayLike, violation: ArrayLike | None = None) -> Generation:
         """Tell what came of the points asked for.
@@ -268,16 +287,16 @@ class Search:
         InputError
             If nothing was asked for, or the values have another shape or are not finite.
         """
-        if self._new is None:
+        asked = self._asked
+        if len(asked) == 0:
             raise InputError("no points were asked for; ask first")
-        new, rows, asked, repeats = self._new, self._rows, self._asked(), self.repeats
         values, violations = self._checked(objectives, violation, asked)
-        if len(rows):
-            self._explored = self._explored.averaged(rows, values[len(new) :], violations[len(new) :])
-        count = len(new)
-        self._explored = self._optimiser.tell(new, values[:count], violations[:count], self._explored)
-        self._parameters = np.concatenate([self._parameters, asked[:count]])
-        self._new, self._rows = None, np.zeros(0, np.int64)
+        if self._new is None:
+            self._explored = self._explored.averaged(self._rows, values, violations)
+        else:
+            self._explored = self._optimiser.tell(self._new, values, violations, self._explored)
+            self._parameters = np.concatenate([self._parameters, asked])
+        self._new, self._asked = None, asked[:0]
         self._evaluations += len(asked)
         front = self._explored.objectives[self._explored.front]
         scale = self._explored.scale(*self._scale_from)
@@ -291,7 +310,7 @@ class Search:
             infeasible=int(np.sum(violations > 0.0)),
             front=front,
             parameters=asked,
-            repeats=repeats,
+            repeats=self.repeats,
             objectives=values,
             violation=violations,
         )
@@ -313,8 +332,7 @@ class Search:
             raise InputError(f"parameters have shape {given.shape}; they must have (n, {len(self._low)})")
         if not (np.all(given >= self._low) and np.all(given <= self._high)):
             raise InputError("parameters lie outside the bounds")
-        if self._new is not None:
-            raise InputError("the points asked for last were not told yet; tell what came of them first")
+        self._check_told()
         values, violations = self._checked(objectives, violation, given)
         unit = (given - self._low) / (self._high - self._low)
         self._explored = self._explored.joined(unit, values, violations)
@@ -331,8 +349,7 @@ class Search:
         InputError
             If values have another shape or are not finite.
         """
-        if self._new is not None:
-            raise InputError("the points asked for last were not told yet; tell what came of them first")
+        self._check_told()
         values, violations = self._checked(objectives, violation, self.archive)
         self._explored = self._explored.replaced(values, violations)
 
@@ -354,18 +371,9 @@ class Search:
             reference=np.array(np.broadcast_to(self._reference, scale.ideal.shape)),
         )
 
-    def _asked(self) -> Floats:
-        assert self._new is not None
-        new = np.clip(self._low + self._new * (self._high - self._low), self._low, self._high)
-        return np.concatenate([new, self._parameters[self._rows]])
-
-    def _due(self) -> Indices:
-        """Rows of the archive to evaluate again."""
-        known, front = self._explored, self._explored.front
-        if self._again == 0 or len(front) == 0:
-            return np.zeros(0, np.int64)
-        lost = contributions(known.scale(*self._scale_from)(known.objectives[front]), self._reference)
-        return front[np.lexsort((-lost, known.evaluations[front]))[: self._again]]
+    def _check_told(self) -> None:
+        if len(self._asked):
+            raise InputError("the points asked for last were not told yet; tell what came of them first")
 
     def _checked(self, objectives: ArrayLike, violation: ArrayLike | None, asked: Floats) -> tuple[Floats, Floats]:
         try:
@@ -430,7 +438,8 @@ def synthesize(
     callback : callable, optional
         Called with the :class:`Generation` after each.
     reevaluation : float
-        Share of a generation that goes to points of the archive once more (:class:`Search`).
+        Share of the generations, the last ones, that evaluate the archive's points once more instead of new ones
+        (:meth:`Search.ask_again`), 0 to 0.9: for noisy objectives.
     **options
         Of :class:`Search`: ``population``, ``elite_ratio``, ``loss``, ``mean``, ``seed``, ``method``, ``reference``,
         ``ideal``, ``nadir``, ``start``, ``step_size``.
@@ -452,9 +461,12 @@ def synthesize(
     _check_whole("generations", generations, 1, 1_000_000)
     if len(evaluated) > generations:
         raise InputError(f"evaluated holds {len(evaluated)} generations; at most the {generations} asked for")
-    search = Search(bounds, reevaluation=reevaluation, **options)
+    _check_share("reevaluation", reevaluation, 0.0, 0.9)
+    search = Search(bounds, **options)
+    proposing = generations - round(reevaluation * generations)
     for number in range(generations):
-        asked = search.ask()
+        old = number >= max(proposing, 1) and len(search.archive) > 0
+        asked = search.ask_again() if old else search.ask()
         if number < len(evaluated):
             found = _evaluated(evaluated[number])
             if found.parameters is not None and not np.array_equal(np.asarray(found.parameters), asked):
