@@ -532,7 +532,7 @@ def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indi
         ],
         axis=-1,
     )
-    parts = np.where(seen[:, None, :, None], parts, 0.0).reshape(games, 2, -1)
+    parts = np.where(seen[:, None, :, None], parts, 0.0).reshape(games, 2, steps * parts.shape[-1])
     share = np.broadcast_to((step / (steps - 1))[:, None, None], (games, 2, 1))
     return np.concatenate([parts, share], axis=-1).astype(np.float32)
 
