@@ -80,13 +80,10 @@ def run(arguments: argparse.Namespace) -> None:
             ego = build_ego_trees(game, arguments.out, roots=arguments.ego, opponent=arguments.opponent, **common)
             count, unit = len(ego), "ego trees"
             print(f"{int(ego.driven.sum())} segments driven, {ego.driven.mean():.1f} for each root")
-    share = (played[-1] - played[0]) / played[-1]
+    new = (played[-1] - played[0]) / played[-1] * count
     seconds = time.monotonic() - begin
-    if share > 0.0:
-        each = f", {seconds / (share * count):.3g} s each"
-    else:
-        each = ": all of them were there already"
-    print(f"{count} {unit} in {arguments.out}; {seconds:.1f} s{each}")
+    took = f"{seconds:.1f} s, {seconds / new:.3g} s each" if new > 0.0 else "all of them were there already"
+    print(f"{count} {unit} in {arguments.out}: {took}")
 
 
 def _game(arguments: argparse.Namespace) -> RaceGame:

@@ -103,7 +103,7 @@ def game_settings(game: RaceGame) -> dict[str, Any]:
         "archive": {"name": game.archive.name, "sha256": game.archive.content_hash},
         "track": {"name": game.track.name, "sha256": game.track.content_hash},
         "preset": game.config.race.name,
-        "speed_range": list(game.setup.speed_range),
+        "speed_range": [float(speed) for speed in game.setup.speed_range],
         "rules": asdict(game.config),
         "move_names": list(game.move_names),
         "encoding": [element.name for element in game.observation_elements],
@@ -200,7 +200,7 @@ class StoredTrees(Sequence[RaceTree]):
         InputError
             If they were played with another archive, track, rules or encoding; the first difference is named.
         """
-        for key, wanted in yaml.safe_load(yaml.safe_dump(_plain(game_settings(game)))).items():
+        for key, wanted in _plain(game_settings(game)).items():
             found = self.settings[key]
             if found != wanted:
                 if isinstance(wanted, dict):

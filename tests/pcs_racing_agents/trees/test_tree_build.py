@@ -27,7 +27,7 @@ def test_the_leaves_are_the_races_of_all_sequences_of_moves(paper, played, numbe
     assert tree.statistics.crashed == ends.race.crashed.mean()
 
 
-@pytest.mark.parametrize(("name", "policies", "line", "side"), [("noisy", (2, 6), 0, 1), ("far", (2, 6), 3, 0)])
+@pytest.mark.parametrize(("name", "policies", "line", "side"), [("noisy", (2, 6), 0, 1), ("far", (7, 1), 3, 0)])
 def test_what_is_seen_on_the_way_is_what_the_game_shows(name, policies, line, side, request, played, number):
     game = request.getfixturevalue(name)
     tree = build_tree(game, policies, (float(game.start_lines[line]), side), [1, 2])
@@ -35,29 +35,29 @@ def test_what_is_seen_on_the_way_is_what_the_game_shows(name, policies, line, si
     assert options == 5
     rng = np.random.default_rng(0)
     histories = rng.integers(options, size=(40, moves, 2))
-    stopped = 0
+    crashes = np.zeros(moves + 1, np.int64)
     for seed in range(2):
         for k in range(moves + 1):
             nodes = number(histories[:, :k], options)
             state = played(game, tree, seed, histories[:, :k])
+            over = state.race.crashed
+            crashes[k] += int(over.sum())
             if k == moves:
                 np.testing.assert_array_equal(tree.payoffs[seed][nodes], game.utility(state)[:, 0].astype(np.float32))
                 continue
-            over = state.race.crashed
-            stopped += int(over.sum())
             np.testing.assert_array_equal(tree.over[k][seed, nodes], over)
             np.testing.assert_array_equal(tree.observations(k)[seed, nodes], game.observation(state))
             np.testing.assert_array_equal(tree.leads[k][seed, nodes], state.leads[:, k])
             np.testing.assert_array_equal(tree.estimates[k][seed, nodes], state.estimates[:, :, k].astype(np.float32))
             np.testing.assert_array_equal(tree.policy[k][nodes][~over], state.policy[~over])
-    assert stopped > 0, "choose more noise: this test needs crashes"
+    assert crashes[moves] > crashes[1] >= (name == "noisy"), "choose other noise: this test needs crashes"
     assert not np.array_equal(tree.payoffs[0], tree.payoffs[1])
 
 
 def test_putting_far_races_together_changes_no_bit(far):
     place = (float(far.start_lines[3]), 0)
-    tree = build_tree(far, (7, 1), place, [1, 2])
-    one_by_one = build_tree(far, (7, 1), place, [1, 2], share=False)
+    tree = build_tree(far, (7, 1), place, [1])
+    one_by_one = build_tree(far, (7, 1), place, [1], share=False)
     same(tree, one_by_one, but=("driven",))
     assert 5 * tree.statistics.driven < one_by_one.statistics.driven == tree.statistics.live
     assert 0.0 < tree.statistics.crashed < 1.0
@@ -65,12 +65,12 @@ def test_putting_far_races_together_changes_no_bit(far):
 
 def test_cars_that_come_within_sight_are_driven_together(track, archive):
     """The car behind is the faster one: what can be put together must end where it comes within sight."""
-    rules = {"moves": 3, "step_seconds": 4.0}
-    game = make_game(track, archive, replace(CONTEST, start_gap=30.0, steering_noise=0.0), **rules, utility="lead")
+    rules = {"moves": 2, "step_seconds": 6.0, "utility": "lead"}
+    game = make_game(track, archive, replace(CONTEST, start_gap=30.0, steering_noise=0.0), **rules)
     place = (float(game.start_lines[3]), 0)
     tree = build_tree(game, (4, 7), place)
     same(tree, build_tree(game, (4, 7), place, share=False), but=("driven",))
-    assert np.abs(tree.leads[2]).max() > 20.0
+    assert np.abs(tree.leads[1]).max() > 20.0
     assert np.abs(tree.payoffs).min() < 11.0
     assert 0.2 * tree.statistics.live < tree.statistics.driven < 0.8 * tree.statistics.live
 

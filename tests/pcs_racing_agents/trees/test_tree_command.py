@@ -1,0 +1,68 @@
+import re
+
+import pytest
+
+from pcs_racing_agents.cli import main
+from pcs_racing_agents.trees import load_ego_trees, load_trees
+
+GAME = ["tree", "--track", "Tarnfjord", "--moves", 2, "--step", 2, "--executor", "serial"]
+
+
+@pytest.fixture
+def run(capsys):
+    def run(*arguments: object) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def small(archive, tmp_path):
+    return archive.save(tmp_path / "an archive")
+
+
+def test_trees_are_played_and_taken_up(run, small, tmp_path):
+    out = tmp_path / "trees"
+    code, text, told = run(*GAME, "--archive", small, "--pairs", 2, "--out", out)
+    assert code == 0
+    assert "2/2 trees" in told
+    assert re.search(r"\n2 trees in .*: \d+\.\d s, .* s each\n$", text)
+    trees = load_trees(out)
+    driven = sum(tree.statistics.driven for tree in trees)
+    assert f"{driven} segments driven of " in text
+    assert f"of the {2 * 273} of trees that share only beginnings" in text
+    assert f"of the {2 * 768} of races from the start" in text
+    again = run(*GAME, "--archive", small, "--pairs", 2, "--out", out)[1]
+    assert again.endswith(": all of them were there already\n")
+    assert again.splitlines()[:3] == text.splitlines()[:3]
+
+
+def test_ego_trees_are_played(run, small, tmp_path):
+    command = [*GAME, "--archive", small, "--ego", 5, "--opponent", "static", "--out", tmp_path / "ego"]
+    code, text, _ = run(*command)
+    assert code == 0
+    trees = load_ego_trees(tmp_path / "ego")
+    assert len(trees) == 5
+    assert f"{trees.driven.sum()} segments driven, {trees.driven.mean():.1f} for each root" in text
+    assert (trees.replies == -1).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--pairs", "0"], "pairs is 0; it must be a whole number"),
+        (["--ego", "0"], "roots is 0; it must be a whole number"),
+        (["--ego", "3", "--seeds", "2"], "--seeds 2 does not go with --ego: every ego tree has its own noise"),
+        (["--epsilon", "0"], r"epsilon is \(0.0,\); it must be a number in \(0, 10\]"),
+        (["--seeds", "3"], "seeds_per_pair is 3, but there is no steering noise"),
+        (["--moves", "9"], "a tree of 9 moves with 4 choices for each player has"),
+        (["--preset", "nope"], "race preset 'nope' is unknown"),
+    ],
+)
+def test_impossible_options_end_in_one_line(run, small, tmp_path, options, message):
+    code, _, told = run(*GAME, "--archive", small, *options, "--out", tmp_path / "trees")
+    assert code == 2
+    assert re.fullmatch(rf"pcs-racing: error: .*{message}.*\n", told)
+    assert not (tmp_path / "trees").exists()

@@ -1,0 +1,168 @@
+import logging
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from pcs_racing import InputError, make_game
+from pcs_racing_agents.chunk_files import write_chunk
+from pcs_racing_agents.jobs import make_executor, read_chunk
+from pcs_racing_agents.trees import build_tree, build_trees, choose_pairs, load_trees
+from pcs_racing_agents.trees.roots import default_seeds, draw_root
+
+PAIRS = [[2, 7], [5, 1], [4, 4]]
+
+
+@pytest.fixture
+def stored(paper, tmp_path):
+    return build_trees(paper, tmp_path / "trees", pairs=PAIRS, seed=3)
+
+
+def contents(trees) -> list[bytes]:
+    return [trees.file(i).read_bytes() for i in range(len(trees))]
+
+
+def test_trees_come_back_as_they_were_played(paper, stored):
+    assert len(stored) == len(list(stored)) == 3
+    for i, tree in enumerate(stored):
+        assert tree.policies.tolist() == PAIRS[i]
+        again = build_tree(paper, tree.policies, (tree.start_s, tree.side), tree.seeds)
+        for name, array in again.arrays().items():
+            np.testing.assert_array_equal(tree.arrays()[name], array, err_msg=name, strict=True)
+        np.testing.assert_array_equal(tree.observations(1), again.observations(1))
+    assert [tree.policies[0] for tree in stored[1:]] == [5, 4]
+    assert stored[-1].policies.tolist() == PAIRS[-1]
+    assert len({(tree.start_s, tree.side, int(tree.seeds[0])) for tree in stored}) == 3
+
+
+def test_the_manifest_names_everything_that_decides_the_trees(paper, stored):
+    settings = yaml.safe_load((stored.folder / "job.yaml").read_text())["settings"]
+    assert settings["archive"] == {"name": "tiny", "sha256": paper.archive.content_hash}
+    assert settings["track"] == {"name": "Tarnfjord", "sha256": paper.track.content_hash}
+    assert settings["preset"] == "paper"
+    assert (settings["rules"]["epsilon"], settings["rules"]["moves"], settings["seeds_per_pair"]) == (0.35, 2, 1)
+    assert tuple(settings["encoding"]) == stored.elements == tuple(e.name for e in paper.observation_elements)
+    stored.check(paper)
+
+
+@pytest.mark.parametrize("kind", ["threads", "processes"])
+def test_executors_write_the_same_bytes(paper, stored, tmp_path, kind):
+    with make_executor(kind, 2) as executor:
+        other = build_trees(paper, tmp_path / kind, pairs=PAIRS, seed=3, executor=executor)
+    assert contents(other) == contents(stored)
+
+
+def test_what_is_missing_or_damaged_is_made_again_to_the_byte(paper, stored, caplog):
+    whole = contents(stored)
+    stored.file(0).unlink()
+    damaged = bytearray(whole[2])
+    damaged[len(damaged) // 2] ^= 1
+    stored.file(2).write_bytes(damaged)
+    with pytest.raises(InputError, match=r"tree-00000.npz missing of 3 trees: run the command .* again"):
+        load_trees(stored.folder)
+    with pytest.raises(InputError, match=r"tree-00002.npz is damaged.*; run the command that made the folder again"):
+        stored[2]
+    calls = []
+    with caplog.at_level(logging.WARNING):
+        again = build_trees(paper, stored.folder, pairs=PAIRS, seed=3, progress=lambda *call: calls.append(call))
+    assert contents(again) == whole
+    assert "tree-00002.npz" in caplog.text
+    assert calls == [(1, 3, "tree"), (2, 3, "tree"), (3, 3, "tree")]
+
+
+def test_trees_of_another_game_are_noticed(paper, noisy, stored, track):
+    other = replace(paper.archive, coordinates=1.1 * paper.archive.coordinates, ideal=None, nadir=None)
+    assert len(load_trees(stored.folder, paper.archive)) == 3
+    with pytest.raises(InputError, match=r"were played with archive 'tiny' .sha256 .*, not with 'tiny'"):
+        load_trees(stored.folder, other)
+    with pytest.raises(InputError, match="are of another game: archive sha256 is"):
+        stored.check(make_game(track, other, paper.config))
+    with pytest.raises(InputError, match="are of another game: preset is 'paper', not 'contest'"):
+        stored.check(noisy)
+    with pytest.raises(InputError, match="are of another game: rules moves is 2, not 1"):
+        stored.check(replace(paper, config=replace(paper.config, moves=1)))
+    with pytest.raises(InputError, match=r"holds another run: its rules\.moves is 2, not 1"):
+        build_trees(replace(paper, config=replace(paper.config, moves=1)), stored.folder, pairs=PAIRS, seed=3)
+
+
+def test_numbers_that_are_not_finite_are_refused(stored):
+    arrays = read_chunk(stored.file(1))
+    arrays["payoffs"][0, 0, 0] = np.nan
+    write_chunk(stored.file(1), arrays, "0" * 64)
+    with pytest.raises(InputError, match=r"tree-00001.npz: payoffs holds NaN or infinity; every number of a tree"):
+        stored[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda a: a.pop("leads_1"), "is no tree of 2 moves: it holds no leads_1"),
+        (lambda a: a.update(payoffs=a["payoffs"][:, 1:]), r"payoffs has shape \(1, .*\); it must have"),
+        (lambda a: a.update(table=a["table"] + 1), "names a policy that it does not hold; there are 9"),
+    ],
+)
+def test_files_that_do_not_fit_are_refused(stored, change, message):
+    arrays = read_chunk(stored.file(1))
+    change(arrays)
+    write_chunk(stored.file(1), arrays, "0" * 64)
+    with pytest.raises(InputError, match=f"tree-00001.npz.*{message}"):
+        stored[1]
+
+
+def test_a_file_that_was_renamed_is_noticed(stored):
+    stored.file(2).rename(stored.file(1))
+    with pytest.raises(InputError, match=r"is the tree of policies \[4, 4\]; there should be that of \[5, 1\]"):
+        stored[1]
+
+
+def test_folders_of_something_else_are_refused(paper, tmp_path):
+    with pytest.raises(InputError, match=r"holds no game trees: job.yaml: No such file"):
+        load_trees(tmp_path)
+    (tmp_path / "job.yaml").write_text("format: pcs-racing job\nkind: ego trees\nsettings: {}\n")
+    with pytest.raises(InputError, match=r"is no manifest of game trees; choose a folder that 'pcs-racing tree' wrote"):
+        load_trees(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"pairs": 0}, "pairs is 0; it must be a whole number from 1 to 100000"),
+        ({"pairs": [[1, 2, 3]]}, r"pairs have shape \(1, 3\) and type int64; they must be whole numbers"),
+        ({"pairs": [[1.0, 2.0]]}, r"pairs have shape \(1, 2\) and type float64"),
+        ({"pairs": [[1, 2], [3, 9]]}, "pair 1: policy 9 is not in archive 'tiny'; it must lie in 0 to 8"),
+        ({"pairs": 1, "seed": -1}, "seed is -1; it must be a whole number from 0"),
+        ({"pairs": 1, "seeds_per_pair": 0}, "seeds_per_pair is 0; it must be a whole number from 1 to 1000"),
+        ({"pairs": 1, "seeds_per_pair": 2}, "seeds_per_pair is 2, but there is no steering noise"),
+    ],
+)
+def test_impossible_settings_are_refused_before_anything_is_written(paper, tmp_path, settings, message):
+    with pytest.raises(InputError, match=message):
+        build_trees(paper, tmp_path / "trees", **settings)
+    assert not (tmp_path / "trees").exists()
+
+
+def test_pairs_are_different_and_repeatable(paper):
+    for count in (1, 7, 40, 45):
+        pairs = choose_pairs(paper.archive, count, seed=2)
+        assert pairs.shape == (count, 2)
+        assert len({tuple(sorted(pair)) for pair in pairs.tolist()}) == count
+        np.testing.assert_array_equal(choose_pairs(paper.archive, count, seed=2), pairs)
+    assert not np.array_equal(choose_pairs(paper.archive, 45, seed=3), pairs)
+    assert len(choose_pairs(paper.archive, 100)) == 100  # more than there are: some come twice
+
+
+def test_nobody_crashes_before_the_first_move_of_a_drawn_root(noisy):
+    assert default_seeds(noisy) == 4
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        root = draw_root(noisy, np.array([8, 7]), 3, rng)
+        tree = build_tree(replace(noisy, config=replace(noisy.config, moves=1)), root.policies, root[1:3], root.seeds)
+        assert not tree.over[0].any()
+        assert len(np.unique(root.seeds)) == 3
+
+
+def test_trees_travel_between_processes(stored):
+    tree = pickle.loads(pickle.dumps(stored[0]))
+    np.testing.assert_array_equal(tree.payoffs, stored[0].payoffs)
