@@ -1,6 +1,7 @@
 """Solvers of two-player zero-sum games on dense trees: exact, by regret minimisation, and judges of both."""
 
 from pcs_racing_agents.solvers.cfr import VARIANTS, CFRResult, Variant, cfr
+from pcs_racing_agents.solvers.compare import METHODS, MethodRow, agreement, compare_methods, regret_argmax
 from pcs_racing_agents.solvers.efg import efg_text, infoset_name, write_efg
 from pcs_racing_agents.solvers.evaluation import (
     BestResponse,
@@ -22,6 +23,7 @@ from pcs_racing_agents.solvers.matrix_games import MatrixSolution, solve_matrix_
 from pcs_racing_agents.solvers.sequence_form import SequenceSolution, solve_sequence_form
 
 __all__ = [
+    "METHODS",
     "VARIANTS",
     "BestResponse",
     "CFRResult",
@@ -29,13 +31,16 @@ __all__ = [
     "Exploitability",
     "GameTree",
     "MatrixSolution",
+    "MethodRow",
     "Profile",
     "SequenceSolution",
     "Variant",
     "advantages",
+    "agreement",
     "best_response",
     "cfr",
     "check_profile",
+    "compare_methods",
     "efg_text",
     "exploitability",
     "infoset_name",
@@ -43,6 +48,7 @@ __all__ = [
     "play_value",
     "q_values",
     "reach_probabilities",
+    "regret_argmax",
     "solve_exact",
     "solve_matrix_games",
     "solve_sequence_form",

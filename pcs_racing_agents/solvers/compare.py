@@ -1,0 +1,137 @@
+"""All solvers on one tree, side by side: what their strategies are worth, and how far from the exact ones they are."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pcs_racing.errors import UnknownNameError
+from pcs_racing_agents.solvers.cfr import VARIANTS, cfr
+from pcs_racing_agents.solvers.evaluation import Profile, exploitability, reach_probabilities
+from pcs_racing_agents.solvers.exact import ExactResult, solve_exact
+from pcs_racing_agents.solvers.game_tree import Floats, GameTree
+
+__all__ = ["METHODS", "MethodRow", "agreement", "compare_methods", "regret_argmax"]
+
+METHODS = ("exact", *VARIANTS, "argmax-regret")
+"""``exact`` is backward induction; then the average strategies of the variants of CFR; ``argmax-regret`` is the
+decision rule of the paper: always the move of largest cumulative regret (of ``vanilla``)."""
+
+INDIFFERENT = 1e-9
+"""Moves whose worth differs by less, in units of the payoffs' range, are equally good."""
+
+
+class MethodRow(NamedTuple):
+    """How one method did on one tree.
+
+    Attributes
+    ----------
+    method : str
+    value : float
+        What its profile pays to car 0.
+    exploitability : float
+        Half of what both players could gain by best responses.
+    agreement, on_path : float
+        See :func:`agreement`; the second weights histories with how often the exact solution leads to them.
+    seconds : float
+        What it took.
+    """
+
+    method: str
+    value: float
+    exploitability: float
+    agreement: float
+    on_path: float
+    seconds: float
+
+
+def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str] = METHODS) -> list[MethodRow]:
+    """Solve a tree with several methods.
+
+    Parameters
+    ----------
+    tree : GameTree
+        Players see all past moves.
+    iterations : int
+        Iterations of CFR.
+    methods : sequence of str
+        Out of :data:`METHODS`.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such method.
+    InputError
+        If the players do not see all past moves, or the number of iterations is impossible.
+    """
+    for method in methods:
+        if method not in METHODS:
+            raise UnknownNameError(f"method {method!r} is unknown; choose from {', '.join(METHODS)}")
+    _ready()
+    exact = solve_exact(tree)
+    rows = []
+    for method in methods:
+        begin = time.perf_counter()
+        profile = _solver(method, iterations)(tree)
+        seconds = time.perf_counter() - begin
+        judged = exploitability(tree, profile)
+        agreed = (agreement(tree, exact, profile), agreement(tree, exact, profile, on_path=True))
+        rows.append(MethodRow(method, judged.value, judged.exploitability, *agreed, seconds))
+    return rows
+
+
+def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: bool = False) -> float:
+    """Share of the decisions at which a profile's likeliest move is a best one against the exact solution.
+
+    Decisions at which every move is worth the same do not count; 1 if there are no others.
+
+    Parameters
+    ----------
+    tree : GameTree
+    exact : ExactResult
+        Its solution.
+    profile : Profile
+    on_path : bool
+        Whether joint histories count as often as the exact solution leads to them; by default all count alike.
+    """
+    game = tree.averaged
+    span = float(np.ptp(game.payoffs)) or 1.0
+    reach = reach_probabilities(game, exact.profile)
+    agreed = decisions = 0.0
+    for k in range(game.depth):
+        for strategy, q in zip(profile[k], exact.q[k], strict=True):
+            lost = q.max(axis=1, keepdims=True) - q
+            weight = (lost.max(axis=1) > INDIFFERENT * span).astype(np.float64)
+            if on_path:
+                weight *= reach[k][0] * reach[k][1]
+            chosen = np.take_along_axis(lost, strategy.argmax(axis=1)[:, None], axis=1)[:, 0]
+            agreed += float(weight[chosen <= INDIFFERENT * span].sum())
+            decisions += float(weight.sum())
+    return agreed / decisions if decisions > 0.0 else 1.0
+
+
+def regret_argmax(tree: GameTree, iterations: int) -> Profile:
+    """Return the pure profile that takes the move of largest cumulative regret everywhere, the first among equals.
+
+    The paper clips regrets at 0 and chooses arbitrarily where none is left; this takes the largest of all.
+    """
+
+    def pure(regrets: Floats) -> Floats:
+        return np.eye(regrets.shape[1])[regrets.argmax(axis=1)]
+
+    return [(pure(first), pure(second)) for first, second in cfr(tree, iterations, "vanilla").regrets]
+
+
+def _solver(method: str, iterations: int) -> Callable[[GameTree], Profile]:
+    if method == "exact":
+        return lambda tree: solve_exact(tree).profile
+    if method == "argmax-regret":
+        return lambda tree: regret_argmax(tree, iterations)
+    return lambda tree: cfr(tree, iterations, method).average
+
+
+def _ready() -> None:
+    """Load or compile what is to be timed."""
+    cfr(GameTree.from_payoffs(np.zeros((1, 1))), 1)
+    solve_exact(GameTree.from_payoffs(np.zeros((1, 1))))
