@@ -8,7 +8,19 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from pcs_racing.errors import InputError
-from pcs_racing_agents.commands import agents, export, policies, race, solve, study, tournament, track, train, tree
+from pcs_racing_agents.commands import (
+    agents,
+    export,
+    policies,
+    race,
+    solve,
+    study,
+    synthesize,
+    tournament,
+    track,
+    train,
+    tree,
+)
 
 __all__ = ["main"]
 
@@ -61,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for group in (race, tournament, track, agents, policies, tree, solve, export, train, study):
+    for group in (race, tournament, track, agents, policies, synthesize, tree, solve, export, train, study):
         group.add(commands)
     return parser
 

@@ -38,6 +38,7 @@ __all__ = [
     "open_job",
     "package_version",
     "read_chunk",
+    "show_line",
     "show_progress",
 ]
 
@@ -237,34 +238,44 @@ def open_job(folder: str | Path, kind: str, settings: Mapping[str, Any]) -> Iter
         yield Job(Path(folder), kind, plain)
 
 
+def show_line() -> Callable[[str, bool], None]:
+    """Return a function that keeps a line on stderr up to date: ``say(line, last)``.
+
+    Where stderr is no terminal it prints plain lines, at most one in two seconds, and the last one.
+    """
+    spoken = time.monotonic()
+
+    def say(line: str, last: bool) -> None:
+        nonlocal spoken
+        if sys.stderr.isatty():
+            print(f"\r\x1b[K{line:.110}", end="\n" if last else "", file=sys.stderr, flush=True)
+        elif last or time.monotonic() - spoken >= 2.0:
+            spoken = time.monotonic()
+            print(line, file=sys.stderr, flush=True)
+
+    return say
+
+
 def show_progress(unit: str = "races") -> Progress:
-    """Return a progress function that keeps a line on stderr up to date; plain lines where that is no terminal.
+    """Return a progress function that keeps a line on stderr up to date (:func:`show_line`).
 
     Parameters
     ----------
     unit : str
         What is counted.
     """
+    say = show_line()
     begin = time.monotonic()
-    spoken = begin
     first: tuple[float, int] | None = None
 
     def show(done: int, total: int, what: str) -> None:
-        nonlocal spoken, first
+        nonlocal first
         now = time.monotonic()
         if first is None:  # what was done before this run says nothing about its speed
             first = (now, done) if now - begin < 0.2 else (begin, 0)
-        terminal = sys.stderr.isatty()
-        if not terminal and done < total and now - spoken < 2.0:
-            return
-        spoken = now
         fresh = done - first[1]
         left = f", about {(now - first[0]) * (total - done) / fresh:.0f} s left" if fresh > 0 else ""
         ahead = f"{left}: {what}" if done < total else ""
-        line = f"{done}/{total} {unit}, {now - begin:.0f} s{ahead}"
-        if terminal:
-            print(f"\r\x1b[K{line:.100}", end="" if done < total else "\n", file=sys.stderr, flush=True)
-        else:
-            print(line, file=sys.stderr, flush=True)
+        say(f"{done}/{total} {unit}, {now - begin:.0f} s{ahead}", done >= total)
 
     return show

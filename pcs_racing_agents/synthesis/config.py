@@ -9,11 +9,12 @@ from pcs_racing.errors import ConfigError
 from pcs_racing.race_config import RaceConfig, load_race_config
 from pcs_racing.registry import get_planner
 from pcs_racing_agents.configuration import check_numbers, check_wholes, load_settings, shipped_configs
+from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS
+from pcs_racing_agents.synthesis.optimisers import METHODS
 
-__all__ = ["METHODS", "ArchiveConfig", "list_archive_configs", "load_archive_config"]
+__all__ = ["ArchiveConfig", "list_archive_configs", "load_archive_config"]
 
 KIND = "archive"
-METHODS = ("mo-cma-es", "nsga2", "comocma", "cma-mae", "random")
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
 
@@ -27,8 +28,9 @@ class ArchiveConfig:
         Of the archive.
     preset : str
         Rules of the races: a preset's name or a YAML file.
-    duration : float
-        Length of a race, s; a multiple of ``segment_seconds``.
+    duration, final_duration : float
+        Length of a race while policies are searched and chosen, and when those chosen are measured, s; multiples of
+        ``segment_seconds``.
     segment_seconds : float
         Length of the pieces that coordinates are means of, s: a step of the game.
     tracks : tuple of str
@@ -45,16 +47,17 @@ class ArchiveConfig:
     elite_ratio : float
         Share of a generation that shapes the next one.
     loss, mean : str
-        Reading of Algorithm 1 (see ``synthesize``).
+        Reading of Algorithm 1 (:class:`~pcs_racing_agents.synthesis.synthesize.Search`).
+    step_size : float
+        First standard deviation of CMA-ES, as a share of the parameters' ranges.
     scouts : int
-        Policies drawn at random before the first generation. Their range is the scale of the axes in the loss and in
-        the hypervolume, and the best of them are the first archive. 8 to 10,000.
+        Policies drawn at random before the first generation, 8 to 10,000. Their range is the scale of the axes in the
+        loss and in the hypervolume, and the best of them are the first archive.
     opponents, starts : int
         Opponents (policies at random) and start lines on each track: every policy meets all pairs, from both sides.
-    crash_penalty : float
-        What crashing in every race would cost on each axis in the loss, in units of the scouts' range.
     crash_limit : float
-        Own crashes per race beyond which a policy is left out of the archive; 1 keeps all.
+        Share of own crashes in races of ``final_duration`` beyond which a policy stays out of the archive; 1 keeps all.
+        For the shorter races of the search it is converted as if crashes came at a constant rate.
     candidates : int
         Policies that are raced again for the choice of the archive.
     choice_opponents, choice_starts : int
@@ -87,6 +90,7 @@ class ArchiveConfig:
     name: str = "archive"
     preset: str = "paper"
     duration: float = 16.0
+    final_duration: float = 40.0
     segment_seconds: float = 8.0
     tracks: tuple[str, ...] = SHIPPED_TRACKS
     planner: str = "lattice"
@@ -97,10 +101,10 @@ class ArchiveConfig:
     elite_ratio: float = 0.5
     loss: str = "uhvi"
     mean: str = "generation"
+    step_size: float = 0.3
     scouts: int = 80
     opponents: int = 4
     starts: int = 2
-    crash_penalty: float = 0.5
     crash_limit: float = 0.15
     candidates: int = 240
     choice_opponents: int = 8
@@ -127,12 +131,13 @@ class ArchiveConfig:
                 raise ConfigError(f"{key} is {names!r}; it must be a list of names")
         if len(set(self.tracks)) < len(self.tracks):
             raise ConfigError(f"tracks are {', '.join(self.tracks)}; name each once")
-        if self.method not in METHODS:
-            raise ConfigError(f"method is {self.method!r}; it must be one of {', '.join(METHODS)}")
+        for key, known in (("method", METHODS), ("loss", LOSSES), ("mean", MEANS)):
+            if getattr(self, key) not in known:
+                raise ConfigError(f"{key} is {getattr(self, key)!r}; it must be one of {', '.join(known)}")
         check_wholes(
             self,
             generations=(0, 100_000),
-            population=(2, 10_000),
+            population=(4, 10_000),
             scouts=(8, 10_000),
             opponents=(1, 1000),
             starts=(1, 1000),
@@ -148,19 +153,22 @@ class ArchiveConfig:
         check_numbers(
             self,
             duration=(0.1, 3600.0),
+            final_duration=(0.1, 3600.0),
             segment_seconds=(0.1, 3600.0),
             elite_ratio=(0.01, 1.0),
-            crash_penalty=(0.0, 100.0),
+            step_size=(1e-6, 1.0),
             crash_limit=(0.0, 1.0),
             error_bars=(0.0, 10.0),
             spacing=(0.0, 0.5),
             refresh_share=(0.0, 1.0),
         )
-        pieces = round(self.duration / self.segment_seconds)
-        if pieces < 1 or abs(pieces * self.segment_seconds - self.duration) > 1e-9:
-            raise ConfigError(
-                f"duration is {self.duration:g} s; it must be a multiple of segment_seconds, {self.segment_seconds:g} s"
-            )
+        for key in ("duration", "final_duration"):
+            length = getattr(self, key)
+            pieces = round(length / self.segment_seconds)
+            if pieces < 1 or abs(pieces * self.segment_seconds - length) > 1e-9:
+                raise ConfigError(
+                    f"{key} is {length:g} s; it must be a multiple of segment_seconds, {self.segment_seconds:g} s"
+                )
         if self.fewest > self.most:
             raise ConfigError(f"fewest is {self.fewest}, above most, {self.most}")
         stated = self.refresh_generations
@@ -180,8 +188,13 @@ class ArchiveConfig:
 
     @property
     def rules(self) -> RaceConfig:
-        """Rules and duration of the races."""
+        """Rules of the races, with the duration of those of the search."""
         return load_race_config(self.preset, duration=float(self.duration))
+
+    @property
+    def search_crash_limit(self) -> float:
+        """The crash limit for races of the search."""
+        return float(1.0 - (1.0 - self.crash_limit) ** (self.duration / self.final_duration))
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.characteristics import Segment, get_characteristics, measure
 from pcs_racing.errors import InputError
-from pcs_racing.race import RaceSetup, Starts, advance, race_seeds, start_lines, start_races
+from pcs_racing.race import RaceSetup, Starts, advance, race_seeds, start_lines, start_races, winners
 from pcs_racing.race_config import RaceConfig
 from pcs_racing.registry import get_planner
 from pcs_racing.track import Track, load_track
@@ -195,7 +195,8 @@ def race_block(block: Block, threads: int | None = None) -> Arrays:
     -------
     dict of ndarray
         ``totals`` (k, R, G): sums over the pieces that each race began; ``pieces`` (k, R): how many it began;
-        ``own_crash`` (k, R): whether it ended by a crash of the policy's own fault.
+        ``own_crash`` (k, R): whether it ended by a crash of the policy's own fault; ``crashed`` (k, R): whether it
+        ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 nobody.
 
     Raises
     ------
@@ -207,7 +208,8 @@ def race_block(block: Block, threads: int | None = None) -> Arrays:
     planner = get_planner(scenarios.planner)
     count, races = len(parameters), len(scenarios)
     totals = np.zeros((count, races, len(axes)))
-    pieces, own_crash = np.zeros((count, races), np.int16), np.zeros((count, races), np.bool_)
+    pieces, winner = np.zeros((count, races), np.int16), np.zeros((count, races), np.int8)
+    own_crash, crashed = np.zeros((count, races), np.bool_), np.zeros((count, races), np.bool_)
     length = round(scenarios.segment_seconds * 100.0)
     for index, source in enumerate(scenarios.tracks):
         setup = RaceSetup(_loaded(source), scenarios.config, (planner, planner))
@@ -234,7 +236,9 @@ def race_block(block: Block, threads: int | None = None) -> Arrays:
                 totals[ego, which] += np.where(begun[:, None], values, 0.0)
                 pieces[ego, which] += begun
             own_crash[ego, which] = state.fault[:, 0] == 1
-    return {"totals": totals, "pieces": pieces, "own_crash": own_crash}
+            crashed[ego, which] = state.crashed
+            winner[ego, which] = winners(scenarios.config, state)
+    return {"totals": totals, "pieces": pieces, "own_crash": own_crash, "crashed": crashed, "winner": winner}
 
 
 def blocks(scenarios: Scenarios, parameters: Floats, size: int) -> list[Block]:

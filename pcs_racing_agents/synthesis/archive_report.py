@@ -1,0 +1,215 @@
+"""What a synthesis leaves behind: the archive with its manifest, the course of the search, and a picture."""
+
+import csv
+import io
+import logging
+from collections.abc import Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.archive import PolicyArchive
+from pcs_racing.characteristics import get_characteristics
+from pcs_racing.files import write_atomically
+from pcs_racing.registry import get_planner
+from pcs_racing_agents.chunk_files import Arrays
+from pcs_racing_agents.configuration import plain_settings
+from pcs_racing_agents.jobs import package_version
+from pcs_racing_agents.synthesis.archive_search import REFERENCE, News
+from pcs_racing_agents.synthesis.config import ArchiveConfig
+from pcs_racing_agents.synthesis.evaluate import Evaluation, summarise
+from pcs_racing_agents.synthesis.explored import Scale
+from pcs_racing_agents.synthesis.indicators import hypervolume
+from pcs_racing_agents.synthesis.selection import beaten, difference_errors, front_layers
+
+__all__ = ["draw_front", "hypervolume_error", "write_archive"]
+
+Floats = NDArray[np.float64]
+
+RESAMPLES = 200
+_log = logging.getLogger("pcs_racing_agents")
+
+
+def write_archive(
+    folder: Path,
+    config: ArchiveConfig,
+    explored: tuple[Floats, Evaluation],
+    scale: Scale,
+    parameters: Floats,
+    raced: Arrays,
+    history: Sequence[News],
+    notes: Mapping[str, str | float],
+) -> PolicyArchive:
+    """Write an archive's files into a folder and return it.
+
+    Parameters
+    ----------
+    folder : Path
+    config : ArchiveConfig
+    explored : tuple
+        Parameters of everything raced in the search, and what came of it.
+    scale : Scale
+        Units of hypervolumes.
+    parameters : ndarray, shape (K, P)
+        Of the archive's policies.
+    raced : dict of ndarray
+        The races that measured them.
+    history : sequence of News
+    notes : Mapping
+        What else the manifest is to say.
+    """
+    measured = summarise(raced)
+    coordinates = measured.coordinates
+    front = front_layers(coordinates) == 0
+    lost = beaten(coordinates, difference_errors(raced), config.error_bars)
+    winner = raced["winner"]
+    low_half = np.argsort(coordinates[:, 0], kind="stable")[: len(coordinates) // 2]
+    facts = {
+        "policies": len(parameters),
+        "policies_not_beaten": int(front.sum()),
+        "policies_beaten_by_more_than_error_bars": int(lost.sum()),
+        "enough_policies": bool(len(parameters) >= config.fewest),
+        "hypervolume": hypervolume(scale(coordinates), REFERENCE),
+        "hypervolume_error": hypervolume_error(raced, scale, REFERENCE),
+        "own_crash_mean": measured.own_crash.mean(),
+        "own_crash_least": measured.own_crash.min(),
+        "own_crash_largest": measured.own_crash.max(),
+        "own_crash_lower_half": measured.own_crash[low_half].mean(),
+        "own_crash_most_aggressive_tenth": _top_tenth(measured.own_crash, coordinates[:, 0]),
+        "finished_against_random": (raced["crashed"] == 0).mean(),
+        "win_share_against_random": (winner == 0).mean(),
+        "loss_share_against_random": (winner == 1).mean(),
+    }
+    for axis, high, low in zip(config.axes, scale.ideal, scale.nadir, strict=True):
+        facts[f"hypervolume_unit_{axis}"] = f"0 at {low:.4f}, 1 at {high:.4f} (range of the scouts)"
+    archive = PolicyArchive(
+        name=config.name,
+        planner=config.planner,
+        parameter_names=get_planner(config.planner).parameter_names,
+        parameters=parameters,
+        characteristics=config.axes,
+        coordinates=coordinates,
+        explored_parameters=explored[0],
+        explored_coordinates=explored[1].coordinates,
+        preset=config.rules.name,
+        spread=measured.spread,
+        own_crash=measured.own_crash,
+        explored_own_crash=explored[1].own_crash,
+    )
+    for axis, high, low in zip(config.axes, archive.ideal, archive.nadir, strict=True):
+        facts[f"ideal_{axis}"], facts[f"nadir_{axis}"] = high, low
+    facts["no_op_share"], facts["duplicate_share"] = archive.no_op_share(), archive.duplicate_share()
+    if len(parameters) < config.fewest:
+        _log.warning("the archive holds %d policies; %d were wanted", len(parameters), config.fewest)
+    settings = {**_stated(config), **_versions(), **notes, **facts}
+    archive = _with_settings(archive, {key: _rounded(value) for key, value in settings.items()})
+    write_atomically(folder / "hypervolume.csv", lambda file: file.write(_course(history)))
+    if find_spec("matplotlib") is not None:
+        draw_front(archive, folder / "front.png")
+    archive.save(folder)
+    return archive
+
+
+def hypervolume_error(raced: Arrays, scale: Scale, reference: float, seed: int = 0) -> float:
+    """Standard error of a set's hypervolume, were its races drawn again (bootstrap).
+
+    Pairs of races that differ in the side only are drawn together.
+    """
+    totals, pieces = raced["totals"], raced["pieces"].astype(np.float64)
+    pairs = totals.shape[1] // 2
+    rng = np.random.default_rng(seed)
+    volumes = []
+    for _ in range(RESAMPLES):
+        weights = np.repeat(np.bincount(rng.integers(pairs, size=pairs), minlength=pairs), 2)
+        sums = (totals * weights[:, None]).sum(axis=1)
+        volumes.append(hypervolume(scale(sums / (pieces * weights).sum(axis=1)[:, None]), reference))
+    return float(np.std(volumes, ddof=1))
+
+
+def _top_tenth(values: Floats, by: Floats) -> float:
+    order = np.argsort(by, kind="stable")
+    return float(values[order[-max(1, len(order) // 10) :]].mean())
+
+
+def _stated(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
+    """Every setting of a synthesis as a text or a number."""
+    values = {**plain_settings(config), "characteristics": list(config.axes)}
+    return {key: ", ".join(map(str, value)) if isinstance(value, list) else value for key, value in values.items()}
+
+
+def _versions() -> dict[str, str]:
+    found = {"package_version": package_version(), "numpy_version": np.__version__}
+    for library in ("numba", "cma", "moocore"):
+        try:
+            found[f"{library}_version"] = version(library)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _rounded(value: str | float) -> str | int | float | bool:
+    """A number as the manifest is to hold it: six significant digits."""
+    if isinstance(value, str | bool | int):
+        return value
+    return float(f"{float(value):.6g}")
+
+
+def _with_settings(archive: PolicyArchive, settings: Mapping[str, str | int | float | bool]) -> PolicyArchive:
+    values = {key: getattr(archive, key) for key in archive.__dataclass_fields__}
+    return PolicyArchive(**{**values, "settings": settings})
+
+
+def _course(history: Sequence[News]) -> bytes:
+    text = io.StringIO(newline="")
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["generation", "evaluations", "hypervolume", "front", "own_crash"])
+    for news in history:
+        if news.stage == "search":
+            volume, crash = f"{news.hypervolume:.6f}", f"{news.own_crash:.4f}"
+            table.writerow([news.generation, news.evaluations, volume, news.front, crash])
+    return text.getvalue().encode()
+
+
+def draw_front(archive: PolicyArchive, file: Path) -> Path:
+    """Draw an archive's front with its standard errors above everything explored; needs matplotlib.
+
+    The first two axes are drawn; colours show own crash rates where they are known.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError('a picture needs matplotlib: pip install "pcs-racing[plots]"') from None
+    axes = get_characteristics(archive.characteristics)
+    up, right = 0, min(1, len(axes) - 1)
+    figure = Figure(figsize=(7.0, 5.0), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    plot = figure.subplots()
+    everything, front = archive.explored_coordinates, archive.coordinates
+    plot.plot(everything[:, right], everything[:, up], ".", color="0.8", ms=3, label=f"{len(everything)} explored")
+    if archive.spread is not None:
+        plot.errorbar(
+            front[:, right],
+            front[:, up],
+            archive.spread[:, up],
+            archive.spread[:, right],
+            fmt="none",
+            ecolor="0.45",
+            lw=0.7,
+        )
+    colours = "C0" if archive.own_crash is None else 100.0 * archive.own_crash
+    dots = plot.scatter(
+        front[:, right], front[:, up], 22, colours, cmap="viridis", zorder=3, label=f"{len(front)} policies"
+    )
+    if archive.own_crash is not None:
+        figure.colorbar(dots, ax=plot, label="own crashes in % of the measuring races")
+    plot.set_xlabel(f"{axes[right].name} ({axes[right].unit})")
+    plot.set_ylabel(f"{axes[up].name} ({axes[up].unit})")
+    plot.set_title(f"archive {archive.name}, preset {archive.preset}; bars: one standard error")
+    plot.legend(loc="lower left", frameon=False)
+    plot.grid(alpha=0.3)
+    write_atomically(file, lambda stream: figure.savefig(stream, format="png", metadata={"Software": None}))
+    return file

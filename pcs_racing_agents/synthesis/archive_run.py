@@ -1,0 +1,200 @@
+"""From nothing to an archive: search, choice and measurement of policies, as one job that can be stopped at any time.
+
+1. **Search.** Some policies at random (scouts) set the scale; then an optimiser proposes generation after generation,
+   and every policy is raced in the same scenarios (Algorithm 1 of the paper).
+2. **Choice.** The best of everything evaluated are raced again, in other scenarios. Policies that crash too often, that
+   another one clearly beats, or that nearly coincide with another one are left out.
+3. **Measurement.** What is left is raced in new scenarios once more; these races alone give the coordinates, since the
+   best of many noisy values is too good to be true.
+"""
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.archive import PolicyArchive
+from pcs_racing.errors import InputError
+from pcs_racing.planner import Planner
+from pcs_racing.registry import get_planner
+from pcs_racing.track import load_track
+from pcs_racing_agents.chunk_files import Arrays
+from pcs_racing_agents.configuration import plain_settings
+from pcs_racing_agents.jobs import open_job
+from pcs_racing_agents.synthesis.archive_report import write_archive
+from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveSearch, News, Told
+from pcs_racing_agents.synthesis.config import ArchiveConfig
+from pcs_racing_agents.synthesis.evaluate import Scenarios, draw_scenarios, summarise
+from pcs_racing_agents.synthesis.indicators import hypervolume
+from pcs_racing_agents.synthesis.selection import beaten, difference_errors, front_layers, thin_out
+
+__all__ = ["News", "Told", "choose", "draw_policies", "make_archive", "measure"]
+
+Floats = NDArray[np.float64]
+Notes = Mapping[str, str | float]
+
+
+def make_archive(
+    config: ArchiveConfig, folder: str | Path, *, executor: Executor | None = None, told: Told | None = None
+) -> PolicyArchive:
+    """Make an archive and write it: ``archive.npz``, ``manifest.yaml``, ``hypervolume.csv`` and ``front.png``.
+
+    What is done on the way is kept in the folder ``job``: a run that was stopped goes on when it is started again. The
+    picture needs matplotlib; without it there is none.
+
+    Parameters
+    ----------
+    config : ArchiveConfig
+    folder : str or Path
+        A new or empty folder, or one in which the same synthesis was begun.
+    executor : Executor, optional
+        Where policies race (:func:`pcs_racing_agents.jobs.make_executor`). It has no influence on the result.
+    told : callable, optional
+        Called with the news as they come.
+
+    Returns
+    -------
+    PolicyArchive
+
+    Raises
+    ------
+    InputError
+        If the folder holds another run or something else, a name stands for nothing, a track has no place for the
+        start, or no archive remains (too few policies below the crash limit).
+    """
+    folder = Path(folder)
+    family = get_planner(config.planner)
+    hashes = {name: load_track(name).content_hash for name in config.tracks}
+    roots = np.random.SeedSequence(config.seed).spawn(5)
+    search, choice, final = (
+        draw_scenarios(
+            config.tracks,
+            replace(config.rules, duration=float(duration)),
+            draw_policies(family, opponents, root),
+            config.axes,
+            planner=config.planner,
+            starts=starts,
+            segment_seconds=config.segment_seconds,
+            seed=_number(root),
+        )
+        for root, opponents, starts, duration in (
+            (roots[0], config.opponents, config.starts, config.duration),
+            (roots[1], config.choice_opponents, config.choice_starts, config.duration),
+            (roots[2], config.final_opponents, config.final_starts, config.final_duration),
+        )
+    )
+    _check_folder(folder)
+    settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
+    with open_job(folder / "job", "archive", settings) as job:
+        run = ArchiveSearch(config, job, executor, told or (lambda _: None), family, search)
+        run.run(draw_policies(family, config.scouts, roots[3]), _number(roots[4]))
+        chosen, notes = choose(run, choice)
+        kept, raced, more = measure(run, chosen, final)
+        content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
+        notes = {**notes, **more, "track_hashes": content}
+        return write_archive(folder, config, run.explored(), run.scale, kept, raced, run.history, notes)
+
+
+def draw_policies(family: Planner, count: int, root: np.random.SeedSequence) -> Floats:
+    """Policies drawn at random between their bounds, each parameter spread evenly (a Latin hypercube), shape (count, P).
+
+    What a set of opponents is like on average shifts the lead of everybody who races against them; sets of a few that
+    are spread evenly differ less in that than independent draws.
+    """
+    rng = np.random.default_rng(root)
+    low, high = family.bounds.T
+    cells = np.stack([rng.permutation(count) for _ in low], axis=1)
+    return np.asarray(low + (cells + rng.random(cells.shape)) / count * (high - low), np.float64)
+
+
+def _number(root: np.random.SeedSequence) -> int:
+    """A seed that follows from a root but not from what was drawn from it."""
+    return int(root.spawn(1)[0].generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def _check_folder(folder: Path) -> None:
+    """An archive made by something else must not be written over."""
+    if folder.is_dir() and not (folder / "job").is_dir():
+        others = sorted(entry.name for entry in folder.iterdir())
+        if others:
+            raise InputError(f"{folder} holds {others[0]} but no run of a synthesis; choose a new or an empty folder")
+
+
+def choose(run: ArchiveSearch, scenarios: Scenarios) -> tuple[Floats, Notes]:
+    """Race the best of a search once more, elsewhere, and choose.
+
+    Returns
+    -------
+    parameters : ndarray, shape (K, P)
+    notes : Mapping
+        How many were left out, and why.
+    """
+    config = run.config
+    theta, found = run.explored()
+    rows = np.arange(run.comparable, len(theta))
+    rows = rows[np.sort(np.unique(theta[rows], axis=0, return_index=True)[1])]
+    safe = rows[found.own_crash[rows] <= config.search_crash_limit]
+    order = safe[np.lexsort((safe, front_layers(found.coordinates[safe])))][: config.candidates]
+    if len(order) == 0:
+        raise InputError(
+            f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the races of "
+            f"{config.duration:g} s; raise crash_limit, or slow the cars down (speed_range in a preset of your own)"
+        )
+    raced = run.race("choice", scenarios, theta[order])
+    again = summarise(raced)
+    calm = np.flatnonzero(again.own_crash <= config.search_crash_limit)
+    points = again.coordinates[calm]
+    lost = beaten(points, difference_errors({key: values[calm] for key, values in raced.items()}), config.error_bars)
+    left = calm[~lost]
+    apart = left[thin_out(_unit(again.coordinates[left]), config.spacing, config.most)]
+    last = run.history[-1]
+    run.tell("choice", last.generation, last.hypervolume, len(apart), again)
+    return theta[order[apart]], {
+        "search_over_crash_limit": int(np.sum(found.own_crash > config.search_crash_limit)),
+        "search_hypervolume": hypervolume(run.scale(found.coordinates[safe]), REFERENCE),
+        "search_hypervolume_without_crash_limit": hypervolume(run.scale(found.coordinates[rows]), REFERENCE),
+        "choice_candidates": len(order),
+        "choice_over_crash_limit": len(order) - len(calm),
+        "choice_beaten": int(lost.sum()),
+        "choice_too_near_another": len(left) - len(apart),
+    }
+
+
+def measure(run: ArchiveSearch, parameters: Floats, scenarios: Scenarios) -> tuple[Floats, Arrays, Notes]:
+    """Race policies in new scenarios, sort them by the first axis, and leave out those that crash too often.
+
+    Returns
+    -------
+    parameters : ndarray, shape (K, P)
+    raced : dict of ndarray
+        Their races (:func:`~pcs_racing_agents.synthesis.evaluate.race_block`).
+    notes : Mapping
+        How many were left out.
+    """
+    limit = run.config.crash_limit
+    kept = np.zeros(0, np.int64)
+    if len(parameters):
+        raced = run.race("measurement", scenarios, parameters)
+        found = summarise(raced)
+        kept = np.argsort(found.coordinates[:, 0], kind="stable")
+        kept = kept[found.own_crash[kept] <= limit]
+    if len(kept) < 2:
+        raise InputError(
+            f"{len(kept)} policies remain below the crash limit of {limit:.0%}; an archive needs 2 at least: raise "
+            "crash_limit, or search longer"
+        )
+    last = run.history[-1]
+    run.tell("measurement", last.generation, last.hypervolume, len(kept), found)
+    notes = {"measurement_over_crash_limit": len(parameters) - len(kept)}
+    return parameters[kept], {key: values[kept] for key, values in raced.items()}, notes
+
+
+def _unit(points: Floats) -> Floats:
+    """Points scaled by their own range."""
+    if len(points) == 0:
+        return points
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.asarray((points - low) / np.maximum(high - low, 1e-12), np.float64)
