@@ -237,9 +237,8 @@ def _branch(
     task: BranchTask,
 ) -> Arrays:
     keys = race_seeds(task.root, task.last)[task.first :]
-    found = branch_games(
-        arenas[task.game][task.opponent], pool[task.opponent], keys, task.step, behaviours, continuation, worth
-    )
+    arena, opponent = arenas[task.game][task.opponent], pool[task.opponent]
+    found = branch_games(arena, opponent, keys, task.step, behaviours, continuation, worth, count)
     return {"observations": found.observations, "outcomes": found.outcomes, "game": found.game}
 
 

@@ -5,7 +5,6 @@ import io
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.files import write_atomically
 from pcs_racing_agents.approximator.metrics import Play, TreeScore, score_trees
@@ -14,6 +13,7 @@ from pcs_racing_agents.strategies.agent import Agent
 from pcs_racing_agents.study.preparing import stored_trees
 from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.tournament.cells import Cell, play_cell
+from pcs_racing_agents.trees.storage import StoredTrees, build_trees
 
 __all__ = ["cells", "judge_on_trees", "race_cells", "race_rivals"]
 
@@ -76,8 +76,6 @@ def race_rivals(study: Study) -> None:
 
 def judge_on_trees(study: Study) -> None:
     """Write what each agent of the table loses on trees that no network was trained on."""
-    from pcs_racing_agents.trees.storage import build_trees
-
     config = study.config
     if config.pairs == 0 or not stored_trees(study):
         return
@@ -93,8 +91,7 @@ def judge_on_trees(study: Study) -> None:
             executor=study.executor,
             progress=study.progress(f"trees on {track}"),
         )
-        seen = trees[0].observations(1)
-        judged = [agent for agent in agents if _in_trees(agent, seen.reshape(-1, seen.shape[-1]))]
+        judged = [agent for agent in agents if _in_trees(agent, trees)]
         plays = {agent.name: _play(agent) for agent in judged}
         for name, scores in score_trees(plays, (trees[i] for i in range(len(trees)))).items():
             rows += [(track, name, i, *(f"{value:.6g}" for value in score)) for i, score in enumerate(scores)]
@@ -109,6 +106,12 @@ def _play(agent: Agent) -> Play:
     return lambda observations: agent.probabilities(observations)[:, :offered]
 
 
-def _in_trees(agent: Agent, seen: NDArray[np.float32]) -> bool:
+def _in_trees(agent: Agent, trees: StoredTrees) -> bool:
     """Whether an agent makes only moves that the rules offer; blind ones may stay where the rules do not."""
-    return bool(np.allclose(_play(agent)(seen).sum(axis=1), 1.0))
+    play = _play(agent)
+    for tree in trees:
+        for k in range(tree.game_tree().depth):
+            seen = tree.observations(k)
+            if not np.allclose(play(seen.reshape(-1, seen.shape[-1])).sum(axis=1), 1.0):
+                return False
+    return True
