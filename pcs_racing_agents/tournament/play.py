@@ -231,13 +231,13 @@ def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
     """Return all that the results of a tournament depend on, for :func:`pcs_racing_agents.jobs.open_job`."""
     setting = plan.setting
     return {
-        "agents": {name: competitor_hash(one) for name, one in zip(plan.names, plan.competitors, strict=True)},
-        "tracks": {track.name: track.content_hash for track in plan.tracks},
+        "seed": plan.seed,
+        "races_per_pair": plan.races_per_pair,
+        "game": setting.config,
         "archive": setting.archive.name,
         "archive_sha256": setting.archive.content_hash,
-        "game": setting.config,
-        "races_per_pair": plan.races_per_pair,
-        "seed": plan.seed,
+        "tracks": {track.name: track.content_hash for track in plan.tracks},
+        "agents": {name: competitor_hash(one) for name, one in zip(plan.names, plan.competitors, strict=True)},
     }
 
 

@@ -1,0 +1,95 @@
+from itertools import product
+
+import numpy as np
+import pytest
+
+from pcs_racing import InputError, get_planner
+from pcs_racing.race_config import CONTEST
+from pcs_racing_agents.jobs import open_job
+from pcs_racing_agents.strategies import Driver, make_setting
+from pcs_racing_agents.strategies.zoo import build
+from pcs_racing_agents.tournament.fitting import (
+    TrainingRaces,
+    Work,
+    evaluate,
+    fit_best_fixed,
+    fit_best_schedule,
+    fit_psro,
+)
+from pcs_racing_agents.tournament.play import game_rules
+
+
+@pytest.fixture(scope="module")
+def short(archive):
+    """Games of two moves, so that every plan can be tried."""
+    return make_setting(archive, game_rules(CONTEST, moves=2, step_seconds=1.0))
+
+
+@pytest.fixture(scope="module")
+def training(oval, short) -> TrainingRaces:
+    return TrainingRaces((oval,), (build("never-switch", short), build("lane-switcher", short)), short, races=8)
+
+
+def test_all_plans_are_tried_on_the_same_races(training, short):
+    fit = fit_best_schedule(training, method="all")
+    plans = [
+        build("best-schedule", short, moves=[short.moves[i] for i in sequence])
+        for sequence in product(range(5), repeat=2)
+    ]
+    values = evaluate(training, plans, Work(), "test")
+    chosen = [plan.facts["plan"] for plan in plans].index(", ".join(fit.choice))
+    assert values[chosen] == values.max()
+    assert fit.training["candidates"] == 25
+    assert fit.training["reached"] == pytest.approx(values.max(), abs=1e-4)
+    ascent = fit_best_schedule(training)
+    assert ascent.training["candidates"] <= 25
+    assert ascent.training["reached"] >= max(values[[0, 6, 12, 18, 24]]) - 1e-4  # at least the best constant move
+
+
+def test_the_best_target_is_found(training, short):
+    fit = fit_best_fixed(training)
+    walkers = [build("best-fixed", short, target=target) for target in range(12)]
+    values = evaluate(training, walkers, Work(), "test")
+    assert values[fit.choice] == values.max()
+    assert fit_best_fixed(training, targets=[3, 5]).choice in (3, 5)
+    assert build("best-fixed", short, fit=fit).facts["target"].startswith(f"policy {fit.choice} ")
+
+
+def test_faster_is_better_against_somebody_slow(oval, archive):
+    """A choice whose answer is known: against a slow car in the paper's race, pace wins."""
+    setting = make_setting(archive, game_rules("paper", moves=2, step_seconds=2.0))
+    slow = Driver("slow", (get_planner("lattice").policy({"pace": 0.0}),))
+    races = TrainingRaces((oval,), (slow,), setting, races=6, objective="utility")
+    assert fit_best_fixed(races).choice >= 8  # the policies are sorted by pace
+    assert fit_best_schedule(races).choice[0] in ("aggressiveness +", "restraint -")
+
+
+def test_fits_repeat_and_go_on(training, tmp_path):
+    first = fit_best_fixed(training)
+    for _ in range(2):
+        with open_job(tmp_path / "fit", "fit", {}) as job:
+            assert vars(fit_best_fixed(training, job=job)) == vars(first)
+
+
+def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(oval, short):
+    names = ("always-aggressiveness+", "always-restraint+", "never-switch", "random-moves")
+    members = [build(name, short) for name in names]
+    fit = fit_psro(TrainingRaces((oval,), (members[0],), short, races=10), members)
+    assert set(fit.choice) == set(names)
+    assert sum(fit.choice.values()) == pytest.approx(1.0, abs=1e-5)
+    assert fit.training["least excess"] >= -1e-4  # nobody beats the mixture on these races
+    agent = build("psro", short, fit=fit)
+    seen = np.zeros((1, len(short.elements)), np.float32)
+    seen[0, 5] = 1.0
+    assert agent.probabilities(seen).sum() == pytest.approx(1.0)
+
+
+def test_bad_input(training, oval, short):
+    with pytest.raises(InputError, match="method is 'best'; it must be 'ascent' or 'all'"):
+        fit_best_schedule(training, method="best")
+    with pytest.raises(InputError, match="objective is 'lead'"):
+        TrainingRaces((oval,), (build("never-switch", short),), short, objective="lead")
+    with pytest.raises(InputError, match="at least one track and one opponent"):
+        TrainingRaces((oval,), (), short)
+    with pytest.raises(InputError, match="psro needs at least two"):
+        fit_psro(training, [build("never-switch", short)])

@@ -1,0 +1,293 @@
+import csv
+
+import numpy as np
+import pytest
+
+from pcs_racing import GameConfig, InputError, load_race_config, load_track, parse_policy
+from pcs_racing_agents.jobs import make_executor, open_job, show_progress
+from pcs_racing_agents.strategies import Driver, make_setting
+from pcs_racing_agents.tournament import (
+    RaceRow,
+    Tournament,
+    game_rules,
+    payoff_matrix,
+    payoff_picture,
+    plan_tournament,
+    play_plan,
+    play_tournament,
+    record_row,
+    standings,
+    tournament_settings,
+    tournament_text,
+    write_results,
+)
+from pcs_racing_agents.tournament.play import TournamentPlan
+
+CONTEST = load_race_config("contest", duration=6.0)
+POLICIES = [parse_policy(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
+MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher", POLICIES[1]]
+
+
+@pytest.fixture(scope="module")
+def tournament(oval) -> Tournament:
+    return play_tournament([oval, load_track("Pipkin")], POLICIES, CONTEST, races_per_pair=6, seed=4)
+
+
+@pytest.fixture(scope="module")
+def mixed(oval, archive) -> Tournament:
+    """Agents, a driver with variants, and a policy."""
+    return play_tournament(oval, MIXED, CONTEST, archive=archive, races_per_pair=8, seed=1)
+
+
+def test_every_pair_meets_on_every_track(tournament):
+    assert tournament.plan.names == ("lattice:pace=0.0", "lattice:pace=0.5", "lattice:pace=1.0")
+    assert [track.name for track in tournament.plan.tracks] == ["oval", "Pipkin"]
+    assert len(tournament.rows) == 2 * 3 * 6
+    met = {(row.track, row.ego, row.opponent) for row in tournament.rows}
+    assert len(met) == 2 * 3
+
+
+def test_all_pairs_drive_the_same_races(tournament):
+    """Common random numbers: race k has the same line, side and noise for each pair; both sides of each line."""
+    for track in tournament.plan.tracks:
+        rows = [row for row in tournament.rows if row.track == track.name]
+        starts = {row.race: (row.start_s, row.side) for row in rows}
+        assert all(starts[row.race] == (row.start_s, row.side) for row in rows)
+        assert [starts[k][1] for k in range(6)] == [0, 1] * 3
+        assert [starts[k][0] for k in (0, 2, 4)] == [starts[k][0] for k in (1, 3, 5)]
+        assert len({s for s, _ in starts.values()}) == 3  # no race is driven twice
+
+
+def test_a_tournament_repeats(tournament, oval):
+    again = play_tournament([oval, load_track("Pipkin")], POLICIES, CONTEST, races_per_pair=6, seed=4)
+    assert again.rows == tournament.rows
+    other = play_tournament(oval, POLICIES, CONTEST, races_per_pair=6, seed=5)
+    assert other.rows != tournament.rows[:18]
+
+
+def test_agents_start_from_policies_that_are_fair_to_both_seats(mixed, archive):
+    """Races 2j and 2j + 1 swap all that belongs to a seat: side and start policy. All pairs meet the same."""
+    rows = [row for row in mixed.rows if (row.ego, row.opponent) == ("random-moves", "best-fixed:target=3")]
+    for one, other in zip(rows[::2], rows[1::2], strict=True):
+        assert (one.ego_variant, one.opponent_variant) == (other.opponent_variant, other.ego_variant)
+        assert (one.side, other.side) == (0, 1)
+    drivers = [row for row in mixed.rows if (row.ego, row.opponent) == ("random-moves", "lane-switcher")]
+    assert [row.ego_variant for row in drivers] == [row.ego_variant for row in rows]
+    assert all(0 <= row.opponent_variant < 20 for row in drivers)
+    assert len({row.opponent_variant for row in drivers}) > 2
+    assert all(row.opponent_path == row.opponent_moves == () for row in drivers)
+
+
+def test_a_row_tells_the_game_again(mixed, archive):
+    setting = make_setting(archive, mixed.plan.setting.config)
+    for row in mixed.rows:
+        for variant, path, moves in (
+            (row.ego_variant, row.ego_path, row.ego_moves),
+            (row.opponent_variant, row.opponent_path, row.opponent_moves),
+        ):
+            assert len(moves) == max(len(path) - 1, 0)
+            if path:
+                assert path[0] == variant
+            for here, move, there in zip(path, moves, path[1:], strict=False):
+                assert setting.table[here, setting.move(move)] == there
+        assert (row.crash != "") == (row.duration < 6.0) == (row.fault != "")
+
+
+def test_a_race_of_a_tournament_can_be_watched(tournament, mixed):
+    for played in (tournament, mixed):
+        for row in played.rows[3:30:9]:
+            recording = record_row(played, row, candidates=False)
+            assert recording.replay.lead[-1] == row.lead
+            assert recording.replay.car_names == (row.ego, row.opponent)
+    with pytest.raises(InputError, match="was not raced here"):
+        record_row(tournament, tournament.rows[0]._replace(track="Monza"))
+
+
+def test_the_same_rows_whoever_drives_them(mixed):
+    for kind in ("serial", "threads"):
+        with make_executor(kind, 2 if kind == "threads" else None) as executor:
+            again = play_plan(mixed.plan, executor=executor)
+        assert again.rows == mixed.rows
+
+
+def test_a_tournament_that_was_stopped_goes_on(mixed, tmp_path):
+    plan = mixed.plan
+    folder = tmp_path / "tournament"
+    done = []
+
+    def stop(count: int, total: int, what: str) -> None:
+        done.append(count)
+        if len(done) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), open_job(folder, "tournament", tournament_settings(plan)) as job:
+        play_plan(plan, job=job, progress=stop)
+    counts: list[int] = []
+    with open_job(folder, "tournament", tournament_settings(plan)) as job, make_executor("threads", 2) as executor:
+        again = play_plan(plan, job=job, executor=executor, progress=lambda n, *_: counts.append(n))
+    assert again.rows == mixed.rows
+    assert counts[0] == done[-1] == 16  # two pairs of 8 races were there already
+    assert counts[-1] == 48
+
+
+def test_results_of_another_configuration_are_refused(mixed, oval, archive, tmp_path):
+    with open_job(tmp_path / "a", "tournament", tournament_settings(mixed.plan)):
+        pass
+    for change, message in [
+        ({"seed": 2}, "its seed is 1, not 2"),
+        ({"races_per_pair": 10}, "its races_per_pair is 8, not 10"),
+        ({"entrants": [*MIXED[:3], POLICIES[0]]}, "its agents.lattice:pace=0.5 is"),
+        ({"race": load_race_config("contest", duration=8.0)}, "its game.race.duration is 6.0, not 8.0"),
+    ]:
+        given = {"entrants": MIXED, "race": CONTEST, "races_per_pair": 8, "seed": 1} | change
+        settings = tournament_settings(plan_tournament(oval, given.pop("entrants"), archive=archive, **given))
+        with pytest.raises(InputError, match=message), open_job(tmp_path / "a", "tournament", settings):
+            pass
+
+
+def test_processes_drive_the_same_races(tmp_path):
+    """What travels to another process comes back the same; the map is read there again."""
+    plan = plan_tournament(load_track("Pipkin"), ["random-moves", "lane-switcher"], CONTEST, races_per_pair=4)
+    with make_executor("processes", 1) as executor:
+        assert play_plan(plan, executor=executor).rows == play_plan(plan).rows
+
+
+def test_names_for_models(oval, archive):
+    class Model:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return np.zeros(len(observation), np.int64), state
+
+    both = {"trained": Model(), "untrained": Model()}
+    played = play_tournament(oval, both, CONTEST, archive=archive, races_per_pair=2)
+    assert played.plan.names == ("trained", "untrained")
+    assert {move for row in played.rows for move in row.ego_moves} == {"aggressiveness +"}
+
+
+def test_a_race_is_cut_into_the_steps_of_a_game():
+    assert game_rules("paper") == GameConfig(step_seconds=8.0)
+    assert game_rules(CONTEST).horizon == 6.0
+    assert game_rules(CONTEST, moves=2).step_seconds == 2.0
+    assert game_rules(CONTEST, moves=9, step_seconds=1.0).horizon == 10.0
+    given = GameConfig(moves=3)
+    assert game_rules(given) == given
+    with pytest.raises(InputError, match=r"duration is 3\.7 s; a game of 4 moves lasts a multiple of 0\.5 s"):
+        game_rules(load_race_config("paper", duration=3.7))
+
+
+def race(ego: str, opponent: str, **result: object) -> RaceRow:
+    row = {"track": "t", "race": 0, "start_s": 0.0, "side": 0, "seed": 0, "lead": 0.0, "winner": "", "crash": ""}
+    row |= {"fault": "", "ego_overtakes": 0, "opponent_overtakes": 0, "duration": 40.0}
+    return RaceRow(ego=ego, opponent=opponent, **(row | result))
+
+
+def played(*rows: RaceRow, config=CONTEST) -> Tournament:
+    drivers = tuple(Driver(name, (parse_policy("lattice"),)) for name in "ab")
+    return Tournament(TournamentPlan(drivers, (), make_setting("default", game_rules(config)), (), 2, 0), rows)
+
+
+def test_the_table_counts_every_ending_once():
+    rows = [
+        race("a", "b", winner="ego", lead=3.0, ego_overtakes=2),
+        race("a", "b", winner="opponent", lead=-3.0),
+        race("a", "b"),  # a tie
+        race("a", "b", winner="opponent", crash="wall", fault="ego"),
+        race("a", "b", winner="ego", crash="car", fault="opponent"),
+        race("b", "a", crash="car", fault="both"),
+        race("b", "a", winner="ego", lead=1.0, opponent_overtakes=1),
+        race("b", "a", winner="ego", lead=1.0),
+    ]
+    b, a = standings(played(*rows))
+    assert (a.name, b.name) == ("a", "b")
+    assert a.races == b.races == 8
+    assert (a.win, a.tie, a.loss, a.own_crash, a.other_crash) == (1 / 8, 1 / 8, 3 / 8, 2 / 8, 1 / 8)
+    assert (b.win, b.tie, b.loss, b.own_crash, b.other_crash) == (3 / 8, 1 / 8, 1 / 8, 2 / 8, 1 / 8)
+    assert a.score == pytest.approx((2 + 0.5) / 8)  # a win, a crash that the other pays for, half a tie
+    assert b.score == pytest.approx((4 + 0.5) / 8)
+    assert (a.overtakes, b.overtakes) == (3 / 8, 0.0)
+    matrix = payoff_matrix(played(*rows))
+    np.testing.assert_allclose(matrix, [[np.nan, 2.5 / 8], [4.5 / 8, np.nan]])
+
+
+def test_after_a_crash_that_pays_nobody_nobody_scores():
+    rows = [race("a", "b", crash="car", fault="both"), race("a", "b", crash="wall", fault="ego")]
+    table = standings(played(*rows, config=load_race_config("paper")))
+    assert [standing.score for standing in table] == [0.0, 0.0]
+    assert {(s.name, s.own_crash, s.other_crash) for s in table} == {("a", 1.0, 0.0), ("b", 0.5, 0.5)}
+
+
+def test_shares_and_payoffs_add_up(tournament):
+    for standing in standings(tournament):
+        assert sum(standing[4:9]) == pytest.approx(1.0)
+        assert standing.races == 2 * 2 * 6
+    matrix = payoff_matrix(tournament)
+    assert np.isnan(np.diag(matrix)).all()
+    both_to_blame = any(row.fault == "both" for row in tournament.rows)
+    rest = (matrix + matrix.T)[~np.eye(3, dtype=bool)]
+    assert ((rest <= 1.0 + 1e-12) & ((rest > 1.0 - 1e-12) | both_to_blame)).all()
+
+
+def test_the_text_holds_table_and_matrix(tournament):
+    text = tournament_text(tournament)
+    assert text.startswith("36 races of 6 s, preset contest, on oval, Pipkin; seed 4\n")
+    for name in tournament.plan.names:
+        assert text.count(name) == 2  # once in the table, once in the matrix
+    assert "a crash is won by the car not to blame" in text
+
+
+def test_results_are_one_line_for_each_race(tournament, tmp_path):
+    file = write_results(tournament, tmp_path / "results.csv")
+    with open(file, newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(tournament.rows)
+    assert rows[0]["preset"] == "contest"
+    for found, row in zip(rows, tournament.rows, strict=True):
+        assert (found["ego"], found["winner"], found["fault"]) == (row.ego, row.winner, row.fault)
+        assert float(found["lead"]) == pytest.approx(row.lead, abs=1e-4)
+    assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]
+    with pytest.raises(InputError, match="there is no folder"):
+        write_results(tournament, tmp_path / "missing" / "results.csv")
+
+
+def test_the_results_say_what_was_moved(mixed, tmp_path):
+    with open(write_results(mixed, tmp_path / "results.csv"), newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for found, row in zip(rows, mixed.rows, strict=True):
+        assert found["ego_path"] == "; ".join(map(str, row.ego_path))
+        assert found["ego_moves"].split("; ") == (list(row.ego_moves) or [""])
+        assert int(found["opponent_variant"]) == row.opponent_variant
+
+
+def test_the_payoff_matrix_as_a_picture(mixed, tmp_path):
+    from PIL import Image
+
+    path = payoff_picture(mixed, tmp_path / "payoffs.png")
+    with Image.open(path) as picture:
+        assert min(picture.size) > 300
+    assert payoff_picture(mixed, tmp_path / "payoffs.svg").read_text().startswith("<?xml")
+
+
+def test_progress_is_told_in_plain_lines_where_there_is_no_terminal(oval, capsys):
+    play_tournament(oval, POLICIES[:2], CONTEST, races_per_pair=2, progress=show_progress())
+    err = capsys.readouterr().err
+    assert err.endswith("2/2 races, 0 s\n")
+    assert "\x1b" not in err
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"entrants": POLICIES[:1]}, "there are 1 competitors; a tournament needs at least 2"),
+        ({"entrants": [*POLICIES, POLICIES[1]]}, "there is more than one lattice:pace=0.5"),
+        ({"tracks": []}, "there are 0 tracks"),
+        ({"races_per_pair": 3}, "races_per_pair is 3; it must be an even number"),
+        ({"races_per_pair": 0}, "races_per_pair is 0"),
+        ({"races_per_pair": 4000}, "races_per_pair is 4000"),
+        ({"race": load_race_config("paper", start_spacing=5.0)}, "no straight piece"),
+    ],
+)
+def test_bad_input_is_refused_before_any_race(oval, change, message):
+    arguments = {"tracks": oval, "entrants": POLICIES, "race": CONTEST, "races_per_pair": 2} | change
+    driven = []
+    with pytest.raises(InputError, match=message):
+        play_tournament(**arguments, progress=lambda *news: driven.append(news))
+    assert not driven
