@@ -99,7 +99,7 @@ def make_archive(
 
 
 def draw_policies(family: Planner, count: int, root: np.random.SeedSequence) -> Floats:
-    """Policies drawn at random between their bounds, each parameter spread evenly (a Latin hypercube), shape (count, P).
+    """Policies at random between their bounds, each parameter spread evenly (a Latin hypercube), shape (count, P).
 
     What a set of opponents is like on average shifts the lead of everybody who races against them; sets of a few that
     are spread evenly differ less in that than independent draws.
