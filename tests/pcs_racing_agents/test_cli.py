@@ -89,6 +89,31 @@ def test_a_tournament_prints_the_table_and_writes_the_results(run, tmp_path):
     assert len((out_folder / "results.csv").read_text().splitlines()) == 13
 
 
+def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, tmp_path):
+    arguments = ["tournament", "--track", "Pipkin", "--agents", "random-moves", "always-restraint +", "--races", 2]
+    code, out, err = run(*arguments, *SHORT, "--out", tmp_path / "out")
+    assert code == 0
+    assert "2 races of 4 s, preset paper, on Pipkin" in out
+    results = (tmp_path / "out" / "results.csv").read_bytes()
+    assert b"random-moves,always-restraint+,Pipkin" in results
+    (tmp_path / "out" / "results.csv").unlink()
+    code, again, _ = run(*arguments, *SHORT, "--out", tmp_path / "out")
+    assert (code, again) == (0, out)
+    assert (tmp_path / "out" / "results.csv").read_bytes() == results
+    code, _, err = run(*arguments, *SHORT, "--seed", 1, "--out", tmp_path / "out")
+    assert code == 2
+    assert "holds another run: its seed is 0, not 1" in err
+
+
+def test_agents_lists_the_zoo(run):
+    code, out, _ = run("agents")
+    assert code == 0
+    assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= set(out.splitlines())
+    code, out, _ = run("agents", "best-fixed")
+    assert code == 0
+    assert "option target, by default None" in out
+
+
 def test_rules_from_a_file(run, tmp_path):
     rules = tmp_path / "rules.yaml"
     rules.write_text("preset: contest\nname: sprint\nduration: 2.0\n")
@@ -176,12 +201,17 @@ def test_policies_lists_every_planner_and_parameter(run):
         (["race", "--track", "Pipkin", *PAIR, "--index", "-1"], "index is -1"),
         (["race", "--track", "Pipkin", *PAIR, "--replay", "no/such/folder/race.html"], "there is no folder"),
         (["race", "--track", "Pipkin", *PAIR, "--replay", "race.mp4"], "must end in .html or .json"),
-        (["tournament", "--track", "Pipkin", "--policies", "lattice"], "at least two policies"),
+        (["tournament", "--track", "Pipkin", "--policies", "lattice"], "a tournament needs at least 2"),
+        (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
+        (["tournament", "--track", "Pipkin", "--agents", "random-moves", "cfr-argmax:network=nowhere"], "'nowhere'"),
+        (["tournament", "--track", "Pipkin", "--agents", "random-moves", "--archive", "x"], "unknown archive 'x'"),
+        (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice:pace=1", "--duration", "3.7"], "0.5 s"),
         (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice"], "more than one lattice"),
         (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice:pace=1", "--races", "5"], "even"),
         (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
         (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
         (["policies", "latice"], "did you mean 'lattice'?"),
+        (["agents", "cfr"], "agent 'cfr' is unknown"),
     ],
 )
 def test_an_error_is_one_line(run, arguments, message, tmp_path, monkeypatch):
