@@ -1,0 +1,321 @@
+import csv
+import logging
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcs_racing import InputError, PolicyArchive, load_archive
+from pcs_racing.errors import ConfigError
+from pcs_racing.testing import check_archive
+from pcs_racing_agents.cli import main
+from pcs_racing_agents.jobs import make_executor
+from pcs_racing_agents.planners.lattice import LATTICE
+from pcs_racing_agents.synthesis.archive_run import draw_policies, make_archive
+from pcs_racing_agents.synthesis.config import ArchiveConfig, list_archive_configs, load_archive_config
+from pcs_racing_agents.synthesis.evaluate import Block, draw_scenarios, race_block, summarise
+from pcs_racing_agents.synthesis.selection import front_layers
+
+pytest.importorskip("cma")
+pytest.importorskip("moocore")
+
+TINY = ArchiveConfig(
+    name="tiny",
+    tracks=("Pipkin", "Tarnfjord"),
+    duration=4.0,
+    final_duration=8.0,
+    segment_seconds=2.0,
+    generations=3,
+    population=6,
+    scouts=12,
+    opponents=2,
+    starts=1,
+    crash_limit=0.4,
+    candidates=16,
+    choice_opponents=2,
+    choice_starts=1,
+    final_opponents=3,
+    final_starts=1,
+    fewest=2,
+    seed=5,
+)
+
+
+def with_(**changes) -> ArchiveConfig:
+    return load_archive_config(TINY, **changes)
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in sorted(folder.iterdir()) if file.is_file()}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """An archive, its folder, and the news told on the way."""
+    folder, news = tmp_path_factory.mktemp("archive") / "made", []
+    return make_archive(TINY, folder, told=news.append), folder, news
+
+
+def test_an_archive_is_made_and_can_be_loaded_and_raced(made):
+    archive, folder, _ = made
+    names = {"archive.npz", "manifest.yaml", "hypervolume.csv", "front.png"}
+    assert set(results(folder)) == names or set(results(folder)) == names - {"front.png"}  # without matplotlib
+    loaded = load_archive(folder)
+    check_archive(loaded)
+    np.testing.assert_array_equal(loaded.coordinates, archive.coordinates)
+    assert loaded.settings == archive.settings
+    assert len(loaded) == archive.settings["policies"] >= 2
+    assert (np.diff(loaded.coordinates[:, 0]) >= 0.0).all()
+    assert len(loaded.explored.parameters) == TINY.evaluations == 12 + 3 * 6
+    assert loaded.explored.own_crash is not None
+    assert (loaded.own_crash <= TINY.crash_limit).all()
+    assert loaded.preset == "paper"
+
+
+def test_the_manifest_says_how_it_was_made(made):
+    settings = made[0].settings
+    assert settings["tracks"] == "Pipkin, Tarnfjord"
+    assert "Tarnfjord " in settings["track_hashes"]
+    assert settings["seed"] == 5
+    assert settings["package_version"]
+    assert settings["characteristics"] == "aggressiveness, restraint"
+    for stage in ("search", "choice", "measurement"):
+        assert settings[f"{stage}_over_crash_limit"] >= 0
+    left_out = sum(settings[f"choice_{why}"] for why in ("over_crash_limit", "beaten", "too_near_another"))
+    assert settings["choice_candidates"] - left_out - settings["measurement_over_crash_limit"] == len(made[0])
+    assert settings["policies_not_beaten"] == np.sum(front_layers(made[0].coordinates) == 0)
+    assert settings["hypervolume_error"] > 0.0
+
+
+def test_the_coordinates_come_from_races_that_chose_nobody(made):
+    """Measured here once more, from the configuration alone."""
+    archive = made[0]
+    from dataclasses import replace
+
+    root = np.random.SeedSequence(TINY.seed).spawn(5)[2]
+    opponents = draw_policies(LATTICE, TINY.final_opponents, root)
+    seed = int(root.spawn(1)[0].generate_state(1, np.uint64)[0] >> np.uint64(1))
+    scenarios = draw_scenarios(
+        TINY.tracks, replace(TINY.rules, duration=8.0), opponents, TINY.axes, starts=1, segment_seconds=2.0, seed=seed
+    )
+    found = summarise(race_block(Block(scenarios, archive.parameters)))
+    np.testing.assert_array_equal(found.coordinates, archive.coordinates)
+    np.testing.assert_array_equal(found.spread, archive.spread)
+    np.testing.assert_array_equal(found.own_crash, archive.own_crash)
+
+
+def test_the_course_of_the_search_is_told_and_written(made):
+    _, folder, news = made
+    assert [(n.stage, n.generation) for n in news] == [
+        *(("search", k) for k in range(4)),
+        ("choice", 3),
+        ("measurement", 3),
+    ]
+    volumes = [n.hypervolume for n in news]
+    assert volumes == sorted(volumes)  # the same races for all: the front only grows
+    assert news[-1].front == len(made[0])
+    with open(folder / "hypervolume.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(row["evaluations"]) for row in rows] == [12, 18, 24, 30]
+    assert [float(row["hypervolume"]) for row in rows] == pytest.approx(volumes[:4], abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["threads", "processes"])
+def test_the_executor_has_no_influence(made, tmp_path, kind):
+    with make_executor(kind, 2) as executor:
+        make_archive(TINY, tmp_path / "again", executor=executor)
+    assert results(tmp_path / "again") == results(made[1])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+def test_killed_and_started_again_it_ends_in_the_same_files(made, tmp_path):
+    """A real kill -9 in the middle of the search; in the end even the files on the way are the same."""
+    folder = tmp_path / "killed"
+    code = """
+import sys, time
+from pcs_racing_agents.synthesis.archive_run import make_archive
+from tests.pcs_racing_agents.synthesis.test_archive_run import TINY
+make_archive(TINY, sys.argv[1], told=lambda news: time.sleep(0.5))
+"""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
+    process = subprocess.Popen([sys.executable, "-c", code, str(folder)], env=environment)
+    while not list(folder.glob("job/chunks/generation-00002-*.npz")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert results(folder) == {}
+    make_archive(TINY, folder)
+    assert results(folder) == results(made[1])
+    chunks = [{file.name: file.read_bytes() for file in (f / "job/chunks").iterdir()} for f in (folder, made[1])]
+    assert chunks[0] == chunks[1]
+
+
+def test_a_finished_run_started_again_races_nothing(made, monkeypatch, tmp_path):
+    folder = Path(shutil.copytree(made[1], tmp_path / "copy"))
+    monkeypatch.setattr("pcs_racing_agents.synthesis.evaluate.advance", None)
+    again = make_archive(TINY, folder)
+    np.testing.assert_array_equal(again.coordinates, made[0].coordinates)
+    assert results(folder) == results(made[1])
+
+
+@pytest.mark.parametrize("method", ["random", "nsga2"])
+def test_other_methods_search_behind_the_same_call(method, tmp_path):
+    if method == "nsga2":
+        pytest.importorskip("pymoo")
+    archive = make_archive(with_(method=method), tmp_path)
+    assert archive.settings["method"] == method
+    assert len(archive.explored.parameters) == 30
+
+
+def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
+    """Rules under which many crash; the limit is for the longer races, so it is lower for the shorter ones."""
+    wild = tmp_path / "wild.yaml"
+    wild.write_text("preset: contest\nname: wild\nspeed_range: [1.0, 1.5]\n")
+    config = with_(preset=str(wild), crash_limit=0.3)
+    assert config.search_crash_limit == pytest.approx(1.0 - 0.7**0.5)
+    assert config.axes == ("pace", "restraint")
+    archive = make_archive(config, tmp_path / "archive")
+    assert (archive.own_crash <= 0.3).all()
+    assert (
+        archive.settings["search_over_crash_limit"]
+        == np.sum(archive.explored.own_crash > config.search_crash_limit)
+        > 0
+    )
+    assert archive.settings["search_hypervolume"] < archive.settings["search_hypervolume_without_crash_limit"]
+    assert archive.preset == "wild"
+    with pytest.raises(
+        InputError, match=r"all 30 policies crash in more than|policies remain below the crash limit of 0%"
+    ):
+        make_archive(with_(preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",)), tmp_path / "none")
+
+
+def test_opponents_are_refreshed_from_the_front_and_the_front_is_raced_again(tmp_path):
+    config = with_(refresh_generations=(2,), refresh_share=0.5)
+    archive = make_archive(config, tmp_path)
+    chunks = sorted((tmp_path / "job" / "chunks").glob("refresh-00002-*.npz"))
+    assert chunks
+    explored = archive.explored.parameters
+    again = len(explored) - config.evaluations
+    assert again >= 1  # the front of the first generation, raced once more
+    first = explored[: 12 + 6]
+    repeated = explored[12 + 6 : 12 + 6 + again]
+    assert all((theta == first).all(axis=1).any() for theta in repeated)
+    plain = make_archive(TINY, tmp_path / "plain")
+    np.testing.assert_array_equal(plain.explored.parameters[: 12 + 6], first)
+    assert (plain.explored.coordinates[18:24] != archive.explored.coordinates[-12:-6]).any()
+
+
+def test_too_few_policies_are_told(tmp_path, caplog):
+    with caplog.at_level(logging.WARNING):
+        archive = make_archive(with_(fewest=60), tmp_path)
+    assert f"the archive holds {len(archive)} policies; 60 were wanted" in caplog.text
+    assert archive.settings["enough_policies"] is False
+
+
+# Bad input
+
+
+def test_a_folder_with_something_else_is_left_alone(tmp_path, made):
+    shipped = Path(shutil.copytree(made[1], tmp_path / "shipped", ignore=shutil.ignore_patterns("job")))
+    before = results(shipped)
+    with pytest.raises(InputError, match=r"holds archive\.npz but no run of a synthesis; choose a new"):
+        make_archive(TINY, shipped)
+    assert results(shipped) == before
+    assert len(list(shipped.iterdir())) == len(before)
+
+
+def test_another_run_is_refused(made):
+    before = results(made[1])
+    with pytest.raises(InputError, match="holds another run: its generations is 3, not 4"):
+        make_archive(with_(generations=4), made[1])
+    assert results(made[1]) == before
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"generations": -1}, "generations is -1"),
+        ({"population": 2.5}, "population is 2.5"),
+        ({"tracks": "Pipkin"}, "tracks is 'Pipkin'; it must be a list of names"),
+        ({"tracks": ("Pipkin", "Pipkin")}, "name each once"),
+        ({"duration": 5.0}, "duration is 5 s; it must be a multiple of segment_seconds, 2 s"),
+        ({"method": "magic"}, "method is 'magic'; it must be one of mo-cma-es"),
+        ({"loss": "none"}, "loss is 'none'"),
+        ({"crash_limit": 1.5}, "crash_limit is 1.5"),
+        ({"fewest": 90}, "fewest is 90, above most, 80"),
+        (
+            {"refresh_generations": (3,)},
+            "refresh_generations is .*; it must be a list of different generations from 1 to 2",
+        ),
+        ({"refresh_generations": (True,)}, "refresh_generations is"),
+        ({"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
+        ({"planner": "nobody"}, "nobody"),
+        ({"preset": "nothing"}, "race preset 'nothing' is unknown"),
+        ({"speed": 3}, "unknown archive setting 'speed'"),
+    ],
+)
+def test_impossible_settings_are_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        with_(**changes)
+
+
+def test_a_configuration_from_a_file(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("name: mine\ntracks: [Pipkin]\ngenerations: 5\n")
+    config = load_archive_config(file, seed=3)
+    assert (config.name, config.tracks, config.generations, config.seed) == ("mine", ("Pipkin",), 5, 3)
+    file.write_text("name: mine\nspeed: 3\n")
+    with pytest.raises(ConfigError, match="unknown archive setting 'speed'; known are name, preset"):
+        load_archive_config(file)
+
+
+def test_the_shipped_configurations():
+    assert list_archive_configs() == ["contest", "default"]
+    for name in list_archive_configs():
+        config = load_archive_config(name)
+        assert config.name == name
+        assert len(config.tracks) >= 3
+        assert config.evaluations == 2000
+        assert config.races == 48
+    assert load_archive_config("default").rules.name == "paper"
+    assert load_archive_config("contest").axes == ("pace", "restraint")
+
+
+# The command
+
+
+def test_the_command(tmp_path, capsys):
+    arguments = [
+        "synthesize",
+        "--track",
+        "Pipkin",
+        "--generations",
+        "0",
+        "--population",
+        "4",
+        "--out",
+        str(tmp_path / "a"),
+    ]
+    settings = tmp_path / "small.yaml"
+    settings.write_text(
+        "{duration: 4.0, final_duration: 4.0, segment_seconds: 2.0, scouts: 12, opponents: 1, starts: 1, candidates: 12,"
+        " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, fewest: 2}"
+    )
+    assert main([*arguments, "--config", str(settings), "--name", "small", "--executor", "serial"]) == 0
+    out, err = capsys.readouterr()
+    assert "<PolicyArchive 'small'" in out
+    assert f"archive: {tmp_path / 'a'}" in out
+    assert "measurement: generation 0/0, hypervolume " in err
+    assert PolicyArchive.load(tmp_path / "a").name == "small"
+    assert main([*arguments, "--config", str(settings), "--name", "other"]) == 2
+    assert "its name is 'small', not 'other'" in capsys.readouterr().err
+    assert main(["synthesize", "--config", "nothing", "--out", str(tmp_path / "b")]) == 2
+    assert "archive settings 'nothing' are unknown; use contest, default or the path" in capsys.readouterr().err
+    assert not (tmp_path / "b").exists()
