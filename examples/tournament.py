@@ -10,8 +10,15 @@ import argparse
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from pcs_racing import Policy, get_planner, load_race_config, load_track, record_race, save_replay
-from pcs_racing_agents.tournament import RaceRow, play_tournament, show_progress, tournament_text, write_results
+from pcs_racing import Policy, get_planner, load_race_config, load_track, save_replay
+from pcs_racing_agents.tournament import (
+    RaceRow,
+    play_tournament,
+    record_row,
+    show_progress,
+    tournament_text,
+    write_results,
+)
 
 
 @dataclass(frozen=True)
@@ -47,17 +54,14 @@ def main() -> None:
     arguments = parse(Arguments)
     track = load_track(arguments.track)
     config = load_race_config(arguments.preset, duration=arguments.duration)
-    policies = drivers()
     tournament = play_tournament(
-        track, policies, config, races_per_pair=arguments.races, seed=arguments.seed, progress=show_progress()
+        track, drivers(), config, races_per_pair=arguments.races, seed=arguments.seed, progress=show_progress()
     )
     print(tournament_text(tournament))
 
     arguments.out.mkdir(parents=True, exist_ok=True)
     print("\nresults:", write_results(tournament, arguments.out / "results.csv"))
-    best = max(tournament.rows, key=liveliness)
-    ego, opponent = (next(p for p in policies if p.name == name) for name in (best.ego, best.opponent))
-    replay = record_race(track, ego, opponent, tournament.config, seed=best.seed, index=best.race)
+    replay = record_row(tournament, max(tournament.rows, key=liveliness)).replay
     print("replay: ", save_replay(replay, arguments.out / "replay.html"), f"({replay.title}: {replay.outcome})")
 
 

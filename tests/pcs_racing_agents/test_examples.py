@@ -24,6 +24,21 @@ def test_tournament(tmp_path):
     assert {path.name for path in (tmp_path / "made").iterdir()} == {"results.csv", "replay.html"}
 
 
+def test_all_play_all(tmp_path):
+    agents = ("never-switch", "random-moves", "lane-switcher")
+    arguments = ("--track", "Pipkin", "--races", 4, "--agents", *agents, "--out", "made")
+    out = run(tmp_path, REPOSITORY / "examples" / "all_play_all.py", *arguments)
+    assert "12 races of 40 s" in out
+    assert "equilibrium: " in out
+    assert (tmp_path / "made" / "results.csv").is_file()
+
+
+def test_custom_agent(tmp_path):
+    out = run(tmp_path, REPOSITORY / "examples" / "custom_agent.py", "--track", "Pipkin", "--races", 2)
+    assert "20 races of 40 s" in out
+    assert all(name in out for name in ("catch-up", "catch-up-too", "stubborn"))
+
+
 def test_watch_a_race(tmp_path):
     out = run(tmp_path, REPOSITORY / "examples" / "watch_a_race.py", "--track", "Pipkin", "--duration", 1, "--gif")
     assert "race.html" in out

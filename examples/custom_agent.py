@@ -1,0 +1,85 @@
+"""An agent of your own in a tournament: it looks at the lead and at how the opponent drives, and decides.
+
+    python examples/custom_agent.py
+    python examples/custom_agent.py --track Saltmere --races 200
+
+Three ways to bring one: a function from observations to chances of the moves, any object with ``predict`` as models of
+Stable-Baselines3 have it, and an agent registered under a name.
+"""
+
+import argparse
+from dataclasses import dataclass
+
+import numpy as np
+
+from pcs_racing import load_track
+from pcs_racing_agents.jobs import show_progress
+from pcs_racing_agents.strategies import Agent, Setting, make_setting, observing, register_agent
+from pcs_racing_agents.tournament import game_rules, play_tournament, tournament_text
+
+
+# 1. A strategy: chances of the moves (B, M) for observations (B, D). A dataclass can be sent to other processes.
+@dataclass(frozen=True)
+class CatchUp:
+    """Bold behind a restrained opponent, careful in front, and else as it is."""
+
+    moves: tuple[str, ...]
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Chances of the moves."""
+        step = observing.moves_made(observation, axes=2)
+        lead = observation[np.arange(len(observation)), 6 * step + 4]  # docs/environments.md: lead_k, in 20 m
+        opponent = observing.opponent(observation, axes=2)  # its aggressiveness and restraint, measured on 8 s
+        wanted = np.full(len(observation), self.moves.index("stay"))
+        wanted[(lead < 0.0) & (opponent[:, 1] > 0.5)] = self.moves.index("aggressiveness +")
+        wanted[lead > 0.25] = self.moves.index("restraint +")
+        return np.eye(len(self.moves))[wanted]
+
+
+def catch_up(setting: Setting, *, name: str = "catch-up", seed: int = 0) -> Agent:
+    """Bold behind a restrained opponent, careful in front."""
+    return Agent(name, CatchUp(setting.moves), setting, seed)
+
+
+# 2. Any object with predict, as a model of Stable-Baselines3 has it. It may remember: it is handed its own state again.
+class Stubborn:
+    """Repeats the move that it made first, which depends on the lead after the first step."""
+
+    name = "stubborn"
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        """Return the moves, and what to be handed the next time."""
+        if state is None:
+            state = np.where(observation[:, 4] < 0.0, 0, 2)
+        return state, state
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--track", default="Tarnfjord", help="name of a shipped circuit or a map folder")
+    parser.add_argument("--preset", default="contest", help="rules of the race: paper, contest or a YAML file")
+    parser.add_argument("--races", type=int, default=60, help="races of each pair, even")
+    parser.add_argument("--seed", type=int, default=0, help="root of start lines, start policies and noise")
+    arguments = parser.parse_args()
+
+    rules = game_rules(arguments.preset)
+    mine = catch_up(make_setting("default", rules))
+
+    # 3. Under a name it can be asked for like the others; a distribution declares it in the entry points
+    #    "pcs_racing.agents" instead, and then the command line knows it, too.
+    register_agent("catch-up-too", catch_up)
+
+    entrants = [mine, "catch-up-too", Stubborn(), "never-switch", "random-moves"]
+    tournament = play_tournament(
+        load_track(arguments.track),
+        entrants,
+        rules,
+        races_per_pair=arguments.races,
+        seed=arguments.seed,
+        progress=show_progress(),
+    )
+    print(tournament_text(tournament))
+
+
+if __name__ == "__main__":
+    main()
