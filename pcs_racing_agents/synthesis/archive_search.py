@@ -134,6 +134,8 @@ class ArchiveSearch:
         for number in range(1, config.generations + 1):
             if number in config.refresh_generations:
                 self._refresh(search, number)
+            if sum(map(len, self.parameters)) + config.population > config.evaluations:
+                break  # racing the front again has cost as much as the last generations
             asked = search.ask()
             found = self._raced(f"generation-{number:05d}", asked)
             news = search.tell(found.coordinates, self._violation(found))

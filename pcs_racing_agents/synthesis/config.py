@@ -73,7 +73,8 @@ class ArchiveConfig:
     final_opponents, final_starts : int
         Opponents and start lines of the races that give the coordinates; new ones again.
     refresh_generations : tuple of int
-        Generations before which some opponents are replaced by policies of the archive as it is then.
+        Generations before which some opponents are replaced by policies of the archive as it is then. The archive is
+        raced again against them, and as many policies fewer are raced in the end.
     refresh_share : float
         Share of the opponents that is replaced, 0 to 1.
     seed : int
@@ -205,7 +206,7 @@ class ArchiveConfig:
 
     @property
     def evaluations(self) -> int:
-        """Policies that the search races, scouts included."""
+        """Policies that the search races at most, scouts included."""
         return self.scouts + self.generations * self.population
 
     @property

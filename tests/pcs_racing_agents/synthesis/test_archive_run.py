@@ -197,19 +197,21 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
 
 
 def test_opponents_are_refreshed_from_the_front_and_the_front_is_raced_again(tmp_path):
-    config = with_(refresh_generations=(2,), refresh_share=0.5)
+    """As elite_ratio is 1, everything raced is in the optimiser's archive."""
+    config = with_(refresh_generations=(2,), refresh_share=0.5, elite_ratio=1.0, crash_limit=1.0)
     archive = make_archive(config, tmp_path)
     chunks = sorted((tmp_path / "job" / "chunks").glob("refresh-00002-*.npz"))
     assert chunks
-    explored = archive.explored.parameters
-    again = len(explored) - config.evaluations
-    assert again >= 1  # the front of the first generation, raced once more
-    first = explored[: 12 + 6]
-    repeated = explored[12 + 6 : 12 + 6 + again]
-    assert all((theta == first).all(axis=1).any() for theta in repeated)
-    plain = make_archive(TINY, tmp_path / "plain")
-    np.testing.assert_array_equal(plain.explored.parameters[: 12 + 6], first)
-    assert (plain.explored.coordinates[18:24] != archive.explored.coordinates[-12:-6]).any()
+    explored, coordinates = archive.explored.parameters, archive.explored.coordinates
+    first = 12 + 6
+    front = np.flatnonzero(front_layers(coordinates[:first]) == 0).tolist()
+    again = len(front)  # the front before the second generation is raced once more
+    rows = [
+        int(np.flatnonzero((explored[:first] == theta).all(axis=1))[0]) for theta in explored[first : first + again]
+    ]
+    assert sorted(rows) == front
+    assert (coordinates[rows] != coordinates[first : first + again]).any(axis=1).all()  # half of the opponents are new
+    assert len(explored) <= config.evaluations  # at no more cost
 
 
 def test_too_few_policies_are_told(tmp_path, caplog):
@@ -305,8 +307,9 @@ def test_the_command(tmp_path, capsys):
     ]
     settings = tmp_path / "small.yaml"
     settings.write_text(
-        "{duration: 4.0, final_duration: 4.0, segment_seconds: 2.0, scouts: 12, opponents: 1, starts: 1, candidates: 12,"
-        " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, fewest: 2}"
+        "{duration: 4.0, final_duration: 4.0, segment_seconds: 2.0, scouts: 12, opponents: 1, starts: 1,"
+        " candidates: 12, choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1,"
+        " crash_limit: 1.0, fewest: 2}"
     )
     assert main([*arguments, "--config", str(settings), "--name", "small", "--executor", "serial"]) == 0
     out, err = capsys.readouterr()
