@@ -1,0 +1,24 @@
+"""The code of docs/trees.md runs."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "trees.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(len(BLOCKS)))
+def test_the_code_runs(number, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(BLOCKS[number], "docs/trees.md", "exec"), {"__name__": "snippet"})
+    out = capsys.readouterr().out
+    assert ("RaceTree: policies" in out) if number == 0 else ("\n0 [" in out)
+
+
+def test_the_commands_are_commands():
+    from pcs_racing_agents.cli import _parser
+
+    for line in re.findall(r"^pcs-racing (.*)$", PAGE, re.MULTILINE):
+        assert _parser().parse_args(line.split()).run is not None
