@@ -25,7 +25,6 @@ from pcs_racing_agents.tournament.meta_game import excess, zero_sum_equilibrium
 from pcs_racing_agents.tournament.ratings import rate
 
 # Agents that need no training; `pcs-racing agents` lists the others, and docs/agents.md says what they need.
-BOLD, CALM = "always-aggressiveness+", "always-restraint+"
 AGENTS = [
     "never-switch",
     "random-moves",

@@ -2,42 +2,36 @@
 
 import argparse
 
+from pcs_racing.errors import UnknownNameError
 from pcs_racing_agents.commands.options import Commands, add_command
 
 __all__ = ["add"]
-
-NEEDS = {"": "", "fit": "; needs a fit", "network": "; needs a network"}
 
 
 def add(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(
-        commands,
-        "agents",
-        "list agents and drivers with what they do and their options",
-        "pcs-racing agents best-fixed",
+        commands, "agents", "list agents and drivers, what they do, and their options", "pcs-racing agents best-fixed"
     )
-    parser.add_argument("agent", nargs="?", help="only this one")
+    parser.add_argument("agent", nargs="?", help="only this one, with its options")
     parser.add_argument("--archive", default="default", help="archive that agents move in (default: default)")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Print one agent, or all."""
-    from pcs_racing.errors import UnknownNameError
-    from pcs_racing_agents.strategies.zoo import entries, names, options
+    """Print one agent, or a line for each."""
+    from pcs_racing_agents.strategies.describe import describe
+    from pcs_racing_agents.strategies.zoo import entries, names
 
-    known = entries()
-    listed = [arguments.agent] if arguments.agent else names(arguments.archive)
-    for name in listed:
-        if name not in known:
-            if name not in names(arguments.archive):
-                raise UnknownNameError(f"agent {name!r} is unknown; there are: {', '.join(names(arguments.archive))}")
-            print(f"{name}\n  makes the same move again and again")
-            continue
-        entry = known[name]
-        print(f"{name}\n  {entry.summary}{NEEDS[entry.needs]}")
-        if entry.source:
-            print(f"  source: {entry.source}")
-        for option, default in options(name).items():
-            print(f"  option {option}, by default {default!r}")
+    known, listed = entries(), names(arguments.archive)
+    if arguments.agent is None:
+        width = max(map(len, listed))
+        for name in listed:
+            told = known[name].summary if name in known else "makes the same move again and again"
+            print(f"{name.ljust(width)}  {told}")
+    elif arguments.agent in known:
+        print(describe(arguments.agent, known[arguments.agent]).replace("`", "").replace("### ", ""))
+    elif arguments.agent in listed:
+        print(f"{arguments.agent}\n\nMakes the same move again and again.")
+    else:
+        raise UnknownNameError(f"agent {arguments.agent!r} is unknown; there are: {', '.join(listed)}")

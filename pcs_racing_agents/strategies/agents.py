@@ -135,7 +135,7 @@ def from_network(
     kind : str
         What the network was trained to approximate; names the shipped one (``ARCHIVE-RACE-KIND``).
     decision : {"argmax", "regret-matching", "sample", "softmax"}
-        The rule (:mod:`pcs_racing_agents.strategies.decisions`).
+        The rule: ``argmax``, ``regret-matching``, ``sample`` or ``softmax``.
     network : RegretNetwork, str or path, optional
         Another network: the name of a shipped one or its folder.
     """
@@ -161,10 +161,12 @@ def adaptive(
     setting : Setting
     name : str
     seed : int
-    kind, network
-        As in :func:`from_network`: what each move is worth.
+    kind : str
+        What the network was trained to approximate; names the shipped one.
+    network : RegretNetwork, str or path, optional
+        What each move is worth: another network, the name of a shipped one or its folder.
     blind : Agent or str
-        The strategy to keep to.
+        The strategy to keep to; it needs what it needs by itself.
     margin : float, optional
         How much more a move must promise, in units of the network's target; by default what the network's training says
         (``margin``), else 0.
@@ -195,7 +197,10 @@ def restricted_response(
     setting : Setting
     name : str
     seed : int
-    exploit, safe : Agent or str
+    exploit : Agent or str
+        Who plays when it exploits.
+    safe : Agent or str
+        Who plays else.
     share : float
         How often to exploit, in [0, 1].
     """

@@ -7,18 +7,35 @@ race be driven again to the last bit. To somebody who does not know the agent's 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.compilation import compiled, kernel
+
 __all__ = ["draw", "hash_rows"]
 
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+
+@compiled(inline="always")
+def _mix(x):  # type: ignore[no-untyped-def]
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@kernel
+def _hash(words, seed, out):  # type: ignore[no-untyped-def]
+    golden = np.uint64(0x9E3779B97F4A7C15)
+    first = _mix((seed + np.uint64(1)) * golden)
+    for row in range(words.shape[0]):
+        state = first
+        for column in range(words.shape[1]):
+            state = _mix((state ^ np.uint64(words[row, column])) + golden)
+        out[row] = state
 
 
 def hash_rows(rows: NDArray[np.float32], seed: int) -> NDArray[np.uint64]:
     """Return 64 bits for the bytes of each row of shape (B, D): splitmix64 (Steele et al. 2014) over its words."""
     words = np.ascontiguousarray(rows + np.float32(0.0)).view(np.uint32)  # -0 and 0 are the same number
-    state = np.full(len(rows), _mix(np.array([seed + 1], np.uint64) * _GOLDEN)[0])
-    for column in range(words.shape[1]):
-        state = _mix((state ^ words[:, column]) + _GOLDEN)
-    return state
+    out = np.empty(len(rows), np.uint64)
+    _hash(words, np.uint64(seed), out)
+    return out
 
 
 def draw(chances: NDArray[np.float64], seen: NDArray[np.float32], seed: int) -> NDArray[np.int64]:
@@ -29,9 +46,3 @@ def draw(chances: NDArray[np.float64], seen: NDArray[np.float32], seed: int) -> 
     chosen = (edges <= (share * edges[:, -1])[:, None]).sum(axis=1)
     last = chances.shape[1] - 1 - np.argmax(chances[:, ::-1] > 0.0, axis=1)
     return np.minimum(chosen, last)
-
-
-def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return x ^ (x >> np.uint64(31))

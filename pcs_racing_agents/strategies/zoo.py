@@ -58,7 +58,8 @@ class Entry:
     source : str
         Where the idea comes from.
     needs : str
-        What it must have learned before it can race: "", "fit" or "network".
+        What it must have learned before it can race: "", "fit" or "network"; "agents" for what others must that it is
+        made of.
     defaults : Mapping
         Options that tell it from other entries with the same function.
     moves : bool
@@ -139,7 +140,7 @@ ZOO: dict[str, Entry] = {
         agents.restricted_response,
         "for each game draws whether to exploit a static opponent or to play safe",
         "after restricted Nash response (Johanson et al. 2007)",
-        "network",
+        "agents",
     ),
     "psro": Entry(
         agents.psro,

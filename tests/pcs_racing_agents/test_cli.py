@@ -108,10 +108,10 @@ def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, tmp_path):
 def test_agents_lists_the_zoo(run):
     code, out, _ = run("agents")
     assert code == 0
-    assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= set(out.splitlines())
+    assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= {line.split()[0] for line in out.splitlines()}
     code, out, _ = run("agents", "best-fixed")
     assert code == 0
-    assert "option target, by default None" in out
+    assert "- Option target, by default None. The policy's index." in out
 
 
 def test_rules_from_a_file(run, tmp_path):

@@ -7,7 +7,7 @@ from pcs_racing_agents.approximator import RegretNetwork
 from pcs_racing_agents.approximator.network import GameIdentity
 from pcs_racing_agents.strategies import Setting
 
-CONFIG = GameConfig(step_seconds=0.8)
+CONFIG = GameConfig(step_seconds=0.8, epsilon=0.5)
 
 
 def toy_archive(policies: int = 12) -> PolicyArchive:
@@ -36,7 +36,7 @@ def untrained(setting: Setting, target: str = "regret", seed: int = 2, stay: boo
     moves = setting.moves if stay else setting.moves[:-1]
     size, count = len(setting.elements), len(moves)
     archive = setting.archive
-    identity = GameIdentity(setting.elements, moves, (0.35,), archive.name, archive.content_hash, setting.race)
+    identity = GameIdentity(setting.elements, moves, (0.5,), archive.name, archive.content_hash, setting.race)
     return RegretNetwork(
         f"untrained-{target}",
         identity,

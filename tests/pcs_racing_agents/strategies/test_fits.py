@@ -26,7 +26,7 @@ def test_a_fit_is_kept_and_followed(setting, tmp_path, kind, seen):
 
 def test_a_fit_of_another_game_is_refused(setting, archive):
     fit = make_fit("best-fixed", 3, setting, {})
-    for change, message in [({"epsilon": 0.5}, "epsilon"), ({"moves": 3}, "number of moves 4; the game has 3")]:
+    for change, message in [({"epsilon": 0.7}, "epsilon"), ({"moves": 3}, "number of moves 4; the game has 3")]:
         with pytest.raises(InputError, match=message):
             find_fit("best-fixed", make_setting(archive, replace(setting.config, **change)), fit)
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])

@@ -18,7 +18,7 @@ def learned(name: str, setting) -> dict:
         "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
         "restricted-response": {"exploit": "random-moves", "safe": "never-switch"},
     }
-    if name in ZOO and ZOO[name].needs == "network" and name not in given:
+    if name in ZOO and ZOO[name].needs == "network" and name != "adaptive":
         return {"network": untrained(setting)}
     return given.get(name, {})
 
@@ -144,6 +144,6 @@ def test_an_agent_of_another_archive_is_refused(game, setting, oval):
     other = make("never-switch")
     with pytest.raises(InputError, match=r"agent 'never-switch' is made for archive 'default' \(.*\), but the game"):
         game_between(game, other, other)
-    agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.5)
-    with pytest.raises(InputError, match=r"with epsilon 0\.35, but this game has epsilon 0\.5"):
+    agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.7)
+    with pytest.raises(InputError, match=r"with epsilon 0\.5, but this game has epsilon 0\.7"):
         game_between(wider, agent, agent)
