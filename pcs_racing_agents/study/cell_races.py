@@ -1,0 +1,118 @@
+"""What the table of a study needs of its races: from cells that were played, or from their lines in a file."""
+
+import csv
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.errors import InputError
+from pcs_racing_agents.tournament.cells import Cell
+from pcs_racing_agents.tournament.statistics import score
+
+__all__ = ["CellRaces", "Key", "cell_races", "read_races"]
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Labels = NDArray[np.int64]
+Key = tuple[str, str, str]
+"""What a cell is: (circuit, opponent, arm)."""
+
+CRASHES = ("", "wall", "car")
+FAULTS = ("", "ego", "opponent", "both")
+COLUMNS = (
+    "track", "opponent", "ego", "winner", "crash", "fault", "ego_variant", "opponent_variant", "start_s", "side",
+)  # fmt: skip
+
+
+class CellRaces(NamedTuple):
+    """What the table needs of the U races of a cell.
+
+    Attributes
+    ----------
+    score : ndarray, shape (U,)
+        Of the ego: 1 win, 0.5 tie, 0 else.
+    crash, own_crash : ndarray of bool, shape (U,)
+        Whether the race ended in a crash, and in one that the ego is (also) to blame for.
+    ego, opponent, line, side : ndarray of int, shape (U,)
+        What tells a race from the others of its cell: variants, number of the start line, side.
+    """
+
+    score: Floats
+    crash: Flags
+    own_crash: Flags
+    ego: Labels
+    opponent: Labels
+    line: Labels
+    side: Labels
+
+    @property
+    def ids(self) -> list[tuple[int, ...]]:
+        """What makes a race the same race in another cell."""
+        columns = (self.ego, self.opponent, self.line, self.side)
+        return list(zip(*(column.tolist() for column in columns), strict=True))
+
+    def same_units(self, other: "CellRaces") -> bool:
+        """Whether another cell's races are the same ones, in the same order."""
+        columns = ("ego", "opponent", "line", "side")
+        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in columns)
+
+
+def cell_races(cell: Cell) -> CellRaces:
+    """Return what the table needs of a cell that was played."""
+    units, matches = cell.units, cell.matches
+    return CellRaces(
+        score=matches.score,
+        crash=np.asarray(matches.crash.any(axis=1)),
+        own_crash=matches.fault[:, 0] > 0,
+        ego=units.variants[:, 0],
+        opponent=units.variants[:, 1],
+        line=units.line,
+        side=units.starts.side.astype(np.int64),
+    )
+
+
+def read_races(path: str | Path) -> dict[Key, CellRaces]:
+    """Read the cells of a study back from its ``results.csv``.
+
+    Start lines are told apart by their place, to a tenth of a millimetre; their numbers may differ from those of
+    :class:`pcs_racing_agents.tournament.cells.Units`.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read or a line of it is no race.
+    """
+    cells: dict[Key, list[tuple[float, ...]]] = {}
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                raise InputError(f"{path} has no column {missing[0]!r}; it must be a results.csv of races")
+            for row in reader:
+                cells.setdefault((row["track"], row["opponent"], row["ego"]), []).append(_race(row, path, reader))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"can't read {path}: {error}") from None
+    found = {}
+    for key, rows in cells.items():
+        won, tied, crash, own, ego, opponent, start, side = np.array(rows).T
+        line = np.unique(start, return_inverse=True)[1]
+        labels = (column.astype(np.int64) for column in (ego, opponent, line, side))
+        found[key] = CellRaces(score(won > 0, tied > 0), crash > 0, own > 0, *labels)
+    return found
+
+
+def _race(row: dict[str, str], path: str | Path, reader: "csv.DictReader[str]") -> tuple[float, ...]:
+    known = (("winner", ("ego", "opponent", "")), ("crash", CRASHES), ("fault", FAULTS))
+    for name, values in known:
+        if row[name] not in values:
+            raise InputError(f"{path}, line {reader.line_num}: {name} is {row[name]!r}; it must be one of {values}")
+    try:
+        labels = [float(row[name]) for name in ("ego_variant", "opponent_variant", "start_s", "side")]
+    except (TypeError, ValueError):
+        raise InputError(f"{path}, line {reader.line_num} is no race: a number is missing") from None
+    crash = row["crash"] != ""
+    tied = row["winner"] == "" and not crash
+    return (row["winner"] == "ego", tied, crash, row["fault"] in ("ego", "both"), *labels)
