@@ -231,7 +231,6 @@ def _row(
     best: str | None,
     blind: str | None,
     seen: bool,
-    level: float,
 ) -> TableRow:
     where = f"{track} against {opponent}"
     raced = {arm: cells[track, opponent, arm] for arm in arms if (track, opponent, arm) in cells}
