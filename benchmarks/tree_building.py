@@ -95,14 +95,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default="Tarnfjord", help="name or folder of a circuit")
     parser.add_argument("--archive", default="default", help="name or folder of an archive")
+    parser.add_argument("--epsilon", type=float, default=0.35, help="length of a move")
     parser.add_argument("--trees", type=int, default=8, help="full trees of the paper's race")
     parser.add_argument("--contest", type=int, default=2, help="full trees of the contest, five moves to choose from")
     parser.add_argument("--roots", type=int, default=128, help="ego trees")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="end with one JSON line")
     arguments = parser.parse_args()
-    paper = make_game(arguments.track, arguments.archive)
-    contest = make_game(arguments.track, arguments.archive, "contest")
+    paper, contest = (
+        make_game(arguments.track, arguments.archive, preset, epsilon=arguments.epsilon)
+        for preset in ("paper", "contest")
+    )
     play_ego(replace(paper, config=replace(paper.config, moves=1)), 4)  # compiles
     figures = {}
     if arguments.trees:
@@ -112,7 +115,11 @@ def main() -> None:
     if arguments.roots:
         figures["ego"] = measure_ego(paper, arguments.roots, arguments.seed)
     if arguments.json:
-        print(json.dumps({"archive": arguments.archive, "track": paper.track.name, **figures}))
+        print(
+            json.dumps(
+                {"archive": arguments.archive, "track": paper.track.name, "epsilon": arguments.epsilon, **figures}
+            )
+        )
 
 
 if __name__ == "__main__":

@@ -33,19 +33,19 @@ def archive() -> PolicyArchive:
 @pytest.fixture(scope="session")
 def paper(track, archive) -> RaceGame:
     """Short games without noise."""
-    return make_game(track, archive, moves=2, step_seconds=2.0)
+    return make_game(track, archive, moves=2, step_seconds=2.0, epsilon=0.35)
 
 
 @pytest.fixture(scope="session")
 def noisy(track, archive) -> RaceGame:
     """Games with noise, in which some crash."""
-    return make_game(track, archive, replace(CONTEST, steering_noise=0.015), moves=2, step_seconds=6.0)
+    return make_game(track, archive, replace(CONTEST, steering_noise=0.015), moves=2, step_seconds=6.0, epsilon=0.35)
 
 
 @pytest.fixture(scope="session")
 def far(track, archive) -> RaceGame:
     """Games of cars that start out of each other's sight, and in which some crash."""
-    rules = {"moves": 3, "step_seconds": 6.0, "utility": "lead-at-crash", "fault_penalty": 3.0}
+    rules = {"moves": 3, "step_seconds": 6.0, "utility": "lead-at-crash", "fault_penalty": 3.0, "epsilon": 0.35}
     return make_game(track, archive, FAR, **rules)
 
 

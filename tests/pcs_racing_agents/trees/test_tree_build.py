@@ -65,7 +65,7 @@ def test_putting_far_races_together_changes_no_bit(far):
 
 def test_cars_that_come_within_sight_are_driven_together(track, archive):
     """The car behind is the faster one: what can be put together must end where it comes within sight."""
-    rules = {"moves": 2, "step_seconds": 6.0, "utility": "lead"}
+    rules = {"moves": 2, "step_seconds": 6.0, "utility": "lead", "epsilon": 0.35}
     game = make_game(track, archive, replace(CONTEST, start_gap=30.0, steering_noise=0.0), **rules)
     place = (float(game.start_lines[3]), 0)
     tree = build_tree(game, (4, 7), place)
