@@ -42,7 +42,7 @@ def test_the_manifest_names_everything_that_decides_the_trees(paper, stored):
     assert settings["archive"] == {"name": "tiny", "sha256": paper.archive.content_hash}
     assert settings["track"] == {"name": "Tarnfjord", "sha256": paper.track.content_hash}
     assert settings["preset"] == "paper"
-    assert (settings["rules"]["epsilon"], settings["rules"]["moves"], settings["seeds_per_pair"]) == (0.5, 2, 1)
+    assert (settings["rules"]["epsilon"], settings["rules"]["moves"], settings["seeds_per_pair"]) == (0.35, 2, 1)
     assert tuple(settings["encoding"]) == stored.elements == tuple(e.name for e in paper.observation_elements)
     stored.check(paper)
 
