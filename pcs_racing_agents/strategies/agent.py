@@ -5,7 +5,7 @@ such a model may stand, too. An agent is a value: a function from what is seen t
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -64,7 +64,7 @@ class Agent:
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of all that decides what it does, but not of its name."""
+        """SHA-256 of all that decides what it does, but not of its name; for a strategy that is a dataclass."""
         setting = self.setting
         return fingerprint(self.strategy, int(self.seed), setting.archive.content_hash, setting.config)
 
@@ -245,6 +245,22 @@ def as_competitor(given: Any, name: str | None = None) -> Competitor:
 
 
 def competitor_hash(competitor: Competitor) -> str:
-    """Digest of what a competitor does, for folders of results; of a model only its type is known."""
-    known = getattr(competitor, "content_hash", None)
-    return known if isinstance(known, str) else fingerprint(competitor)
+    """SHA-256 of all that decides what a competitor does, for folders of results.
+
+    Raises
+    ------
+    InputError
+        If nothing tells it from another one that does otherwise: a plain function, or an object that is neither a
+        dataclass, nor a model of Stable-Baselines3, nor has a ``content_hash``.
+    """
+    model = competitor.model if isinstance(competitor, Named) else competitor
+    state = getattr(getattr(model, "policy", None), "state_dict", None)
+    if callable(state):
+        return fingerprint({key: tensor.detach().cpu().numpy() for key, tensor in state().items()})
+    what = model.strategy if isinstance(model, Agent) else model
+    if isinstance(what, Driver) or is_dataclass(what) or isinstance(getattr(what, "content_hash", None), str):
+        return model.content_hash if isinstance(model, Agent) else fingerprint(what)
+    raise InputError(
+        f"results of agent {getattr(competitor, 'name', '')!r} can't be kept in a folder: nothing tells it from "
+        "another one of that name; make it a dataclass, or give it a content_hash"
+    )

@@ -1,13 +1,20 @@
-"""What the zoo says of itself: the sections of docs/agents.md, and the command ``pcs-racing agents``."""
+"""What the zoo says of itself: the sections of docs/agents.md, and the command ``pcs-racing agents``.
+
+python -m pcs_racing_agents.strategies.describe docs/agents.md     # writes the sections again
+"""
 
 import inspect
 import re
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from pcs_racing_agents.strategies.zoo import ZOO, Entry, options
 
-__all__ = ["describe", "option_meanings", "zoo_sections"]
+__all__ = ["MARK", "describe", "option_meanings", "write_sections", "zoo_sections"]
+
+MARK = "<!-- What follows is written by `python -m pcs_racing_agents.strategies.describe docs/agents.md`. -->"
 
 NEEDS = {
     "": "nothing",
@@ -57,6 +64,16 @@ def zoo_sections() -> str:
     return "\n\n".join(["## Agents", *agents, "## Drivers", *drivers])
 
 
+def write_sections(page: Path) -> None:
+    """Write the sections into a page, in the place of all that follows the mark."""
+    before, mark, _ = page.read_text(encoding="utf-8").partition(MARK)
+    page.write_text(f"{before}{mark}\n\n{zoo_sections()}\n", encoding="utf-8")
+
+
 def _plain(text: str) -> str:
     """Sphinx roles as plain code."""
     return re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text).replace("``", "`")
+
+
+if __name__ == "__main__":
+    write_sections(Path(sys.argv[1]))

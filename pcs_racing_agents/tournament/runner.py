@@ -99,7 +99,7 @@ def play_pairings(
     for i, pairing in enumerate(pairings):
         for first in range(0, len(pairing.seeds), BLOCK):
             rows = np.arange(first, min(first + BLOCK, len(pairing.seeds)))
-            tasks.append(_task(pairing, rows, archive, config, executor))
+            tasks.append(_task(pairing, rows, archive, config, executor, kept=job is not None))
             owner.append(i)
     total = sum(len(task.seeds) for task in tasks)
     tell = _count_games(progress, total)
@@ -118,7 +118,13 @@ def play_pairings(
 
 
 def _task(
-    pairing: Pairing, rows: NDArray[np.intp], archive: PolicyArchive, config: GameConfig, executor: Executor | None
+    pairing: Pairing,
+    rows: NDArray[np.intp],
+    archive: PolicyArchive,
+    config: GameConfig,
+    executor: Executor | None,
+    *,
+    kept: bool,
 ) -> _Task:
     track, starts = pairing.track, pairing.starts.take(rows)
     policies, seeds = pairing.policies[rows], pairing.seeds[rows]
@@ -129,8 +135,7 @@ def _task(
             _track_hash(track),
             archive.content_hash,
             config,
-            competitor_hash(pairing.ego),
-            competitor_hash(pairing.opponent),
+            [competitor_hash(one) if kept else "" for one in (pairing.ego, pairing.opponent)],
             (policies, starts.s, starts.side, seeds),
         ),
         track=track.folder if elsewhere and track.folder is not None else track,

@@ -96,6 +96,16 @@ def test_digests_tell_what_somebody_does(setting, network):
     assert competitor_hash(make("lattice:pace=0.3")) != competitor_hash(make("lattice:pace=0.4"))
 
 
+def test_what_can_not_be_told_from_another_is_not_kept(setting):
+    function = Agent("function", lambda seen: np.full((len(seen), 5), 0.2), setting)
+    for unknown in (Model(), as_competitor(Model(), "named"), function):
+        with pytest.raises(InputError, match="nothing tells it from another one of that name"):
+            competitor_hash(as_competitor(unknown))
+    known = Model()
+    known.content_hash = "abc"
+    assert competitor_hash(as_competitor(known, "x")) == competitor_hash(as_competitor(known, "y"))
+
+
 class Model:
     """Stands in for a trained model."""
 

@@ -4,6 +4,8 @@ import pytest
 
 from pcs_racing import InputError
 from pcs_racing_agents.approximator import game_identity
+from pcs_racing_agents.strategies import as_competitor
+from pcs_racing_agents.strategies.agent import competitor_hash
 from pcs_racing_agents.strategies.from_sb3 import network_from_sb3
 from pcs_racing_agents.strategies.zoo import build
 
@@ -32,6 +34,11 @@ def test_a_model_decides_alike_as_our_own_network(models, game, setting, seen):
         chances = model.policy.get_distribution(torch.as_tensor(rows)).distribution.probs.numpy()
     drawn = build("ppo", setting, network=network, decision="softmax")
     np.testing.assert_allclose(drawn.probabilities(rows), chances, atol=1e-5)
+
+
+def test_models_are_told_apart_by_their_weights(models):
+    digests = {competitor_hash(as_competitor(model, name)) for model in models for name in ("a", "b")}
+    assert len(digests) == 2
 
 
 def test_other_models_are_refused(models, game):
