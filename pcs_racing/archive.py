@@ -36,6 +36,9 @@ Indices = NDArray[np.int64]
 FORMAT = "pcs-racing archive"
 VERSION = 1
 MAX_BYTES = 256_000_000
+
+EPSILON = 0.5
+"""How far a move goes unless the game says otherwise: half of the archive's range on an axis."""
 _ARRAYS = ("parameters", "coordinates", "ideal", "nadir", "explored_parameters", "explored_coordinates")
 _EXTRA_ARRAYS = ("spread", "own_crash", "explored_own_crash")  # where they were measured
 _TEXTS = ("name", "planner", "preset")
@@ -275,7 +278,7 @@ class PolicyArchive:
         )
         return self.nearest(points)
 
-    def move_table(self, epsilon: float | Sequence[float] = 0.35, stay: bool = False) -> Indices:
+    def move_table(self, epsilon: float | Sequence[float] = EPSILON, stay: bool = False) -> Indices:
         """Where every move leads from every policy, shape (K, M).
 
         The moves of the first epsilon come first: characteristic 0 more, characteristic 0 less, characteristic 1 more,
@@ -290,9 +293,9 @@ class PolicyArchive:
         ]
         return np.stack([*columns, here] if stay else columns, axis=1)
 
-    def move_names(self, epsilon: float | Sequence[float] = 0.35, stay: bool = False) -> tuple[str, ...]:
+    def move_names(self, epsilon: float | Sequence[float] = EPSILON, stay: bool = False) -> tuple[str, ...]:
         """Names of the moves in the order of :meth:`move_table`: ``"aggressiveness +"``; with several epsilons
-        ``"aggressiveness + 0.35"``; ``"stay"``.
+        ``"aggressiveness + 0.5"``; ``"stay"``.
         """
         steps = check_epsilon(epsilon)
         names = [
@@ -303,11 +306,11 @@ class PolicyArchive:
         ]
         return (*names, "stay") if stay else tuple(names)
 
-    def no_op_share(self, epsilon: float | Sequence[float] = 0.35) -> float:
+    def no_op_share(self, epsilon: float | Sequence[float] = EPSILON) -> float:
         """Share of all (policy, move) pairs in which the move leads back to the policy itself."""
         return float(np.mean(self.move_table(epsilon) == np.arange(len(self))[:, None]))
 
-    def duplicate_share(self, epsilon: float | Sequence[float] = 0.35) -> float:
+    def duplicate_share(self, epsilon: float | Sequence[float] = EPSILON) -> float:
         """Share of all (policy, move) pairs in which an earlier move of the same policy leads to the same place."""
         return float(np.mean(duplicates(self.move_table(epsilon))))
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from pcs_racing.archive import check_epsilon
+from pcs_racing.archive import EPSILON, check_epsilon
 from pcs_racing.characteristics import get_characteristics
 from pcs_racing.errors import ConfigError, InputError
 from pcs_racing.race_config import PAPER, RaceConfig, load_race_config
@@ -57,7 +57,7 @@ class GameConfig:
     race: RaceConfig = PAPER
     moves: int = 4
     step_seconds: float = 8.0
-    epsilon: float | tuple[float, ...] = 0.35
+    epsilon: float | tuple[float, ...] = EPSILON
     stay: bool | None = None
     utility: str | None = None
     fault_penalty: float = 0.0

@@ -128,7 +128,7 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
     - `render_view` (`"both"`): `"track"`, `"both"`, `"car_0"` or `"car_1"`.
     - `render_size` (`(960, 640)`): width and height in pixels.
     - `max_cycles` (`None`): moves after which an episode is truncated.
-    - every field of `GameConfig`: `moves` (4), `step_seconds` (8.0), `epsilon` (0.35; one number, or several), `stay`
+    - every field of `GameConfig`: `moves` (4), `step_seconds` (8.0), `epsilon` (0.5; one number, or several), `stay`
       (as the race's rules say), `utility`, `fault_penalty` (0), `discount` (1), `characteristics` (the archive's),
       `mask_duplicates` (False).
 

@@ -32,7 +32,7 @@ def add(commands: Commands) -> None:
     add_preset(parser)
     parser.add_argument("--moves", type=int, metavar="M", help="moves of each player (default: 4)")
     parser.add_argument("--step", type=float, metavar="S", help="driving per move in s (default: 8)")
-    parser.add_argument("--epsilon", type=float, nargs="+", metavar="E", help="length of a move (default: 0.35)")
+    parser.add_argument("--epsilon", type=float, nargs="+", metavar="E", help="length of a move (default: 0.5)")
     parser.add_argument("--utility", choices=list(UTILITIES), help="what the end is worth (default: the preset's)")
     parser.add_argument(
         "--stay", action=argparse.BooleanOptionalAction, help="whether there is a move that keeps the policy"

@@ -265,7 +265,7 @@ def test_a_network_of_the_game_fits(game):
     [
         ({"moves": 3}, r"sees 31 \(own_aggressiveness_0 to step\); the game has 25"),
         ({"characteristics": ("restraint", "aggressiveness")}, "sees 'own_aggressiveness_0' at place 0; the game has"),
-        ({"epsilon": 0.5}, "made for moves of epsilon 0.35; the game has 0.5"),
+        ({"epsilon": 0.7}, "made for moves of epsilon 0.5; the game has 0.7"),
         ({"epsilon": (0.2, 0.4)}, r"values moves 4 \(.*\); the game has 8"),
     ],
 )
@@ -288,4 +288,4 @@ def test_an_identity_says_what_the_game_is(game):
     assert isinstance(known, GameIdentity)
     assert len(known.elements) == 31
     assert known.moves == MOVES
-    assert known[2:] == ((0.35,), "default", game.archive.content_hash, "paper")
+    assert known[2:] == ((0.5,), "default", game.archive.content_hash, "paper")

@@ -13,7 +13,7 @@ def identity(inputs=7, moves=MOVES, **changes) -> GameIdentity:
     values = {
         "elements": tuple(f"x{i}" for i in range(inputs)),
         "moves": moves,
-        "epsilon": (0.35,),
+        "epsilon": (0.5,),
         "archive": "toy",
         "archive_sha256": "0" * 64,
         "preset": "paper",
