@@ -8,7 +8,7 @@ from pathlib import Path
 from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command
 from pcs_racing_agents.jobs import add_executor_options, executor_from, show_line
 from pcs_racing_agents.synthesis.archive_run import News, Told, make_archive
-from pcs_racing_agents.synthesis.config import ArchiveConfig, list_archive_configs, load_archive_config
+from pcs_racing_agents.synthesis.config import list_archive_configs, load_archive_config
 
 __all__ = ["add", "show_news"]
 
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> None:
         changes.setdefault("name", arguments.out.resolve().name)
     config = load_archive_config(arguments.config, **changes)
     with executor_from(arguments) as executor:
-        archive = make_archive(config, arguments.out, executor=executor, told=show_news(config))
+        archive = make_archive(config, arguments.out, executor=executor, told=show_news())
     print(archive)
     for axis, low, high in zip(archive.characteristics, archive.nadir, archive.ideal, strict=True):
         print(f"{axis}: {low:.2f} to {high:.2f}")
@@ -65,23 +65,17 @@ def run(arguments: argparse.Namespace) -> None:
     print(f"archive: {arguments.out}")
 
 
-def show_news(config: ArchiveConfig) -> Told:
+def show_news() -> Told:
     """Return a function that keeps a line on stderr up to date: how far, how good, and how long it will take."""
     say = show_line()
     begin = time.monotonic()
-    recent = deque([(begin, 0.0)], maxlen=6)  # times and work done, the last few: a run that goes on begins fast
-    races = len(config.tracks) * 2
-    choice = config.candidates * races * config.choice_opponents * config.choice_starts * config.duration
-    measurement = config.most * races * config.final_opponents * config.final_starts * config.final_duration
-    search = config.races * config.duration
-    total = config.evaluations * search + choice + measurement
+    recent = deque([(begin, 0.0)], maxlen=8)  # times and shares done, the last few: a run that goes on begins fast
 
     def show(news: News) -> None:
-        work = news.evaluations * search + choice * (news.stage != "search")
-        recent.append((time.monotonic(), work))
+        recent.append((time.monotonic(), news.done))
         (earlier, before), (now, after) = recent[0], recent[-1]
-        left = f", about {(now - earlier) * (total - work) / (after - before):.0f} s left" if after > before else ""
-        last = news.stage == "measurement"
+        left = f", about {(now - earlier) * (1.0 - after) / (after - before):.0f} s left" if after > before else ""
+        last = news.done >= 1.0
         say(
             f"{news.stage}: generation {news.generation}/{news.generations}, hypervolume {news.hypervolume:.3f}, "
             f"{news.front} policies, own crashes {news.own_crash:.1%}, {now - begin:.0f} s{'' if last else left}",

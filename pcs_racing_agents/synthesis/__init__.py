@@ -3,7 +3,7 @@
 from pcs_racing_agents.synthesis.archive_run import News, make_archive
 from pcs_racing_agents.synthesis.config import ArchiveConfig, list_archive_configs, load_archive_config
 from pcs_racing_agents.synthesis.diverse import select_diverse
-from pcs_racing_agents.synthesis.evaluate import Evaluation, Scenarios, draw_scenarios, evaluate
+from pcs_racing_agents.synthesis.evaluate import Evaluation, Scenarios, draw_scenarios
 from pcs_racing_agents.synthesis.indicators import hypervolume
 from pcs_racing_agents.synthesis.synthesize import Search, Synthesis, synthesize
 
@@ -15,7 +15,6 @@ __all__ = [
     "Search",
     "Synthesis",
     "draw_scenarios",
-    "evaluate",
     "hypervolume",
     "list_archive_configs",
     "load_archive_config",

@@ -143,7 +143,7 @@ def choose(run: ArchiveSearch, scenarios: Scenarios) -> tuple[Floats, Notes]:
             f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the races of "
             f"{config.duration:g} s; raise crash_limit, or slow the cars down (speed_range in a preset of your own)"
         )
-    raced = run.race("choice", scenarios, theta[order])
+    raced = run.race("choice", "choice", scenarios, theta[order])
     again = summarise(raced)
     calm = np.flatnonzero(again.own_crash <= config.search_crash_limit)
     points = again.coordinates[calm]
@@ -177,7 +177,7 @@ def measure(run: ArchiveSearch, parameters: Floats, scenarios: Scenarios) -> tup
     limit = run.config.crash_limit
     kept = np.zeros(0, np.int64)
     if len(parameters):
-        raced = run.race("measurement", scenarios, parameters)
+        raced = run.race("measurement", "measurement", scenarios, parameters)
         found = summarise(raced)
         kept = np.argsort(found.coordinates[:, 0], kind="stable")
         kept = kept[found.own_crash[kept] <= limit]

@@ -50,6 +50,8 @@ class News(NamedTuple):
         Policies in that front.
     own_crash : float
         Mean own crash rate of the policies raced last.
+    done : float
+        Share of all the racing that is done, 0 to 1.
     """
 
     stage: str
@@ -59,10 +61,11 @@ class News(NamedTuple):
     hypervolume: float
     front: int
     own_crash: float
+    done: float
 
 
 Told = Callable[[News], None]
-"""``told(news)``: called after the scouts (generation 0), after every generation and after each later stage."""
+"""``told(news)``: called after the scouts (generation 0), after every generation, and now and then in later stages."""
 
 
 @dataclass
@@ -101,10 +104,15 @@ class ArchiveSearch:
     comparable: int = 0
     history: list[News] = field(default_factory=list)
 
-    def race(self, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
+    def race(self, stage: str, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
         """Race policies, or read what an earlier run found."""
+
+        def progress(done: int, total: int, what: str) -> None:
+            if stage != "search":
+                self.told(self.history[-1]._replace(stage=stage, done=self._done(stage, done / total)))
+
         tasks = blocks(scenarios, parameters, BLOCK)
-        return join(self.job.run(name, race_here(self.executor), tasks, executor=self.executor))
+        return join(self.job.run(name, race_here(self.executor), tasks, executor=self.executor, progress=progress))
 
     def run(self, scouts: Floats, seed: int) -> None:
         """Race the scouts, then generation after generation."""
@@ -142,7 +150,7 @@ class ArchiveSearch:
             self.tell("search", number, news.hypervolume, news.archive_size, found)
 
     def _raced(self, name: str, parameters: Floats) -> Evaluation:
-        found = summarise(self.race(name, self.scenarios, parameters))
+        found = summarise(self.race("search", name, self.scenarios, parameters))
         self.parameters.append(parameters)
         self.found.append(found)
         return found
@@ -177,6 +185,14 @@ class ArchiveSearch:
         """Note and tell how far the synthesis is."""
         evaluations = sum(map(len, self.parameters))
         crash = float(found.own_crash.mean())
-        news = News(stage, number, self.config.generations, evaluations, volume, front, crash)
+        done = self._done(stage, 1.0)
+        news = News(stage, number, self.config.generations, evaluations, volume, front, crash, done)
         self.history.append(news)
         self.told(news)
+
+    def _done(self, stage: str, part: float) -> float:
+        """Share of all racing that is done when part of a stage is."""
+        search, choice, measurement = self.config.work
+        raced = search if stage != "search" else sum(map(len, self.parameters)) / self.config.evaluations * search
+        raced += {"search": 0.0, "choice": part * choice, "measurement": choice + part * measurement}[stage]
+        return raced / (search + choice + measurement)

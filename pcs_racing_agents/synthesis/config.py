@@ -214,6 +214,16 @@ class ArchiveConfig:
         """Races of each policy during the search."""
         return len(self.tracks) * self.opponents * self.starts * 2
 
+    @property
+    def work(self) -> tuple[float, float, float]:
+        """Seconds of racing in the search, the choice and the measurement, at most."""
+        races = 2 * len(self.tracks)
+        return (
+            self.evaluations * self.races * self.duration,
+            self.candidates * races * self.choice_opponents * self.choice_starts * self.duration,
+            self.most * races * self.final_opponents * self.final_starts * self.final_duration,
+        )
+
 
 def list_archive_configs() -> list[str]:
     """Names of the configurations that come with the package."""
