@@ -67,7 +67,9 @@ def hypervolume(points: ArrayLike, reference: ArrayLike) -> float:
 
 
 def contributions(points: ArrayLike, reference: ArrayLike) -> Floats:
-    """Hypervolume that would be lost without each point, shape (K,); 0 for points that another one beats or equals.
+    """Hypervolume that the front of some points would lose without each of them, shape (K,).
+
+    0 for points that another one beats or equals; such points do not lessen what others contribute.
 
     Raises
     ------

@@ -10,11 +10,13 @@ The comments in :meth:`MOCMAES.ask` and :meth:`MOCMAES.tell` are the lines of th
 - Line 13: the mean moves to the recombined elite of this generation, as in CMA-ES (``mean="generation"``). The literal
   reading is the mean of the archive's Pareto set (``mean="archive"``): where that set is no straight line, it is the
   mean of points far from each other.
+- Parameters have bounds, of which the paper says nothing. Samples outside are moved to the border, and CMA-ES is told
+  that they were where it drew them: so its mean can settle beyond a border and keep a parameter at its limit. The mean
+  stays within three standard deviations of the box, and the step size within twice its first value.
 - The paper never restarts. Here, once the step size has collapsed or the archive has stopped growing, the search starts
   again at a point of the front, the likelier the more hypervolume it contributes: there the front is thin.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,7 +33,7 @@ from pcs_racing_agents.synthesis.indicators import (
     uncrowded_improvement,
 )
 
-__all__ = ["LOSSES", "MEANS", "MOCMAES", "Setting", "cma_es", "hypervolume_loss"]
+__all__ = ["LOSSES", "MEANS", "MOCMAES", "CubeCMAES", "Setting", "cma_options", "hypervolume_loss"]
 
 Floats = NDArray[np.float64]
 
@@ -80,6 +82,80 @@ class Setting:
     nadir: Floats | None
 
 
+class CubeCMAES:
+    """CMA-ES of pycma in the unit cube, drawing from a given generator instead of numpy's global one.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (P,)
+        First mean.
+    step_size : float
+        First standard deviation.
+    largest : float
+        The step size stays below.
+    population, elite : int
+        Points of a generation, and how many of them are recombined.
+    rng : Generator
+
+    Raises
+    ------
+    InputError
+        If there is only one parameter.
+    ModuleNotFoundError
+        If pycma is not installed.
+    """
+
+    def __init__(
+        self, mean: Floats, step_size: float, largest: float, population: int, elite: int, rng: np.random.Generator
+    ) -> None:
+        if len(mean) < 2:
+            raise InputError("CMA-ES needs at least 2 parameters; there is 1")
+        require("cma", extra="synthesis")
+        import cma
+
+        self._largest = largest
+        self._samples: list[Floats] = []
+        self._es = cma.CMAEvolutionStrategy(
+            mean, step_size, {**cma_options(rng), "popsize": population, "CMA_mu": elite, "maxstd": 1.0 / 3.0}
+        )
+
+    @property
+    def step_size(self) -> float:
+        """Largest standard deviation of a parameter."""
+        return float(np.max(self._es.stds))
+
+    @property
+    def degenerate(self) -> bool:
+        """Whether nothing more can come of it."""
+        return not SMALLEST_STEP < self.step_size < np.inf or self._es.condition_number > 1e14
+
+    def ask(self) -> Floats:
+        """Return a generation of points, shape (n, P)."""
+        self._samples = self._es.ask()
+        return np.clip(np.stack(self._samples), 0.0, 1.0)
+
+    def tell(self, ranks: Floats) -> None:
+        """Learn which of them are best, by their ranks: CMA-ES asks for nothing else."""
+        self._es.tell(self._samples, ranks.tolist())
+        self._es.sigma = min(self._es.sigma, self._largest)
+        self.move(self._es.mean)
+
+    def move(self, mean: Floats) -> None:
+        """Set the mean."""
+        room = 3.0 * self._es.stds
+        self._es.mean = np.clip(mean, -room, 1.0 + room)
+
+
+def cma_options(rng: np.random.Generator) -> dict[str, Any]:
+    """Options with which pycma draws from a generator, leaves numpy's global one alone, and keeps quiet."""
+    return {
+        "seed": np.nan,
+        "randn": lambda *shape: rng.standard_normal(shape),
+        "verbose": -10,  # says nothing and reads no file of signals
+        "verb_log": 0,
+    }
+
+
 class MOCMAES:
     """Algorithm 1, asked for points and told how good they are.
 
@@ -96,18 +172,16 @@ class MOCMAES:
         self._rng = np.random.default_rng(setting.seed)
         self._stalled = 0
         self._es = self._started(setting.start, setting.step_size)
-        self._asked: list[Floats] = []
 
     @property
     def step_size(self) -> float:
         """Largest standard deviation of a parameter, as a share of its range."""
-        return float(self._es.sigma * np.sqrt(np.max(self._es.sm.variances)))
+        return self._es.step_size
 
     def ask(self) -> Floats:
         """Return a generation of points, shape (n, P), in the unit cube."""
-        # Lines 4-5: sample theta_i from N(mu, sigma^2 C). pycma wants the very same arrays back.
-        self._asked = self._es.ask()
-        return np.clip(np.stack(self._asked), 0.0, 1.0)
+        # Lines 4-5: sample theta_i from N(mu, sigma^2 C).
+        return self._es.ask()
 
     def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
         """Learn from the generation that was asked for, and return the archive with its best points in it."""
@@ -120,13 +194,13 @@ class MOCMAES:
         elite = np.zeros(len(points), np.bool_)
         elite[order[: self._elite]] = True
         grown = archive.joined(points, objectives, violation, elite)
-        # Lines 11-12: evolution paths, step size and covariance. CMA-ES asks for nothing but ranks.
+        # Lines 11-12: evolution paths, step size and covariance.
         ranks = np.empty(len(points))
         ranks[order] = np.arange(len(points))
-        self._es.tell(self._asked, ranks.tolist())
+        self._es.tell(ranks)
         # Line 13: the mean.
         if self._setting.mean == "archive" and len(grown.front):
-            self._es.mean = grown.parameters[grown.front].mean(axis=0)
+            self._es.move(grown.parameters[grown.front].mean(axis=0))
         self._restart_if_done(archive, grown, scale)
         return grown
 
@@ -138,8 +212,7 @@ class MOCMAES:
                 for known in (before, after)
             )
             self._stalled = 0 if new - old > LEAST_GAIN else self._stalled + 1
-        collapsed = not SMALLEST_STEP < self.step_size < np.inf or self._es.condition_number > 1e14
-        if not collapsed and self._stalled < PATIENCE:
+        if not self._es.degenerate and self._stalled < PATIENCE:
             return
         self.restarts += 1
         self._stalled = 0
@@ -152,8 +225,9 @@ class MOCMAES:
         chosen = self._rng.choice(after.front, p=share / share.sum())
         self._es = self._started(after.parameters[chosen], 0.5 * setting.step_size)
 
-    def _started(self, mean: Floats, step_size: float) -> Any:
-        return cma_es(mean, step_size, self._setting.population, self._elite, self._rng)
+    def _started(self, mean: Floats, step_size: float) -> CubeCMAES:
+        largest = 2.0 * self._setting.step_size
+        return CubeCMAES(mean, step_size, largest, self._setting.population, self._elite, self._rng)
 
 
 def hypervolume_loss(
@@ -185,48 +259,3 @@ def hypervolume_loss(
         measure = uncrowded_improvement if kind == "uhvi" else total_hypervolume
         loss[feasible] = -measure(scale(objectives[feasible]), front, reference)
     return loss
-
-
-def cma_es(
-    mean: Floats,
-    step_size: float,
-    population: int,
-    elite: int,
-    rng: np.random.Generator,
-    strategy: Callable[..., Any] | None = None,
-) -> Any:
-    """Return pycma's CMA-ES in the unit cube, drawing from a given generator instead of numpy's global one.
-
-    Points outside are moved to the border and punished by their distance from it.
-
-    Parameters
-    ----------
-    mean : ndarray, shape (P,)
-    step_size : float
-    population, elite : int
-        Points of a generation, and how many of them are recombined.
-    rng : Generator
-    strategy : class, optional
-        A subclass of ``cma.CMAEvolutionStrategy``.
-
-    Raises
-    ------
-    InputError
-        If there is only one parameter.
-    """
-    if len(mean) < 2:
-        raise InputError("CMA-ES needs at least 2 parameters; there is 1")
-    require("cma", extra="synthesis")
-    import cma
-
-    options = {
-        "bounds": [0.0, 1.0],
-        "BoundaryHandler": cma.BoundPenalty,
-        "popsize": population,
-        "CMA_mu": elite,
-        "seed": np.nan,  # don't touch numpy's global generator
-        "randn": lambda *shape: rng.standard_normal(shape),
-        "verbose": -10,  # says nothing and reads no file of signals
-        "verb_log": 0,
-    }
-    return (strategy or cma.CMAEvolutionStrategy)(mean, step_size, options)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.mapping.optional import require
 from pcs_racing_agents.synthesis.explored import Explored, Scale
-from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, Setting, cma_es
+from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, Setting, cma_options
 
 __all__ = ["METHODS", "Optimiser", "make_optimiser"]
 
@@ -32,7 +32,9 @@ Floats = NDArray[np.float64]
 class Optimiser(Protocol):
     """What an optimiser offers: points in the unit cube on request, and ears for what came of them."""
 
-    restarts: int
+    @property
+    def restarts(self) -> int:
+        """How often it began anew."""
 
     @property
     def step_size(self) -> float:
@@ -115,37 +117,35 @@ class COMO:
     restarts = 0
 
     def __init__(self, setting: Setting) -> None:
+        if setting.dimension < 2:
+            raise InputError("CMA-ES needs at least 2 parameters; there is 1")
         require("comocma", extra="baselines")
+        import cma
         import comocma
 
         self._setting = setting
         rng = np.random.default_rng(setting.seed)
-        default = 4 + int(3 * np.log(setting.dimension)) + 1
-        count = max(1, setting.population // default)
+        count = max(1, setting.population // (4 + int(3 * np.log(setting.dimension)) + 1))
         sizes = [len(part) - 1 for part in np.array_split(np.arange(setting.population), count)]
+        options = {**cma_options(rng), "bounds": [0.0, 1.0], "BoundaryHandler": cma.BoundPenalty}
         kernels = [
-            cma_es(
-                rng.random(setting.dimension),
-                setting.step_size,
-                max(size, 2),
-                max(size // 2, 1),
-                rng,
-                comocma.CmaKernel,
-            )
+            comocma.CmaKernel(rng.random(setting.dimension), setting.step_size, {**options, "popsize": size})
             for size in sizes
         ]
         for kernel in kernels:
             kernel.stop = _never
-        options = {"archive": False, "verb_log": 0, "verb_disp": 0, "update_order": lambda _: rng.random()}
-        reference = (-np.broadcast_to(np.asarray(setting.reference, np.float64), (2,))).tolist()
+        quiet = {"archive": False, "verb_log": 0, "verb_disp": 0, "update_order": lambda _: rng.random()}
+        if np.size(setting.reference) > 2:
+            raise InputError(f"method 'comocma' handles 2 objectives; the reference has {np.size(setting.reference)}")
+        reference = (-np.asarray(setting.reference) * np.ones(2)).tolist()
         self._kernels, self._raw = kernels, [np.zeros(2)] * len(kernels)
-        self._sofomore = comocma.Sofomore(kernels, reference, options)
+        self._sofomore = comocma.Sofomore(kernels, reference, quiet)
         self._asked: Any = None
 
     @property
     def step_size(self) -> float:
         """Of the kernel with the largest one."""
-        return float(max(kernel.sigma * np.sqrt(np.max(kernel.sm.variances)) for kernel in self._kernels))
+        return float(max(np.max(kernel.stds) for kernel in self._kernels))
 
     def ask(self) -> Floats:
         """Return the means of all kernels and what they sample around them."""
@@ -203,7 +203,7 @@ class CMAMAE:
         from ribs.archives import GridArchive
         from ribs.emitters import EvolutionStrategyEmitter
 
-        axes, seeds = objectives - 1, self._setting.seed.spawn(5)
+        axes, seeds = objectives - 1, self._setting.seed.generate_state(6)[1:].tolist()
         self._archive = GridArchive(
             solution_dim=self._setting.dimension,
             dims=[max(2, round(self.CELLS ** (1.0 / axes)))] * axes,

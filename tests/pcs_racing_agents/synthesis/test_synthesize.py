@@ -1,0 +1,358 @@
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from pcs_racing import InputError, UnknownNameError
+from pcs_racing_agents.synthesis.indicators import hypervolume, non_dominated
+from pcs_racing_agents.synthesis.optimisers import METHODS
+from pcs_racing_agents.synthesis.synthesize import Evaluated, Search, synthesize
+
+UNIT = np.tile([0.0, 1.0], (6, 1))
+SMALL = {"population": 12, "generations": 6, "seed": 3}
+
+
+def spheres(points, dimension: int = 6):
+    """Minus the squared distances from two points: the Pareto set is the line between them."""
+    one, other = np.full(dimension, 0.3), np.full(dimension, 0.7)
+    return -np.column_stack([((points - one) ** 2).sum(axis=1), ((points - other) ** 2).sum(axis=1)])
+
+
+def zdt1(points):
+    """Pareto set at the border: all parameters but the first are 0 (E. Zitzler, K. Deb, L. Thiele, 2000)."""
+    g = 1.0 + 9.0 * points[:, 1:].mean(axis=1)
+    return -np.column_stack([points[:, 0], g * (1.0 - np.sqrt(points[:, 0] / g))])
+
+
+def three(points):
+    return -np.column_stack([((points - centre) ** 2).sum(axis=1) for centre in (0.2, 0.5, np.linspace(0.2, 0.8, 6))])
+
+
+def same(one, other):
+    for key in ("parameters", "objectives", "evaluations", "explored_parameters", "explored_objectives", "ideal"):
+        np.testing.assert_array_equal(getattr(one, key), getattr(other, key), err_msg=key)
+    for news, others in zip(one.generations, other.generations, strict=True):
+        np.testing.assert_array_equal(news[:7], others[:7])
+
+
+@pytest.fixture(params=METHODS)
+def method(request, monkeypatch):
+    if request.param == "cma-mae":
+        import numba
+
+        # Pyribs compiles anew in every process, which would take most of this file's time.
+        monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
+        import ribs.emitters  # noqa: F401
+    return request.param
+
+
+# What it finds
+
+
+@pytest.mark.parametrize(("function", "share"), [(spheres, 0.97), (zdt1, 0.98)])
+def test_it_comes_near_the_whole_front_and_random_search_does_not(function, share):
+    line = np.tile(np.linspace(0.3, 0.7, 2001)[:, None], 6)
+    border = np.pad(np.linspace(0.0, 1.0, 2001)[:, None], ((0, 0), (0, 5)))
+    front = function(line if function is spheres else border)
+    low, extent = front.min(axis=0), np.ptp(front, axis=0)
+
+    def of_possible(result):
+        return hypervolume((result.objectives - low) / extent, -0.1) / hypervolume((front - low) / extent, -0.1)
+
+    found = synthesize(function, UNIT, population=25, generations=60, seed=1)
+    drawn = synthesize(function, UNIT, population=25, generations=60, seed=1, method="random")
+    assert of_possible(found) > share
+    assert of_possible(found) > of_possible(drawn) + 0.1
+    assert len(found.parameters) > 30
+
+
+def test_the_front_is_what_nothing_explored_beats():
+    result = synthesize(spheres, UNIT, population=12, generations=10, elite_ratio=1.0)
+    np.testing.assert_array_equal(
+        result.parameters, result.explored_parameters[non_dominated(result.explored_objectives, duplicates=False)]
+    )
+    np.testing.assert_array_equal(result.objectives, spheres(result.parameters))
+    assert result.explored_parameters.shape == (120, 6)
+    grown = result.hypervolumes()
+    assert grown.shape == (10,)
+    assert (np.diff(grown) >= -1e-12).all()
+    last = result.generations[-1]
+    assert (last.generation, last.evaluations, last.archive_size) == (10, 120, len(result.parameters))
+    assert last.hypervolume == pytest.approx(grown[-1])
+
+
+@pytest.mark.parametrize("options", [{"loss": "total_hypervolume"}, {"mean": "archive"}])
+def test_the_literal_readings_are_other_searches(options):
+    assert not np.array_equal(
+        synthesize(spheres, UNIT, **SMALL, **options).explored_parameters,
+        synthesize(spheres, UNIT, **SMALL).explored_parameters,
+    )
+
+
+def test_with_the_mean_of_the_archive_it_samples_around_that():
+    search = Search(UNIT, population=12, mean="archive", step_size=0.01)
+    for _ in range(3):
+        middle = search.archive.mean(axis=0) if len(search.archive) else np.full(6, 0.5)
+        asked = search.ask()
+        assert abs(asked.mean(axis=0) - middle).max() < 0.02
+        search.tell(spheres(asked))
+
+
+def test_a_search_that_stands_still_starts_again():
+    kept = []
+    synthesize(
+        lambda points: np.column_stack([points[:, 0] * 0.0, points[:, 0] * 0.0]),  # nothing to be gained
+        UNIT,
+        population=4,
+        generations=30,
+        callback=lambda news: kept.append(news.restarts),
+    )
+    assert kept[0] == 0
+    assert kept[-1] == 2  # after 1 + 10 and after 10 more
+
+
+def test_infeasible_points_never_enter_the_archive_but_lead_the_way_back():
+    def evaluate(points):  # everything good is forbidden: the sum must be 5 or above, and objectives ask for less
+        return -np.column_stack([points[:, 0], points[:, 1:].sum(axis=1)]), 5.0 - points.sum(axis=1)
+
+    seen = []
+    result = synthesize(evaluate, UNIT, population=25, generations=30, callback=seen.append, start=np.full(6, 0.1))
+    assert seen[0].infeasible == 25
+    assert seen[0].archive_size == 0
+    assert seen[0].hypervolume == 0.0
+    assert len(result.parameters) > 5
+    assert (result.parameters.sum(axis=1) >= 5.0).all()
+    assert result.objectives.sum(axis=1).max() > -5.1  # close to the border
+    assert (result.explored_violation > 0.0).any()
+
+
+def test_nothing_feasible_leaves_an_empty_front():
+    def evaluate(points, repeats):
+        return spheres(points), np.ones(len(points))
+
+    result = synthesize(evaluate, UNIT, **SMALL, reevaluation=0.3)
+    assert result.parameters.shape == (0, 6)
+    assert result.objectives.shape == (0, 2)
+    np.testing.assert_array_equal(result.hypervolumes(), np.zeros(6))
+
+
+# The same again
+
+
+def test_every_method_repeats_itself_stays_within_bounds_and_leaves_numpy_alone(method):
+    bounds = np.array([[-5.0, 3.0], [0.0, 1e-3], [10.0, 20.0], [-1.0, 1.0], [2.0, 4.0]])
+    seen = []
+
+    def evaluate(points):
+        seen.append(points)
+        unit = (points - bounds[:, 0]) / np.ptp(bounds, axis=1)
+        return spheres(unit, 5), unit[:, 0] - 0.8
+
+    np.random.seed(5)  # noqa: NPY002
+    state = np.random.get_state()  # noqa: NPY002
+    first = synthesize(evaluate, bounds, method=method, **SMALL)
+    after = np.random.get_state()  # noqa: NPY002
+    np.testing.assert_array_equal(state[1], after[1])
+    assert state[2:] == after[2:]
+    points = np.concatenate(seen)
+    assert len(points) == 72
+    assert (points >= bounds[:, 0]).all()
+    assert (points <= bounds[:, 1]).all()
+    same(first, synthesize(evaluate, bounds, method=method, **SMALL))
+    other = synthesize(evaluate, bounds, method=method, **{**SMALL, "seed": 4})
+    assert not np.array_equal(first.explored_parameters, other.explored_parameters)
+
+
+@pytest.mark.parametrize("known", [1, 4, 6])
+def test_a_search_told_again_what_it_was_told_goes_on_as_if_it_had_never_stopped(method, known):
+    calls = []
+
+    def evaluate(points, repeats):
+        calls.append(len(points))
+        return spheres(points), np.full(len(points), -1.0)
+
+    options = {"method": method, "reevaluation": 0.3, **SMALL}
+    whole = synthesize(evaluate, UNIT, **options)
+    calls.clear()
+    stored = [Evaluated(news.objectives, news.violation, news.parameters) for news in whole.generations[:known]]
+    again = synthesize(evaluate, UNIT, evaluated=stored, **options)
+    assert len(calls) == 6 - known
+    same(whole, again)
+
+
+def test_stored_results_of_another_search_are_refused():
+    stored = [
+        Evaluated(news.objectives, None, news.parameters) for news in synthesize(spheres, UNIT, **SMALL).generations
+    ]
+    with pytest.raises(InputError, match="generation 1 belong to other points"):
+        synthesize(spheres, UNIT, **{**SMALL, "seed": 4}, evaluated=stored)
+    with pytest.raises(InputError, match="holds 6 generations; at most the 5"):
+        synthesize(spheres, UNIT, **{**SMALL, "generations": 5}, evaluated=stored)
+
+
+def test_an_executor_changes_nothing():
+    def evaluate(points):
+        return spheres(points), points[:, 0] - 0.6
+
+    with ThreadPoolExecutor(2) as executor:
+        same(synthesize(evaluate, UNIT, executor=executor, **SMALL), synthesize(evaluate, UNIT, **SMALL))
+
+
+def test_asking_and_telling_is_the_same_search():
+    search = Search(UNIT, population=12, seed=3)
+    for _ in range(6):
+        search.tell(spheres(search.ask()))
+    same(search.result(), synthesize(spheres, UNIT, **SMALL))
+
+
+def test_three_objectives_and_fixed_scales(method):
+    options = {"method": method, **SMALL, "ideal": [0.0, 0.0, 0.0], "nadir": [-3.0, -3.0, -3.0], "reference": [0.0] * 3}
+    if method == "comocma":
+        with pytest.raises(InputError, match="handles 2 objectives"):
+            synthesize(three, UNIT, **options)
+        return
+    result = synthesize(three, UNIT, **options)
+    np.testing.assert_array_equal(result.nadir, [-3.0] * 3)
+    assert result.hypervolumes()[-1] == pytest.approx(hypervolume(result.objectives / 3.0 + 1.0, 0.0))
+
+
+# Noise, and points from elsewhere
+
+
+def noisy(points, repeats):
+    """Two spheres and noise that depends on the point and on how often it was evaluated before."""
+    found = spheres(points)
+    for row, (point, repeat) in enumerate(zip(points, repeats, strict=True)):
+        rng = np.random.default_rng([*point.view(np.uint32), repeat])
+        found[row] += 0.2 * rng.standard_normal(2)
+    return found
+
+
+def test_reevaluation_brings_the_archive_down_to_earth():
+    bias = {}
+    for share in (0.0, 0.3):
+        evaluate = noisy if share else lambda points: noisy(points, np.zeros(len(points), np.int64))
+        result = synthesize(evaluate, UNIT, population=20, generations=20, reevaluation=share, seed=2)
+        bias[share] = float((result.objectives - spheres(result.parameters)).mean())
+    assert result.explored_evaluations.sum() == 400
+    assert bias[0.3] < 0.5 * bias[0.0]
+
+
+def test_objectives_of_points_evaluated_again_are_means_and_the_front_follows():
+    search = Search(UNIT[:2], population=4, elite_ratio=1.0, seed=0)
+    first = search.ask()
+    search.tell([[0.0, 3.0], [2.0, 2.0], [1.0, 1.0], [3.0, 0.0]])
+    np.testing.assert_array_equal(search.archive, first[[0, 1, 3]])
+    again = search.ask_again()
+    # Point 1 contributes most, so it comes first; there are four places for three points.
+    np.testing.assert_array_equal(again, np.vstack([first[1], first[0], first[3], first[1]]))
+    np.testing.assert_array_equal(search.repeats, [1, 1, 1, 2])
+    news = search.tell([[0.0, 0.0], [0.0, 3.0], [3.0, 0.0], [-1.0, -1.0]], [0.0, 0.0, 2.0, 0.0])
+    result = search.result()
+    # Point 1 is (1/3, 1/3) on average and point 2 beats it now; point 3 violates by 1 on average.
+    np.testing.assert_array_equal(result.parameters, first[[0, 2]])
+    np.testing.assert_allclose(result.explored_objectives[1], [1 / 3, 1 / 3])
+    np.testing.assert_array_equal(result.explored_evaluations, [2, 3, 1, 2])
+    assert news.evaluations == 8
+
+
+def test_known_points_join_the_archive():
+    search = Search(UNIT, population=12)
+    line = np.tile(np.linspace(0.3, 0.7, 5)[:, None], 6)
+    search.add(line, spheres(line))
+    search.tell(spheres(search.ask()))
+    np.testing.assert_array_equal(search.result().parameters[:5], line)
+
+
+def test_the_front_can_be_given_other_values():
+    search = Search(UNIT[:2], population=4, elite_ratio=1.0)
+    first = search.ask()
+    search.tell([[0.0, 3.0], [2.0, 2.0], [1.0, 1.0], [3.0, 0.0]])
+    search.replace([[0.0, 3.0], [0.5, 0.5], [1.0, 1.0]])
+    np.testing.assert_array_equal(search.archive, first[[0, 3]])  # point 2 does not come back: its values are old
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"bounds": [0.0, 1.0]}, r"bounds have shape \(2,\)"),
+        ({"bounds": np.zeros((3, 4))}, r"bounds have shape \(3, 4\)"),
+        ({"bounds": np.zeros((0, 2))}, r"bounds have shape \(0, 2\)"),
+        ({"bounds": [[0.0, 1.0], [1.0, 1.0]]}, "bounds of parameter 1 are 1 and 1"),
+        ({"bounds": [[0.0, 1.0], [1.0, np.inf]]}, "bounds holds NaN or infinity"),
+        ({"bounds": [[0.0, "x"]]}, "must hold numbers"),
+        ({"bounds": [[0.0, 1.0]]}, "at least 2 parameters"),
+        ({"population": 3}, "population is 3"),
+        ({"population": 12.0}, r"population is 12\.0"),
+        ({"generations": 0}, "generations is 0"),
+        ({"elite_ratio": 0.0}, "elite_ratio is 0.0; it must be a number above 0 to 1"),
+        ({"reevaluation": 0.95}, "reevaluation is 0.95"),
+        ({"step_size": np.nan}, "step_size is nan"),
+        ({"seed": -1}, "seed is -1"),
+        ({"loss": "hv"}, "loss is 'hv'; it must be one of uhvi, total_hypervolume"),
+        ({"mean": "median"}, "mean is 'median'"),
+        ({"ideal": [1.0, 1.0]}, "only one of ideal and nadir"),
+        ({"ideal": [1.0, 1.0], "nadir": [0.0, 1.0]}, "must be larger on all axes"),
+        ({"ideal": [1.0] * 3, "nadir": [0.0] * 3}, "ideal has 3 numbers; there are 2 objectives"),
+        ({"reference": [0.0] * 3}, "reference has 3 numbers; there are 2 objectives"),
+        ({"start": [2.0] * 6}, "must lie within the bounds"),
+        ({"start": [0.5]}, r"start has shape \(1,\); it must have \(6,\)"),
+    ],
+)
+def test_impossible_arguments_are_named(options, words):
+    with pytest.raises(InputError, match=words):
+        synthesize(spheres, **{"bounds": UNIT, **SMALL, **options})
+
+
+def test_an_unknown_method_is_named():
+    with pytest.raises(UnknownNameError, match="method is 'cmaes'; it must be one of mo-cma-es, nsga2"):
+        synthesize(spheres, UNIT, method="cmaes")
+
+
+@pytest.mark.parametrize(
+    ("evaluate", "words"),
+    [
+        (lambda x: np.zeros(len(x)), r"shape \(12,\); for 12 points they must have \(12, 2 or more\)"),
+        (lambda x: np.zeros((3, 2)), r"shape \(3, 2\)"),
+        (lambda x: np.zeros((len(x), 1)), r"shape \(12, 1\)"),
+        (lambda x: [["a", "b"]] * len(x), "no number"),
+        (lambda x: None, "shape"),
+        (lambda x: np.where(np.arange(24).reshape(12, 2) == 7, np.nan, 1.0), "objective 1 of point 3 is nan"),
+        (lambda x: (spheres(x), np.full(12, np.inf)), "violation of point 0 is inf"),
+        (lambda x: (spheres(x), np.zeros((12, 1))), r"violations have shape \(12, 1\); they must have \(12,\)"),
+    ],
+)
+def test_impossible_results_are_named(evaluate, words):
+    with pytest.raises(InputError, match=words) as caught:
+        synthesize(evaluate, UNIT, **SMALL)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_number_of_objectives_can_not_change():
+    search = Search(UNIT, population=12)
+    search.tell(spheres(search.ask()))
+    with pytest.raises(InputError, match=r"shape \(12, 3\); for 12 points they must have \(12, 2\)"):
+        search.tell(three(search.ask()))
+
+
+def test_asking_and_telling_take_turns():
+    search = Search(UNIT, population=12)
+    with pytest.raises(InputError, match="ask first"):
+        search.tell(np.zeros((12, 2)))
+    with pytest.raises(InputError, match="nothing to evaluate again"):
+        search.ask_again()
+    search.ask()
+    for call in (search.ask, search.ask_again, lambda: search.replace([]), lambda: search.add(UNIT[:, :1].T, [[0, 0]])):
+        with pytest.raises(InputError, match="were not told yet"):
+            call()
+
+
+def test_without_the_library_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setattr("pcs_racing.mapping.optional.find_spec", lambda name: None)
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "pcs-racing\[synthesis\]"'):
+        Search(UNIT)
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "pcs-racing\[baselines\]"'):
+        Search(UNIT, method="nsga2")
