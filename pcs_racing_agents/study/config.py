@@ -45,7 +45,9 @@ class StudyConfig:
     response_pool : tuple of str
         Opponents that answers are learned against.
     fitting_games : int
-        Games on each circuit for the choice of the best blind strategies.
+        Games against each opponent on each circuit, for the choice of the best blind strategies; even.
+    fixed_targets : int
+        Policies among which the best one to walk to is chosen, spread over the archive; 0 for all.
     fitting_opponents : tuple of str
         Opponents in those games.
     tracks : tuple of str
@@ -84,7 +86,8 @@ class StudyConfig:
     targets: tuple[str, ...] = ("regret", "normalised", "advantage", "static-q")
     responses: tuple[str, ...] = ()
     response_pool: tuple[str, ...] = ("never-switch", "random-moves")
-    fitting_games: int = 400
+    fitting_games: int = 100
+    fixed_targets: int = 16
     fitting_opponents: tuple[str, ...] = ("never-switch",)
     tracks: tuple[str, ...] = ("Tarnfjord",)
     opponents: tuple[str, ...] = ("never-switch", "random-policy", "lane-switcher")
@@ -121,6 +124,7 @@ class StudyConfig:
             pairs=(0, 100_000),
             seeds=(1, 1000),
             fitting_games=(2, 1_000_000),
+            fixed_targets=(0, 1_000_000),
             egos=(2, 1000),
             variants=(2, 1000),
             lines=(1, 1000),

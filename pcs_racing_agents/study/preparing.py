@@ -1,5 +1,7 @@
 """The stages before the races: the archive, the trees, and everybody who learns from something."""
 
+from functools import partial
+
 import numpy as np
 
 from pcs_racing.errors import InputError
@@ -8,6 +10,7 @@ from pcs_racing_agents.jobs import open_job
 from pcs_racing_agents.rollouts.learner import learn_response, load_response_settings
 from pcs_racing_agents.strategies.fits import save_fit
 from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.synthesis.diverse import select_diverse
 from pcs_racing_agents.trees.storage import StoredTrees, build_trees, load_trees
 
 __all__ = [
@@ -97,10 +100,17 @@ def choose_blind(study: Study) -> None:
         races=config.fitting_games,
         seed=config.seed + FITTING_SEED,
     )
+    targets = None
+    if 0 < config.fixed_targets < len(study.archive):
+        rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(FITTING_SEED,)))
+        targets = select_diverse(study.archive, config.fixed_targets, "map", rng)
     folder = study.folder / "blind"
     settings = {"archive": study.archive.content_hash}
     with open_job(folder / "races", "fitting", settings) as job:
-        for name, find in (("best-fixed", fit_best_fixed), ("best-schedule", fit_best_schedule)):
+        for name, find in (
+            ("best-fixed", partial(fit_best_fixed, targets=targets)),
+            ("best-schedule", fit_best_schedule),
+        ):
             fit = find(training, job=job, executor=study.executor, progress=study.progress(f"races ({name})"))
             save_fit(fit, folder / f"{name}.yaml")
 
