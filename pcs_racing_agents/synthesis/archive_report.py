@@ -23,7 +23,7 @@ from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import Evaluation, summarise
 from pcs_racing_agents.synthesis.explored import Scale
 from pcs_racing_agents.synthesis.indicators import hypervolume
-from pcs_racing_agents.synthesis.selection import beaten, difference_errors, front_layers
+from pcs_racing_agents.synthesis.selection import front_layers
 
 __all__ = ["draw_front", "hypervolume_error", "write_archive"]
 
@@ -64,13 +64,11 @@ def write_archive(
     measured = summarise(raced)
     coordinates = measured.coordinates
     front = front_layers(coordinates) == 0
-    lost = beaten(coordinates, difference_errors(raced), config.error_bars)
     winner = raced["winner"]
     low_half = np.argsort(coordinates[:, 0], kind="stable")[: len(coordinates) // 2]
     facts = {
         "policies": len(parameters),
         "policies_not_beaten": int(front.sum()),
-        "policies_beaten_by_more_than_error_bars": int(lost.sum()),
         "enough_policies": bool(len(parameters) >= config.fewest),
         "hypervolume": hypervolume(scale(coordinates), REFERENCE),
         "hypervolume_error": hypervolume_error(raced, scale, REFERENCE),
@@ -137,7 +135,8 @@ def _top_tenth(values: Floats, by: Floats) -> float:
 def _stated(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
     """Every setting of a synthesis as a text or a number."""
     values = {**plain_settings(config), "characteristics": list(config.axes)}
-    return {key: ", ".join(map(str, value)) if isinstance(value, list) else value for key, value in values.items()}
+    texts = {key: ", ".join(map(str, value)) for key, value in values.items() if isinstance(value, list)}
+    return {key: "none" if value is None else texts.get(key, value) for key, value in values.items()}
 
 
 def _versions() -> dict[str, str]:

@@ -29,7 +29,7 @@ from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveSearch,
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import Scenarios, draw_scenarios, summarise
 from pcs_racing_agents.synthesis.indicators import hypervolume
-from pcs_racing_agents.synthesis.selection import beaten, difference_errors, front_layers, thin_out
+from pcs_racing_agents.synthesis.selection import beaten, difference_errors, spread_first, thin_out
 
 __all__ = ["News", "Told", "choose", "draw_policies", "make_archive", "measure"]
 
@@ -136,35 +136,37 @@ def choose(run: ArchiveSearch, scenarios: Scenarios) -> tuple[Floats, Notes]:
     theta, found = run.explored()
     rows = np.arange(run.comparable, len(theta))
     rows = rows[np.sort(np.unique(theta[rows], axis=0, return_index=True)[1])]
-    safe = rows[found.own_crash[rows] <= config.search_crash_limit]
-    order = safe[np.lexsort((safe, front_layers(found.coordinates[safe])))][: config.candidates]
-    if len(order) == 0:
+    crashing = found.own_crash > config.search_crash_limit
+    allowed = rows[run.violation(found)[rows] <= 0.0]
+    if len(allowed) == 0:
         raise InputError(
             f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the races of "
-            f"{config.duration:g} s; raise crash_limit, or slow the cars down (speed_range in a preset of your own)"
+            f"{config.duration:g} s, or lie below least; raise crash_limit or lower least"
         )
+    order = allowed[spread_first(_unit(found.coordinates[allowed]), 0.5 * config.spacing, config.candidates)]
     raced = run.race("choice", "choice", scenarios, theta[order])
     again = summarise(raced)
-    calm = np.flatnonzero(again.own_crash <= config.search_crash_limit)
-    points = again.coordinates[calm]
-    lost = beaten(points, difference_errors({key: values[calm] for key, values in raced.items()}), config.error_bars)
-    left = calm[~lost]
+    calm = np.flatnonzero(run.violation(again) <= 0.0)
+    left = calm[~_beaten(config, raced, calm)]
     apart = left[thin_out(_unit(again.coordinates[left]), config.spacing, config.most)]
     last = run.history[-1]
     run.tell("choice", last.generation, last.hypervolume, len(apart), again)
     return theta[order[apart]], {
-        "search_over_crash_limit": int(np.sum(found.own_crash > config.search_crash_limit)),
-        "search_hypervolume": hypervolume(run.scale(found.coordinates[safe]), REFERENCE),
+        "search_over_crash_limit": int(crashing.sum()),
+        "search_hypervolume": hypervolume(run.scale(found.coordinates[rows[~crashing[rows]]]), REFERENCE),
         "search_hypervolume_without_crash_limit": hypervolume(run.scale(found.coordinates[rows]), REFERENCE),
         "choice_candidates": len(order),
-        "choice_over_crash_limit": len(order) - len(calm),
-        "choice_beaten": int(lost.sum()),
+        "choice_outside_limits": len(order) - len(calm),
+        "choice_beaten": len(calm) - len(left),
         "choice_too_near_another": len(left) - len(apart),
     }
 
 
 def measure(run: ArchiveSearch, parameters: Floats, scenarios: Scenarios) -> tuple[Floats, Arrays, Notes]:
-    """Race policies in new scenarios, sort them by the first axis, and leave out those that crash too often.
+    """Race policies in new scenarios, sort them by the first axis, and leave out what does not belong in an archive.
+
+    That is: those that crash too often after all, and those that another one clearly beats after all. What is left out
+    adds nothing to the front, so this makes the front look no better than it is.
 
     Returns
     -------
@@ -175,12 +177,13 @@ def measure(run: ArchiveSearch, parameters: Floats, scenarios: Scenarios) -> tup
         How many were left out.
     """
     limit = run.config.crash_limit
-    kept = np.zeros(0, np.int64)
+    calm = kept = np.zeros(0, np.int64)
     if len(parameters):
         raced = run.race("measurement", "measurement", scenarios, parameters)
         found = summarise(raced)
-        kept = np.argsort(found.coordinates[:, 0], kind="stable")
-        kept = kept[found.own_crash[kept] <= limit]
+        calm = np.flatnonzero(found.own_crash <= limit)
+        kept = calm[~_beaten(run.config, raced, calm)]
+        kept = kept[np.argsort(found.coordinates[kept, 0], kind="stable")]
     if len(kept) < 2:
         raise InputError(
             f"{len(kept)} policies remain below the crash limit of {limit:.0%}; an archive needs 2 at least: raise "
@@ -188,8 +191,17 @@ def measure(run: ArchiveSearch, parameters: Floats, scenarios: Scenarios) -> tup
         )
     last = run.history[-1]
     run.tell("measurement", last.generation, last.hypervolume, len(kept), found)
-    notes = {"measurement_over_crash_limit": len(parameters) - len(kept)}
+    notes = {
+        "measurement_over_crash_limit": len(parameters) - len(calm),
+        "measurement_beaten": len(calm) - len(kept),
+    }
     return parameters[kept], {key: values[kept] for key, values in raced.items()}, notes
+
+
+def _beaten(config: ArchiveConfig, raced: Arrays, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of some policies another of them beats by more than the error bars."""
+    some = {key: values[rows] for key, values in raced.items()}
+    return beaten(summarise(some).coordinates, difference_errors(some), config.error_bars)
 
 
 def _unit(points: Floats) -> Floats:

@@ -136,7 +136,7 @@ class ArchiveSearch:
             nadir=low,
             step_size=config.step_size,
         )
-        search.add(scouts, found.coordinates, self._violation(found))
+        search.add(scouts, found.coordinates, self.violation(found))
         front = self._best(found)
         self.tell("search", 0, hypervolume(self.scale(front), REFERENCE), len(front), found)
         for number in range(1, config.generations + 1):
@@ -146,7 +146,7 @@ class ArchiveSearch:
                 break  # racing the front again has cost as much as the last generations
             asked = search.ask()
             found = self._raced(f"generation-{number:05d}", asked)
-            news = search.tell(found.coordinates, self._violation(found))
+            news = search.tell(found.coordinates, self.violation(found))
             self.tell("search", number, news.hypervolume, news.archive_size, found)
 
     def _raced(self, name: str, parameters: Floats) -> Evaluation:
@@ -155,11 +155,16 @@ class ArchiveSearch:
         self.found.append(found)
         return found
 
-    def _violation(self, found: Evaluation) -> Floats:
-        return found.own_crash - self.config.search_crash_limit
+    def violation(self, found: Evaluation) -> Floats:
+        """By how much policies violate the limits, shape (K,): own crashes per race, or parts of the scouts' range."""
+        crashes = found.own_crash - self.config.search_crash_limit
+        if self.config.least is None:
+            return crashes
+        short = (np.array(self.config.least) - found.coordinates) / (self.scale.ideal - self.scale.nadir)
+        return np.maximum(crashes, short.max(axis=1))
 
     def _best(self, found: Evaluation) -> Floats:
-        feasible = found.coordinates[self._violation(found) <= 0.0]
+        feasible = found.coordinates[self.violation(found) <= 0.0]
         return feasible[front_layers(feasible) == 0]
 
     def _refresh(self, search: Search, number: int) -> None:
@@ -174,7 +179,7 @@ class ArchiveSearch:
         self.scenarios = self.scenarios.against(opponents)
         self.comparable = sum(map(len, self.parameters))
         found = self._raced(f"refresh-{number:05d}", front)
-        search.replace(found.coordinates, self._violation(found))
+        search.replace(found.coordinates, self.violation(found))
 
     def explored(self) -> tuple[Floats, Evaluation]:
         """Everything raced in the search, in that order."""

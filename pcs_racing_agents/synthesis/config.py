@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pcs_racing.characteristics import get_characteristics
 from pcs_racing.errors import ConfigError
 from pcs_racing.race_config import RaceConfig, load_race_config
@@ -58,6 +60,9 @@ class ArchiveConfig:
     crash_limit : float
         Share of own crashes in races of ``final_duration`` beyond which a policy stays out of the archive; 1 keeps all.
         For the shorter races of the search it is converted as if crashes came at a constant rate.
+    least : tuple of float, optional
+        Smallest coordinates of interest, one for each axis: a policy below one of them stays out of the archive, like
+        one that crashes too often. By default there is no such limit.
     candidates : int
         Policies that are raced again for the choice of the archive.
     choice_opponents, choice_starts : int
@@ -107,15 +112,16 @@ class ArchiveConfig:
     opponents: int = 4
     starts: int = 2
     crash_limit: float = 0.15
+    least: tuple[float, ...] | None = None
     candidates: int = 240
     choice_opponents: int = 8
-    choice_starts: int = 4
+    choice_starts: int = 2
     error_bars: float = 1.0
-    spacing: float = 0.01
+    spacing: float = 0.015
     fewest: int = 40
     most: int = 80
     final_opponents: int = 12
-    final_starts: int = 6
+    final_starts: int = 3
     refresh_generations: tuple[int, ...] = ()
     refresh_share: float = 0.5
     seed: int = 0
@@ -186,6 +192,12 @@ class ArchiveConfig:
         object.__setattr__(self, "refresh_generations", tuple(sorted(stated)))
         get_planner(self.planner)
         get_characteristics(self.axes)
+        if self.least is not None:
+            numbers = [type(value) in (int, float) and abs(value) < np.inf for value in self.least]
+            if not isinstance(self.least, tuple) or len(numbers) != len(self.axes) or not all(numbers):
+                raise ConfigError(
+                    f"least is {self.least!r}; it must be a list of numbers, one for each of {', '.join(self.axes)}"
+                )
 
     @property
     def rules(self) -> RaceConfig:

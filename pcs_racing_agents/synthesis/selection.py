@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.chunk_files import Arrays
 
-__all__ = ["beaten", "difference_errors", "front_layers", "thin_out"]
+__all__ = ["beaten", "difference_errors", "front_layers", "spread_first", "thin_out"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -65,11 +65,30 @@ def beaten(coordinates: Floats, errors: Floats, error_bars: float) -> NDArray[np
     return np.asarray(np.all(ahead > error_bars * errors, axis=-1).any(axis=1))
 
 
+def spread_first(points: Floats, spacing: float, count: int) -> Indices:
+    """The best ``count`` points that keep a distance from each other, by layers of the front, shape (up to count,).
+
+    Points of one layer come by their index; one that is nearer than ``spacing`` to a better one is passed over.
+
+    Parameters
+    ----------
+    points : ndarray, shape (K, G)
+        Normalised coordinates.
+    spacing : float
+    count : int
+    """
+    chosen: list[int] = []
+    for candidate in np.lexsort((np.arange(len(points)), front_layers(points))).tolist():
+        away = np.sqrt(np.sum((points[chosen] - points[candidate]) ** 2, axis=1))
+        if len(chosen) < count and not (away < spacing).any():
+            chosen.append(candidate)
+    return np.array(chosen, np.int64)
+
+
 def thin_out(points: Floats, spacing: float, most: int) -> Indices:
     """Choose points that keep a distance from each other, ascending indices.
 
-    Points of the front come first, then those of the next layers, each by its index; one that is nearer than
-    ``spacing`` to a point chosen before is left out. The spacing is widened until no more than ``most`` remain.
+    All are taken that :func:`spread_first` would take; the spacing is widened until no more than ``most`` remain.
 
     Parameters
     ----------
@@ -78,13 +97,6 @@ def thin_out(points: Floats, spacing: float, most: int) -> Indices:
     spacing : float
     most : int
     """
-    order = np.lexsort((np.arange(len(points)), front_layers(points)))
-    while True:
-        chosen: list[int] = []
-        for candidate in order.tolist():
-            away = np.sqrt(np.sum((points[chosen] - points[candidate]) ** 2, axis=1))
-            if not (away < spacing).any():
-                chosen.append(candidate)
-        if len(chosen) <= most:
-            return np.sort(np.array(chosen, np.int64))
+    while len(chosen := spread_first(points, spacing, len(points))) > most:
         spacing = max(1.05 * spacing, 1e-4)
+    return np.sort(chosen)

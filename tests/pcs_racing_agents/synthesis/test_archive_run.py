@@ -85,10 +85,9 @@ def test_the_manifest_says_how_it_was_made(made):
     assert settings["seed"] == 5
     assert settings["package_version"]
     assert settings["characteristics"] == "aggressiveness, restraint"
-    for stage in ("search", "choice", "measurement"):
-        assert settings[f"{stage}_over_crash_limit"] >= 0
-    left_out = sum(settings[f"choice_{why}"] for why in ("over_crash_limit", "beaten", "too_near_another"))
-    assert settings["choice_candidates"] - left_out - settings["measurement_over_crash_limit"] == len(made[0])
+    left_out = sum(settings[f"choice_{why}"] for why in ("outside_limits", "beaten", "too_near_another"))
+    left_out += sum(settings[f"measurement_{why}"] for why in ("over_crash_limit", "beaten"))
+    assert settings["choice_candidates"] - left_out == len(made[0])
     assert settings["policies_not_beaten"] == np.sum(front_layers(made[0].coordinates) == 0)
     assert settings["hypervolume_error"] > 0.0
 
@@ -195,6 +194,12 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
         make_archive(with_(preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",)), tmp_path / "none")
 
 
+def test_policies_below_the_least_coordinates_stay_out(tmp_path, made):
+    archive = make_archive(with_(least=(1.0, 0.0)), tmp_path)
+    assert archive.coordinates[:, 0].min() > made[0].coordinates[:, 0].min() + 0.5
+    assert (archive.explored.coordinates[:, 0] < 0.0).any()
+
+
 def test_opponents_are_refreshed_from_the_front_and_the_front_is_raced_again(tmp_path):
     """As elite_ratio is 1, everything raced is in the optimiser's archive."""
     config = with_(refresh_generations=(2,), refresh_share=0.5, elite_ratio=1.0, crash_limit=1.0)
@@ -250,6 +255,8 @@ def test_another_run_is_refused(made):
         ({"method": "magic"}, "method is 'magic'; it must be one of mo-cma-es"),
         ({"loss": "none"}, "loss is 'none'"),
         ({"crash_limit": 1.5}, "crash_limit is 1.5"),
+        ({"least": (1.0,)}, "least is .*; it must be a list of numbers, one for each of aggressiveness, restraint"),
+        ({"least": (1.0, "x")}, "least is"),
         ({"fewest": 90}, "fewest is 90, above most, 80"),
         (
             {"refresh_generations": (3,)},

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pcs_racing_agents.synthesis.evaluate import summarise
-from pcs_racing_agents.synthesis.selection import beaten, difference_errors, front_layers, thin_out
+from pcs_racing_agents.synthesis.selection import beaten, difference_errors, front_layers, spread_first, thin_out
 
 clouds = hnp.arrays(np.float64, st.tuples(st.integers(1, 12), st.integers(1, 3)), elements=st.integers(0, 4).map(float))
 
@@ -70,6 +70,18 @@ def test_without_errors_the_front_is_never_beaten(points):
     lost = beaten(points, np.zeros((len(points), len(points), points.shape[1])), 0.0)
     assert not (front & lost).any()
     assert not lost.all()
+
+
+@given(points=clouds, spacing=st.floats(0.0, 3.0), count=st.integers(1, 12))
+def test_the_best_come_first(points, spacing, count):
+    chosen = spread_first(points, spacing, count)
+    layers = front_layers(points)[chosen]
+    assert (np.diff(layers) >= 0).all()
+    assert layers[0] == 0
+    everything = spread_first(points, spacing, len(points))
+    np.testing.assert_array_equal(chosen, everything[:count])
+    away = np.linalg.norm(points[:, None] - points[everything][None], axis=-1)
+    assert (away.min(axis=1) <= spacing).all()  # whatever is left out lies near something better
 
 
 @given(points=clouds, spacing=st.floats(0.0, 3.0), most=st.integers(2, 12))
