@@ -11,7 +11,7 @@ from pcs_racing.errors import InputError
 from pcs_racing_agents.approximator.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
 from pcs_racing_agents.approximator.network import GameIdentity, RegretNetwork
 from pcs_racing_agents.approximator.rows import Rows, draw_pairs, join_rows, pair_number
-from pcs_racing_agents.approximator.settings import TrainSettings
+from pcs_racing_agents.approximator.settings import TrainSettings, settings_for_trees
 from pcs_racing_agents.approximator.targets import get_target, solve_for
 from pcs_racing_agents.approximator.training import Fit, train_network
 from pcs_racing_agents.approximator.tree_rows import PlayedTree, tree_rows
@@ -88,6 +88,7 @@ def train_on_trees(
     InputError
         If the trees come from too few starting pairs: 2, or 3 with some held out.
     """
+    settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
     held_out = np.zeros(len(numbers), np.bool_)
     different, least = len(np.unique(numbers)), 3 if settings.test_share > 0.0 else 2
@@ -114,7 +115,7 @@ def train_on_trees(
                 settings.target,
                 opponent=settings.opponent,
                 stay=stay,
-                row_weights=settings.row_weights,
+                row_weights=settings.row_weights or "uniform",
                 rows_per_step=settings.rows_per_step,
                 seed=settings.seed,
             )

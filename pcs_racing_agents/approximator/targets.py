@@ -4,7 +4,7 @@ The targets differ in what they assume of the opponent and in how they compare n
 
 - cumulative regrets are what the paper learns; they shrink with the opponent's probability of coming to a node, so that
   nodes which it avoids hardly count;
-- normalised regrets divide by that probability;
+- normalised regrets have the same size at every node;
 - equilibrium advantages ask the exact solution instead of CFR;
 - "static" values play best against an opponent that does not look at the race.
 """
@@ -43,7 +43,7 @@ class Target(NamedTuple):
 
 TARGETS = {
     "regret": Target("cumulative counterfactual regret, clipped at 0 (the paper)", True, "cfr"),
-    "normalised": Target("cumulative regret over the opponent's cumulative probability of coming there", False, "cfr"),
+    "normalised": Target("cumulative regret over the largest of the node's, -1 to 1", False, "cfr"),
     "advantage": Target("what a move gains or loses against the equilibrium, both playing on by it", False, "exact"),
     "static-q": Target("utility of a move and best play from then on, against a static opponent", False, "exact"),
 }
@@ -135,8 +135,8 @@ def node_targets(
         if target == "regret":
             return list(solution.regrets)
         return [
-            (_divide(r0, solution.opponent_reach[k][0]), _divide(r1, solution.opponent_reach[k][1]))
-            for k, (r0, r1) in enumerate(solution.regrets)
+            (_normalised(r0, reach0), _normalised(r1, reach1))
+            for (r0, r1), (reach0, reach1) in zip(solution.regrets, solution.opponent_reach, strict=True)
         ]
     if target == "advantage":
         return list(solution.advantages)
@@ -169,6 +169,7 @@ def static_profile(tree: GameTree, opponent: str, stay: int | None) -> list[tupl
     return profile
 
 
-def _divide(regrets: Floats, reach: Floats) -> Floats:
-    known = reach > 0.0
-    return np.where(known[:, None], regrets / np.where(known, reach, 1.0)[:, None], np.nan)
+def _normalised(regrets: Floats, reach: Floats) -> Floats:
+    """Each row over its largest magnitude; 0 where all regrets are, NaN where the opponent never came."""
+    size = np.abs(regrets).max(axis=1, keepdims=True)
+    return np.where(reach[:, None] > 0.0, regrets / np.where(size > 0.0, size, 1.0), np.nan)

@@ -131,7 +131,8 @@ def train_network(
     summary["best_epoch"] = summary.pop("epoch")
     hidden = ", ".join(str(width) for width in settings.hidden)
     for key, value in plain_settings(settings).items():
-        summary[f"setting_{key}"] = hidden if key == "hidden" else value
+        if value is not None:
+            summary[f"setting_{key}"] = hidden if key == "hidden" else value
     network = RegretNetwork(
         name=name,
         identity=identity,
@@ -151,7 +152,7 @@ def fit(rows: Rows, settings: TrainSettings, *, clipped: bool = False, progress:
     torch = _torch()
     held_out, pairs = split_by_pair(rows, settings.validation_share, settings.seed)
     learned, judged = rows.take(~held_out), rows.take(held_out)
-    by = _scaling(learned, clipped)
+    by = _scaling(learned, settings, clipped)
     draws, start = (np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,))) for key in (1, 2))
 
     def tensors(part: Rows) -> tuple[Any, Any, Any, Any]:
@@ -163,7 +164,12 @@ def fit(rows: Rows, settings: TrainSettings, *, clipped: bool = False, progress:
         error = forward(x) - goal
         # Where the goal is a regret clipped to 0, any value below 0 is as good as 0.
         error = torch.where(one_sided, error.clamp(min=0.0), error)
-        return (weight * error * error).sum(dim=1)
+        if not settings.differences or clipped:
+            return (weight * error * error).sum(dim=1)
+        # The mean of a row's moves in units of its own spread, and the differences to it in theirs.
+        mean = (weight * error).sum(dim=1, keepdim=True)
+        apart = error - mean
+        return (weight * apart * apart).sum(dim=1) + (by.level * mean[:, 0]) ** 2
 
     def forward(x: Any) -> Any:
         for i in range(0, len(layers) - 2, 2):
@@ -258,12 +264,14 @@ class _Scaling(NamedTuple):
 
     mean: Floats
     scale: Floats
+    depth: float
     centre: Floats
     size: np.float32
     hopeless: float
+    level: float
 
 
-def _scaling(rows: Rows, clipped: bool) -> _Scaling:
+def _scaling(rows: Rows, settings: TrainSettings, clipped: bool) -> _Scaling:
     """Weighted means and spreads of the rows.
 
     Inputs get mean 0 and deviation 1 (an input that never changes keeps its unit). Targets are measured around every
@@ -274,27 +282,51 @@ def _scaling(rows: Rows, clipped: bool) -> _Scaling:
     deviation = np.sqrt(share @ (rows.observations - mean) ** 2)
     known = share[:, None] * rows.mask
     total = known.sum(axis=0)
-    targets = rows.targets.astype(np.float64)
-    centre, values = np.zeros(targets.shape[1]), np.maximum(targets, 0.0)
-    if not clipped:
+    depth = np.inf
+    if settings.floor and not clipped:
+        short = _highest(rows) - rows.targets
+        depth = settings.floor * np.sum(known * short) / total.sum() or np.inf
+    targets = _raised(rows, depth).astype(np.float64)
+    if clipped:
+        centre, values = np.zeros(targets.shape[1]), np.maximum(targets, 0.0)
+        level = size = np.sqrt(np.sum(known * values**2) / total.sum()) or 1.0
+    else:
         centre = np.sum(known * targets, axis=0) / np.where(total > 0.0, total, 1.0)
-        values = targets - centre
-    size = np.sqrt(np.sum(known * values**2) / total.sum()) or 1.0
+        values = np.where(rows.mask, targets - centre, 0.0)
+        means = values.sum(axis=1, keepdims=True) / rows.mask.sum(axis=1, keepdims=True)
+        if settings.differences:
+            values = np.where(rows.mask, values - means, 0.0)
+        size = np.sqrt(np.sum(known * values**2) / total.sum()) or 1.0
+        # The mean never counts more than the differences: in rows of advantages there is nothing to learn of it.
+        level = max(np.sqrt(share @ means[:, 0] ** 2), size)
     # How far below 0 the targets of rows without a positive one are, in that unit.
     known = known * ~(targets > 0.0).any(axis=1, keepdims=True)
     hopeless = np.sum(known * (targets / size) ** 2) / known.sum() if known.any() else 1.0
     return _Scaling(
         mean.astype(np.float32),
         np.where(deviation > 1e-6, deviation, 1.0).astype(np.float32),
+        float(depth),
         centre.astype(np.float32),
         np.float32(size),
         float(hopeless),
+        float(size / level),
     )
+
+
+def _highest(rows: Rows) -> Floats:
+    return np.where(rows.mask, rows.targets, -np.inf).max(axis=1, keepdims=True)
+
+
+def _raised(rows: Rows, depth: float) -> Floats:
+    """Targets, none of them further below the highest of its row than ``depth``."""
+    if np.isinf(depth):
+        return rows.targets
+    return np.where(rows.mask, np.maximum(rows.targets, _highest(rows) - np.float32(depth)), np.float32(0.0))
 
 
 def _goals(rows: Rows, by: _Scaling, clipped: bool, below_zero: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """What each output should be, how much its error counts, and whether only an error upwards counts."""
-    goal = (rows.targets - by.centre) / by.size
+    goal = (_raised(rows, by.depth) - by.centre) / by.size
     weight = (rows.mask / rows.mask.sum(axis=1, keepdims=True)).astype(np.float32)
     if not clipped:
         return goal, weight, np.zeros(goal.shape, np.bool_)

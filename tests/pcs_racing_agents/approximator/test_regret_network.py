@@ -237,7 +237,7 @@ def test_weights_that_are_no_safetensors_are_one_clear_error(tmp_path, network):
 
 @pytest.fixture(scope="module")
 def game():
-    return make_game("Pipkin")
+    return make_game("Pipkin", epsilon=0.35)
 
 
 def made_for(game, **changes) -> RegretNetwork:
@@ -254,8 +254,8 @@ def made_for(game, **changes) -> RegretNetwork:
 
 def test_a_network_of_the_game_fits(game):
     made_for(game).check_fits(game)
-    made_for(game).check_fits(make_game("Pipkin", stay=True))  # the move that it does not know comes last
-    made_for(game).check_fits(make_game("Tarnfjord", race="contest", stay=False))
+    made_for(game).check_fits(make_game("Pipkin", epsilon=0.35, stay=True))  # the move that it does not know comes last
+    made_for(game).check_fits(make_game("Tarnfjord", race="contest", epsilon=0.35, stay=False))
     state = game.reset(games=2)
     assert made_for(game).choose(game.observation(state)).shape == (2, 2)
 
@@ -265,13 +265,13 @@ def test_a_network_of_the_game_fits(game):
     [
         ({"moves": 3}, r"sees 31 \(own_aggressiveness_0 to step\); the game has 25"),
         ({"characteristics": ("restraint", "aggressiveness")}, "sees 'own_aggressiveness_0' at place 0; the game has"),
-        ({"epsilon": 0.7}, "made for moves of epsilon 0.5; the game has 0.7"),
+        ({"epsilon": 0.7}, "made for moves of epsilon 0.35; the game has 0.7"),
         ({"epsilon": (0.2, 0.4)}, r"values moves 4 \(.*\); the game has 8"),
     ],
 )
 def test_a_network_of_another_game_is_one_clear_error(game, other, message):
     with pytest.raises(InputError, match=message):
-        made_for(game).check_fits(make_game("Pipkin", **other))
+        made_for(game).check_fits(make_game("Pipkin", **({"epsilon": 0.35} | other)))
 
 
 def test_a_network_of_another_archive_is_one_clear_error(game):
@@ -280,7 +280,7 @@ def test_a_network_of_another_archive_is_one_clear_error(game):
     made_for(game, archive="renamed").check_fits(game)
     # A network that makes a move more than the game offers does not fit, only the other way round.
     with pytest.raises(InputError, match="values moves 5"):
-        made_for(make_game("Pipkin", stay=True)).check_fits(game)
+        made_for(make_game("Pipkin", epsilon=0.35, stay=True)).check_fits(game)
 
 
 def test_an_identity_says_what_the_game_is(game):
@@ -288,4 +288,4 @@ def test_an_identity_says_what_the_game_is(game):
     assert isinstance(known, GameIdentity)
     assert len(known.elements) == 31
     assert known.moves == MOVES
-    assert known[2:] == ((0.5,), "default", game.archive.content_hash, "paper")
+    assert known[2:] == ((0.35,), "default", game.archive.content_hash, "paper")

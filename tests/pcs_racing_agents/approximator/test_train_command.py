@@ -82,7 +82,7 @@ def test_stored_trees_know_their_game(game, folder):
 
 
 def test_trees_of_different_games_are_refused(folder, tmp_path, capsys):
-    other = make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.5)
+    other = make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2)
     build_trees(other, tmp_path / "other", pairs=2)
     assert train(folder, tmp_path / "other", "--out", tmp_path / "out") == 2
     assert "hold trees of different games: epsilon differs" in capsys.readouterr().err
