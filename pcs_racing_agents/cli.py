@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pcs_racing.errors import InputError
 from pcs_racing_agents.commands import (
     agents,
+    explain,
     export,
     policies,
     race,
@@ -73,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for group in (race, tournament, track, agents, policies, synthesize, tree, solve, export, train, study):
+    for group in (race, tournament, track, agents, policies, synthesize, tree, solve, export, train, study, explain):
         group.add(commands)
     return parser
 
