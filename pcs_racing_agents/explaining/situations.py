@@ -135,7 +135,8 @@ def situations_text(found: Situations) -> str:
                 if count:
                     order = np.argsort(-shares[k, i, j], kind="stable")
                     often = [f"{found.moves[a]} {shares[k, i, j, a]:.0%}" for a in order if shares[k, i, j, a] >= 0.1]
-                    lines.append(f"  {lead:<12} opponent {pace:<6} {count:>6} race{'s' if count > 1 else ''}: {', '.join(often)}")
+                    races_told = f"{count:>6} race{'s' if count > 1 else ''}"
+                    lines.append(f"  {lead:<12} opponent {pace:<6} {races_told}: {', '.join(often)}")
     return "\n".join(lines)
 
 

@@ -1,0 +1,343 @@
+"""The pictures of a study's report."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.errors import InputError
+from pcs_racing_agents.picture_style import (
+    COLOURS,
+    EDGE,
+    INK,
+    SOFT,
+    new_figure,
+    picture,
+    place_labels,
+    spread_labels,
+    tidy,
+)
+from pcs_racing_agents.study.table import StudyTable, TableRow
+from pcs_racing_agents.tournament.ratings import Ratings
+
+__all__ = [
+    "Curve",
+    "Place",
+    "adaptivity_picture",
+    "curves_picture",
+    "differences_picture",
+    "exploitability_picture",
+    "payoffs_picture",
+    "ratings_picture",
+    "scores_picture",
+]
+
+Floats = NDArray[np.float64]
+PAPER = "#c22443"
+
+
+@picture
+def scores_picture(table: StudyTable) -> Any:
+    """Draw each agent's score with its interval: a panel for each row, the paper's win rates beside ours."""
+    figure, panels = _grid(table)
+    names = table.arms
+    for row, axes in panels:
+        places = {arm: -names.index(arm) for arm in names}
+        base = row.arms[0]
+        axes.axvline(base.score, color="#a5afbb", lw=0.9)
+        for arm in row.arms:
+            colour = _arm_colour(table, arm.arm)
+            axes.plot([arm.low, arm.high], [places[arm.arm]] * 2, color=colour, lw=2.0, solid_capstyle="butt")
+            axes.plot(arm.score, places[arm.arm], "o", color=colour, ms=5.5)
+        if row.paper is not None:
+            # The paper's agents are our base and its own game-theoretic agent, where that raced.
+            shown = [(row.paper.non_gt, places[base.arm])]
+            if "cfr-argmax" in places:
+                shown.append((row.paper.gt, places["cfr-argmax"]))
+            for value, place in shown:
+                axes.plot(value, place, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4)
+    _finish(
+        figure, panels, names, "score: races won, ties half; lines: 95 % intervals; diamonds: the paper's win rates"
+    )
+    return figure
+
+
+@picture
+def differences_picture(table: StudyTable) -> Any:
+    """Draw each agent's difference from the base with its interval: a panel for each row, the paper's beside ours."""
+    figure, panels = _grid(table)
+    names = [arm for arm in table.arms if arm != table.base]
+    for row, axes in panels:
+        axes.axvline(0.0, color=INK, lw=0.8)
+        for one in row.differences:
+            _interval(axes, one, -names.index(one.arm), _arm_colour(table, one.arm))
+        if row.paper is not None and "cfr-argmax" in names:
+            place = -names.index("cfr-argmax")
+            axes.plot(row.paper.difference, place, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4)
+    told = (
+        f"difference of score from {table.base}, 95 % intervals; hollow: p (Holm) of 0.05 or more; diamonds: the paper"
+    )
+    _finish(figure, panels, names, told)
+    return figure
+
+
+@picture
+def adaptivity_picture(table: StudyTable) -> Any:
+    """Draw what looking at the race adds: the best agent minus the best one that never looks, row by row.
+
+    Raises
+    ------
+    InputError
+        If the table knows no such difference.
+    """
+    rows = [(row, row.gain) for row in table.rows if row.gain is not None]
+    if not rows:
+        raise InputError("the table has no adaptivity gains; name the best and the blind arm")
+    figure = new_figure(7.2, 1.0 + 0.34 * len(rows))
+    axes = figure.subplots()
+    axes.axvline(0.0, color=INK, lw=0.8)
+    for i, (row, gain) in enumerate(rows):
+        colour = COLOURS[0] if row.seen else COLOURS[1]
+        _interval(axes, gain, -i, colour)
+        axes.annotate(
+            f"{gain.result.difference:+.3f}",
+            (1.0, -i),
+            xycoords=("axes fraction", "data"),
+            xytext=(6, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8.5,
+            color=colour,
+        )
+    axes.set_yticks([-i for i in range(len(rows))], [f"{row.track} against {row.opponent}" for row, _ in rows])
+    axes.set_ylim(-len(rows) + 0.4, 0.6)
+    axes.set_xlabel(f"score of {table.best} minus score of {table.blind}")
+    axes.set_title(
+        "blue: circuits learned on, orange: others; hollow: p (Holm) of 0.05 or more", fontsize=8.5, color=SOFT
+    )
+    tidy(axes, "x")
+    return figure
+
+
+class Curve(NamedTuple):
+    """A learning curve.
+
+    Attributes
+    ----------
+    x, y : ndarray, shape (E,)
+        NaN where nothing was measured.
+    label : str
+        What the line is called.
+    """
+
+    x: Floats
+    y: Floats
+    label: str
+
+
+@picture
+def curves_picture(
+    panels: Mapping[str, Sequence[Curve]], *, x_label: str = "epoch", y_label: str = "loss", log: bool = True
+) -> Any:
+    """Draw learning curves: a panel for each learner, lines named at their ends.
+
+    Raises
+    ------
+    InputError
+        If there is no panel, or one without a curve.
+    """
+    if not panels or not all(panels.values()):
+        raise InputError("there are no learning curves to draw; give at least one for each panel")
+    from matplotlib.ticker import LogLocator, StrMethodFormatter
+
+    columns = 3 if len(panels) in (5, 6, 9) else min(4, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = new_figure(2.9 * columns + 0.4, 2.3 * rows + 0.3)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes, (title, curves) in zip(grid.ravel(), panels.items(), strict=False):
+        for i, curve in enumerate(curves):
+            known = np.isfinite(curve.y) & ((curve.y > 0.0) | (not log))
+            axes.plot(curve.x[known], curve.y[known], color=COLOURS[i % len(COLOURS)], lw=1.4)
+        if log:
+            axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.set_title(title, fontsize=9)
+        tidy(axes, "y")
+        axes.minorticks_off()
+        _name_ends(axes, curves, log)
+    for axes in grid.ravel()[len(panels) :]:
+        axes.set_visible(False)
+    for axes in grid[-1]:
+        axes.set_xlabel(x_label)
+    for axes in grid[:, 0]:
+        axes.set_ylabel(y_label)
+    return figure
+
+
+class Place(NamedTuple):
+    """Where an agent stands between strong and safe.
+
+    Attributes
+    ----------
+    name : str
+    score, score_error : float
+        Mean score and its standard error (0 where it is not known).
+    loss, loss_error : float
+        What it loses to an opponent that knows it, and the standard error.
+    """
+
+    name: str
+    score: float
+    score_error: float
+    loss: float
+    loss_error: float
+
+
+@picture
+def exploitability_picture(places: Sequence[Place], *, unit: str = "utility") -> Any:
+    """Draw scores against what the agents lose to an opponent that knows them.
+
+    Raises
+    ------
+    InputError
+        If there is no agent.
+    """
+    if not places:
+        raise InputError("there is no agent whose score and exploitability are known")
+    figure = new_figure(7.2, 4.4)
+    axes = figure.subplots()
+    for i, place in enumerate(places):
+        colour = COLOURS[i % len(COLOURS)]
+        axes.errorbar(
+            place.loss, place.score, place.score_error, place.loss_error, "o", color=colour, ms=6, elinewidth=1.0
+        )
+    axes.margins(x=0.16, y=0.12)
+    axes.set_xlabel(f"lost to an opponent that knows it, {unit} (half the NashConv); right: easier to exploit")
+    axes.set_ylabel("score in races")
+    tidy(axes)
+    points = [(place.loss, place.score) for place in places]
+    place_labels(
+        axes, points, [place.name for place in places], [COLOURS[i % len(COLOURS)] for i in range(len(places))]
+    )
+    return figure
+
+
+@picture
+def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
+    """Draw who scores how much against whom; purple above one half, orange below.
+
+    Parameters
+    ----------
+    names : sequence of str
+        N agents.
+    payoffs : array_like, shape (N, N)
+        Score of the row's agent against the column's; NaN where they did not meet.
+
+    Raises
+    ------
+    InputError
+        If names and payoffs do not fit each other.
+    """
+    matrix = np.asarray(payoffs, np.float64)
+    if matrix.shape != (len(names), len(names)) or len(names) == 0:
+        raise InputError(f"payoffs have shape {matrix.shape}; {len(names)} agents need ({len(names)}, {len(names)})")
+    size = 0.58 * len(names)
+    figure = new_figure(size + 2.0, size + 1.4)
+    axes = figure.subplots()
+    image = axes.imshow(matrix, cmap="PuOr", vmin=-0.15, vmax=1.15)
+    axes.set_xticks(range(len(names)), names, rotation=40, ha="left", rotation_mode="anchor")
+    axes.xaxis.tick_top()
+    axes.set_yticks(range(len(names)), names)
+    for (i, j), value in np.ndenumerate(matrix):
+        if not np.isnan(value):
+            dark = image.cmap(image.norm(value))[:3] @ np.array([0.299, 0.587, 0.114]) < 0.5
+            axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color="white" if dark else INK)
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.set_xlabel("score of the row's agent against the column's")
+    return figure
+
+
+@picture
+def ratings_picture(ratings: Ratings) -> Any:
+    """Draw the ratings with their intervals, best on top, on the scale of chess."""
+    order = np.argsort(-ratings.strength, kind="stable")
+    scale = float(ratings.elo[order[0]] / ratings.strength[order[0]]) if ratings.strength[order[0]] else 1.0
+    figure = new_figure(7.2, 0.9 + 0.3 * len(order))
+    axes = figure.subplots()
+    axes.axvline(0.0, color=EDGE, lw=1.0)
+    for place, i in enumerate(order):
+        if np.isfinite(ratings.low[i]):
+            ends = [scale * ratings.low[i], scale * ratings.high[i]]
+            axes.plot(ends, [-place] * 2, color=COLOURS[0], lw=2.0, solid_capstyle="butt")
+        axes.plot(ratings.elo[i], -place, "o", color=COLOURS[0], ms=6)
+    axes.set_yticks([-place for place in range(len(order))], [ratings.names[i] for i in order])
+    axes.set_xlabel("rating (Bradley-Terry; 400 are odds of ten to one; mean 0)")
+    tidy(axes, "x")
+    return figure
+
+
+def _grid(table: StudyTable) -> tuple[Any, list[tuple[TableRow, Any]]]:
+    """Return a figure with a panel for each row: circuits below each other, opponents side by side."""
+    tracks = list(dict.fromkeys(row.track for row in table.rows))
+    opponents = list(dict.fromkeys(row.opponent for row in table.rows))
+    height = 0.55 + 0.21 * len(table.arms)
+    figure = new_figure(2.0 + 2.3 * len(opponents), 0.7 + height * len(tracks))
+    grid = figure.subplots(len(tracks), len(opponents), sharex=True, sharey=True, squeeze=False)
+    for axes in grid.ravel():
+        axes.set_visible(False)
+    panels = []
+    for row in table.rows:
+        axes = grid[tracks.index(row.track), opponents.index(row.opponent)]
+        axes.set_visible(True)
+        axes.set_title(f"{row.track}{'' if row.seen else ' (unseen)'}, {row.opponent}", fontsize=8.5)
+        panels.append((row, axes))
+    return figure, panels
+
+
+def _finish(figure: Any, panels: list[tuple[TableRow, Any]], names: Sequence[str], told: str) -> None:
+    for _, axes in panels:
+        axes.set_yticks([-i for i in range(len(names))], names)
+        axes.set_ylim(-len(names) + 0.4, 0.6)
+        axes.locator_params(axis="x", nbins=5)
+        tidy(axes, "x")
+    figure.supxlabel(told, fontsize=8.5, color=SOFT)
+
+
+def _arm_colour(table: StudyTable, arm: str) -> str:
+    """Grey for the base, blue for all others but the best, which is to be found at a glance."""
+    return "#6b7480" if arm == table.base else COLOURS[1] if arm == table.best else COLOURS[0]
+
+
+def _interval(axes: Any, one: Any, place: float, colour: str) -> None:
+    """Draw a difference with its interval; hollow where it may be nothing."""
+    result = one.result
+    axes.plot([result.low, result.high], [place] * 2, color=colour, lw=2.0, solid_capstyle="butt")
+    axes.plot(
+        result.difference, place, "o", ms=6, mec=colour, mew=1.4, mfc=colour if one.p_holm < 0.05 else "white", zorder=3
+    )
+
+
+def _name_ends(axes: Any, curves: Sequence[Curve], log: bool) -> None:
+    """Write the names of lines at their ends, apart from each other."""
+    low, high = (np.log10(axes.get_ylim()) if log else np.array(axes.get_ylim())).tolist()
+    ends = []
+    for i, curve in enumerate(curves):
+        known = np.flatnonzero(np.isfinite(curve.y) & ((curve.y > 0.0) | (not log)))
+        if len(known):
+            value = float(curve.y[known[-1]])
+            ends.append((i, float(np.log10(value)) if log else value))
+    heights = spread_labels([(end - low) / (high - low) for _, end in ends], 0.1)
+    for (i, _), height in zip(ends, heights, strict=True):
+        axes.annotate(
+            curves[i].label,
+            (1.0, height),
+            xycoords="axes fraction",
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+            color=COLOURS[i % len(COLOURS)],
+        )
