@@ -13,6 +13,7 @@ from pcs_racing_agents.commands import (
     explain,
     export,
     policies,
+    ppo,
     race,
     solve,
     study,
@@ -74,7 +75,21 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for group in (race, tournament, track, agents, policies, synthesize, tree, solve, export, train, study, explain):
+    for group in (
+        race,
+        tournament,
+        track,
+        agents,
+        policies,
+        synthesize,
+        tree,
+        solve,
+        export,
+        train,
+        ppo,
+        study,
+        explain,
+    ):
         group.add(commands)
     return parser
 

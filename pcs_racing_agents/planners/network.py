@@ -22,7 +22,16 @@ from pcs_racing.frenet import angle_between
 from pcs_racing.planner import Parameter, Planner
 from pcs_racing_agents.planners.pure_pursuit import gap_ahead, line_index
 
-__all__ = ["INPUTS", "TOP_SPEED", "WEIGHT_LIMIT", "network_inputs", "network_planner", "weight_count"]
+__all__ = [
+    "INPUTS",
+    "SIGHT",
+    "TOP_SPEED",
+    "WEIGHT_LIMIT",
+    "network_inputs",
+    "network_planner",
+    "tanh_layer",
+    "weight_count",
+]
 
 INPUTS: dict[str, str] = {
     "speed": "own speed, in 8 m/s",
@@ -81,7 +90,7 @@ def network_inputs(track, view, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _layer(theta, at, x, size, y, width):  # type: ignore[no-untyped-def]
+def tanh_layer(theta, at, x, size, y, width):  # type: ignore[no-untyped-def]
     """Compute ``y = tanh(W x + b)``, a neuron's b after its row of W; returns where the next layer's weights begin."""
     for i in range(width):
         total = theta[at + size]
@@ -107,7 +116,7 @@ def _driver(hidden: tuple[int, ...]) -> Any:
         size = inputs
         at = 0
         for width in layers:
-            at = _layer(theta, at, x, size, y, width)
+            at = tanh_layer(theta, at, x, size, y, width)
             x, y = y, x
             size = width
         command[0] = view[_view.STEER_MAX] * x[0]
