@@ -30,7 +30,7 @@ from pcs_racing.packing import (
     unpack_segments,
 )
 
-__all__ = ["Replay", "ReplayEvent", "read_replay", "save_replay", "write_html"]
+__all__ = ["Replay", "ReplayEvent", "read_replay", "replay_page", "save_replay", "write_html"]
 
 FORMAT = "pcs-racing replay 1"
 
@@ -272,12 +272,17 @@ def write_html(replay: Replay, path: str | os.PathLike[str]) -> Path:
         If the folder does not exist.
     """
     path = Path(path)
+    page = replay_page(replay)
+    write_atomically(path, lambda file: file.write(page.encode()))
+    return path
+
+
+def replay_page(replay: Replay) -> str:
+    """Return the page that :func:`write_html` writes, to be put into another one."""
     template = files("pcs_racing").joinpath("replay.html").read_text(encoding="utf-8")
     parts = {"<!--title-->": html.escape(replay.title), "<!--replay-->": _to_json(replay)}
     # In one pass: a title that spells a placeholder is not one.
-    page = re.sub("|".join(parts), lambda match: parts[match.group()], template)
-    write_atomically(path, lambda file: file.write(page.encode()))
-    return path
+    return re.sub("|".join(parts), lambda match: parts[match.group()], template)
 
 
 def read_replay(path: str | os.PathLike[str]) -> Replay:

@@ -109,19 +109,21 @@ def spread_labels(wanted: list[float], gap: float) -> list[float]:
 
 
 def place_labels(
-    axes: Any, points: Sequence[tuple[float, float]], texts: Sequence[str], colours: Sequence[str]
+    axes: Any, points: Sequence[Any], texts: Sequence[str], colours: Sequence[str], avoid: Sequence[Any] = ()
 ) -> None:
     """Write a name beside each point so that names cover neither points nor each other, where there is room.
 
-    Limits and size of the axes must be final.
+    Limits and size of the axes must be final. Points to ``avoid`` have no names, but are not to be covered either.
     """
+    if not len(points):
+        return
     figure = axes.figure
     figure.draw_without_rendering()  # lays the figure out
     scale = 72.0 / figure.dpi
-    anchors = scale * axes.transData.transform(points)
+    anchors = scale * axes.transData.transform([*points, *avoid])
     frame = scale * axes.get_window_extent().get_points()
     taken = [(x - 4.0, y - 4.0, x + 4.0, y + 4.0) for x, y in anchors]
-    for (x, y), text, colour in zip(anchors, texts, colours, strict=True):
+    for (x, y), text, colour in zip(anchors[: len(points)], texts, colours, strict=True):
         width, height = 5.4 * len(text), 10.0
         best = None
         for away in (7.0, 14.0, 22.0, 32.0, 44.0):

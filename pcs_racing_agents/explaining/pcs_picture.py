@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.archive import PolicyArchive
 from pcs_racing.characteristics import get_characteristics
 from pcs_racing.errors import InputError
-from pcs_racing_agents.picture_style import COLOURS, INK, SOFT, new_figure, picture, tidy
+from pcs_racing_agents.picture_style import COLOURS, INK, SOFT, new_figure, picture, place_labels, tidy
 
 __all__ = ["archive_picture", "draw_archive", "draw_arrow", "in_units", "plane"]
 
@@ -41,12 +41,12 @@ def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, 
     everything, policies = archive.explored_coordinates, archive.coordinates
     if len(everything):
         axes.plot(everything[:, right], everything[:, up], ".", color="#c3ccd6", ms=3.2, mew=0.0, rasterized=True)
-    options: dict[str, Any] = {"s": 30, "zorder": 3, "linewidths": 0.6, "edgecolors": "white"}
+    options: dict[str, Any] = {"s": 30, "zorder": 3, "linewidths": 0.5, "edgecolors": "white"}
     if faint or archive.own_crash is None:
         axes.scatter(policies[:, right], policies[:, up], color="#8b97a5" if faint else COLOURS[0], **options)
     else:
         shares = 100.0 * archive.own_crash
-        dots = axes.scatter(policies[:, right], policies[:, up], c=shares, cmap="cividis_r", vmin=0.0, **options)
+        dots = axes.scatter(policies[:, right], policies[:, up], c=shares, cmap="cividis", vmin=0.0, **options)
         if colour_bar:
             bar = axes.figure.colorbar(dots, ax=axes, shrink=0.75, aspect=24, pad=0.02)
             bar.set_label("own crashes, % of races")
@@ -109,31 +109,17 @@ def archive_picture(
     right, up = plane(archive)
     points = archive.coordinates
     here = points[start, [right, up]]
-    axes.plot(*here, "o", ms=9, mfc="none", mec=INK, mew=1.4, zorder=5)
+    axes.plot(*here, "o", ms=9, mfc="none", mec=COLOURS[1], mew=1.6, zorder=5)
     leads_to = archive.move_table(epsilon)[start]
-    nowhere = []
+    nowhere, ends, labels = [], [], []
     for target in dict.fromkeys(leads_to.tolist()):
         names = [name for name, end in zip(archive.move_names(epsilon), leads_to, strict=True) if end == target]
         if target == start:
             nowhere = names
             continue
-        there = points[target, [right, up]]
-        draw_arrow(axes, here, there, INK)
-        aside = there - here
-        spans = np.array([np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())])
-        sideways = abs(aside[0] / spans[0]) > abs(aside[1] / spans[1])
-        offset = (8.0 * np.sign(aside[0]), 0.0) if sideways else (0.0, 9.0 * np.sign(aside[1]))
-        axes.annotate(
-            ", ".join(names),
-            there,
-            xytext=offset,
-            textcoords="offset points",
-            ha={1.0: "left", -1.0: "right"}.get(float(np.sign(offset[0])), "center"),
-            va={1.0: "bottom", -1.0: "top"}.get(float(np.sign(offset[1])), "center"),
-            fontsize=8.5,
-            zorder=6,
-            bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
-        )
+        ends.append(points[target, [right, up]])
+        labels.append(", ".join(names))
+        draw_arrow(axes, here, ends[-1], COLOURS[1])
     told = f"{len(archive)} policies"
     if len(archive.explored_coordinates):
         told += f", grey: {len(archive.explored_coordinates)} explored"
@@ -142,4 +128,6 @@ def archive_picture(
     if nowhere:
         text += f"; {', '.join(nowhere)} keep{'s' if len(nowhere) == 1 else ''} it"
     axes.text(1.0, 1.0, text, transform=axes.transAxes, ha="right", va="top", color=SOFT, fontsize=8.5)
+    shafts = [here + share * (end - here) for end in ends for share in (0.25, 0.5, 0.75)]
+    place_labels(axes, ends, labels, [INK] * len(ends), avoid=[*points[:, [right, up]], *shafts])
     return figure

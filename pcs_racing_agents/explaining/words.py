@@ -157,7 +157,6 @@ def _what_followed(explanation: Explanation, k: int) -> str:
         for event in replay.events
         if event.kind != "move" and step.time < event.time <= end + 1e-9
     ]
-    change = (
-        f"{'gained' if gained >= 0.0 else 'lost'} {abs(gained):.1f} m, {lead_words(float(explanation.lead[frame]))}"
-    )
+    change = "no change" if abs(gained) < 0.05 else f"{'gained' if gained > 0.0 else 'lost'} {abs(gained):.1f} m"
+    change += f", {lead_words(float(explanation.lead[frame]))}"
     return "; ".join([change, *events])

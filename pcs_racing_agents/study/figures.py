@@ -1,10 +1,10 @@
 """The pictures of a study's report."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pcs_racing.errors import InputError
 from pcs_racing_agents.picture_style import (
@@ -18,12 +18,11 @@ from pcs_racing_agents.picture_style import (
     spread_labels,
     tidy,
 )
+from pcs_racing_agents.study.report_inputs import Curve, Place
 from pcs_racing_agents.study.table import StudyTable, TableRow
 from pcs_racing_agents.tournament.ratings import Ratings
 
 __all__ = [
-    "Curve",
-    "Place",
     "adaptivity_picture",
     "curves_picture",
     "differences_picture",
@@ -33,7 +32,6 @@ __all__ = [
     "scores_picture",
 ]
 
-Floats = NDArray[np.float64]
 PAPER = "#c22443"
 
 
@@ -120,22 +118,6 @@ def adaptivity_picture(table: StudyTable) -> Any:
     return figure
 
 
-class Curve(NamedTuple):
-    """A learning curve.
-
-    Attributes
-    ----------
-    x, y : ndarray, shape (E,)
-        NaN where nothing was measured.
-    label : str
-        What the line is called.
-    """
-
-    x: Floats
-    y: Floats
-    label: str
-
-
 @picture
 def curves_picture(
     panels: Mapping[str, Sequence[Curve]], *, x_label: str = "epoch", y_label: str = "loss", log: bool = True
@@ -174,25 +156,6 @@ def curves_picture(
     for axes in grid[:, 0]:
         axes.set_ylabel(y_label)
     return figure
-
-
-class Place(NamedTuple):
-    """Where an agent stands between strong and safe.
-
-    Attributes
-    ----------
-    name : str
-    score, score_error : float
-        Mean score and its standard error (0 where it is not known).
-    loss, loss_error : float
-        What it loses to an opponent that knows it, and the standard error.
-    """
-
-    name: str
-    score: float
-    score_error: float
-    loss: float
-    loss_error: float
 
 
 @picture

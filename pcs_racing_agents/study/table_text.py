@@ -24,7 +24,7 @@ __all__ = [
     "write_table",
 ]
 
-DETAILS = ("agent", "score", "±", "crash", "own fault", "difference", "95 % interval", "p", "p (Holm)", "paired t")
+DETAILS = ("agent", "score", "sd", "crash", "own fault", "difference", "95 % interval", "p", "p (Holm)", "paired t")
 """Columns of :func:`detail_rows`."""
 
 
@@ -89,7 +89,7 @@ def notes(table: StudyTable) -> list[str]:
     kinds = "egos, opponents and start lines" if known == {True} else "egos and opponents"
     found = [
         f"Each agent drove {some} races in each row, the same ones as the other agents of the row. Score: races won, a "
-        "tie counting half. ±: standard deviation over the ego's start policies. Own fault: crashes that the agent is "
+        "tie counting half. Sd: standard deviation over the ego's start policies. Own fault: crashes that the agent is "
         "also to blame for.",
         f"Differences are from {table.base}, with a 95 % interval and a p-value that are robust to "
         f"clusters of {kinds}. Holm: the p-value adjusted over the rows. Paired t: the paper's test over the ego's "

@@ -1,0 +1,158 @@
+"""What the stages of a study left behind, as the report wants it."""
+
+import csv
+import platform
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.errors import InputError
+from pcs_racing_agents.job_folders import package_version
+from pcs_racing_agents.study.table import StudyTable
+
+__all__ = ["Curve", "Place", "TreeLoss", "places_of", "read_curves", "read_losses", "software"]
+
+Floats = NDArray[np.float64]
+
+
+class Curve(NamedTuple):
+    """A learning curve.
+
+    Attributes
+    ----------
+    x, y : ndarray, shape (E,)
+        NaN where nothing was measured.
+    label : str
+        What the line is called.
+    """
+
+    x: Floats
+    y: Floats
+    label: str
+
+
+class Place(NamedTuple):
+    """Where an agent stands between strong and safe.
+
+    Attributes
+    ----------
+    name : str
+    score, score_error : float
+        Mean score and its standard error (0 where it is not known).
+    loss, loss_error : float
+        What it loses to an opponent that knows it, and the standard error.
+    """
+
+    name: str
+    score: float
+    score_error: float
+    loss: float
+    loss_error: float
+
+
+class TreeLoss(NamedTuple):
+    """What an agent loses on the held-out trees of a circuit.
+
+    Attributes
+    ----------
+    track, agent : str
+    trees : int
+    columns : tuple of (mean, standard error)
+        Lost to its best response, lost to the equilibrium, and what it gets from random moves; the errors are NaN for
+        a single tree.
+    """
+
+    track: str
+    agent: str
+    trees: int
+    columns: tuple[tuple[float, float], ...]
+
+
+LOSSES = ("lost_to_best_response", "lost_to_equilibrium", "against_random")
+
+
+def read_losses(path: str | Path) -> list[TreeLoss]:
+    """Read what the stage "exploitability" wrote: a line for each circuit, agent and tree.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read or lacks a column.
+    """
+    found: dict[tuple[str, str], list[list[float]]] = {}
+    for row in _rows(path, ("track", "agent", *LOSSES)):
+        found.setdefault((row["track"], row["agent"]), []).append([_number(row[name], path) for name in LOSSES])
+    losses = []
+    for (track, agent), rows in found.items():
+        values = np.array(rows)
+        errors = values.std(axis=0, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.full(3, np.nan)
+        columns = tuple(zip(values.mean(axis=0).tolist(), errors.tolist(), strict=True))
+        losses.append(TreeLoss(track, agent, len(values), columns))
+    return losses
+
+
+def read_curves(path: str | Path, *columns: str, x: str = "epoch") -> list[Curve]:
+    """Read learning curves; by default training and validation loss, as they stand beside a trained network.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read or lacks a column.
+    """
+    names = columns or ("training_loss", "validation_loss")
+    rows = _rows(path, (x, *names))
+    steps = np.array([_number(row[x], path) for row in rows])
+    return [
+        Curve(steps, np.array([_number(row[name], path) for row in rows]), name.removesuffix("_loss").replace("_", " "))
+        for name in names
+    ]
+
+
+def places_of(table: StudyTable | None, losses: Sequence[TreeLoss]) -> list[Place]:
+    """Return where agents stand whose score and whose exploitability are known, means over rows and circuits."""
+    if table is None:
+        return []
+    places = []
+    for arm in table.arms:
+        scores = [result.score for row in table.rows for result in row.arms if result.arm == arm]
+        known = [loss.columns[0] for loss in losses if loss.agent == arm]
+        if known:
+            mean, errors = np.array(known).T
+            error = float(np.sqrt(np.sum(np.nan_to_num(errors) ** 2)) / len(known))
+            places.append(Place(arm, float(np.mean(scores)), 0.0, float(mean.mean()), error))
+    return places
+
+
+def software() -> dict[str, str]:
+    """Return versions of what the results depend on, and the machine."""
+    found = {"pcs-racing": package_version(), "Python": platform.python_version()}
+    for library in ("numpy", "numba", "torch", "cma", "moocore", "scipy", "matplotlib"):
+        try:
+            found[library] = version(library)
+        except PackageNotFoundError:
+            continue
+    return {**found, "machine": f"{platform.system()} {platform.machine()}"}
+
+
+def _rows(path: str | Path, wanted: Sequence[str]) -> list[dict[str, str]]:
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            rows = list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"can't read {path}: {error}") from None
+    missing = [name for name in wanted if name not in (reader.fieldnames or ())]
+    if missing:
+        raise InputError(f"{path} has no column {missing[0]!r}")
+    return rows
+
+
+def _number(text: str | None, path: str | Path) -> float:
+    try:
+        return float(text) if text else np.nan
+    except ValueError:
+        raise InputError(f"{path} holds {text!r} where a number should be") from None
