@@ -33,7 +33,17 @@ from pcs_racing_agents.synthesis.indicators import (
     uncrowded_improvement,
 )
 
-__all__ = ["LOSSES", "MEANS", "MOCMAES", "CubeCMAES", "Setting", "cma_options", "hypervolume_loss"]
+__all__ = [
+    "LOSSES",
+    "MEANS",
+    "MOCMAES",
+    "CubeCMAES",
+    "Setting",
+    "cma_options",
+    "hypervolume_loss",
+    "latin_hypercube",
+    "middle_of_the_best",
+]
 
 Floats = NDArray[np.float64]
 
@@ -59,8 +69,9 @@ class Setting:
         Share of a generation that is recombined and added to the archive (lambda of Algorithm 1).
     loss, mean : str
         Reading of Algorithm 1.
-    start : ndarray, shape (P,)
-        First mean.
+    start : ndarray, shape (P,), optional
+        First mean; without one the first generation is a sample of the whole cube (:func:`latin_hypercube`), and the
+        search starts in the middle of what is best there, with half the step size.
     step_size : float
         First standard deviation.
     reference : float or ndarray, shape (G,)
@@ -75,7 +86,7 @@ class Setting:
     elite_ratio: float
     loss: str
     mean: str
-    start: Floats
+    start: Floats | None
     step_size: float
     reference: float | Floats
     ideal: Floats | None
@@ -171,20 +182,26 @@ class MOCMAES:
         self._elite = max(1, round(setting.elite_ratio * setting.population))
         self._rng = np.random.default_rng(setting.seed)
         self._stalled = 0
-        self._es = self._started(setting.start, setting.step_size)
+        self._es = None if setting.start is None else self._started(setting.start, setting.step_size)
 
     @property
     def step_size(self) -> float:
-        """Largest standard deviation of a parameter, as a share of its range."""
-        return self._es.step_size
+        """Largest standard deviation of a parameter, as a share of its range; NaN before the search has a mean."""
+        return np.nan if self._es is None else self._es.step_size
 
     def ask(self) -> Floats:
         """Return a generation of points, shape (n, P), in the unit cube."""
         # Lines 4-5: sample theta_i from N(mu, sigma^2 C).
+        if self._es is None:
+            return latin_hypercube(self._setting.population, self._setting.dimension, self._rng)
         return self._es.ask()
 
     def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
         """Learn from the generation that was asked for, and return the archive with its best points in it."""
+        if self._es is None:
+            grown = archive.joined(points, objectives, violation)
+            self._es = self._started(middle_of_the_best(grown), 0.5 * self._setting.step_size)
+            return grown
         # Line 8: the hypervolume loss against the archive.
         scale = archive.joined(points, objectives, violation).scale(self._setting.ideal, self._setting.nadir)
         loss = hypervolume_loss(self._setting.loss, archive, objectives, violation, scale, self._setting.reference)
@@ -205,6 +222,7 @@ class MOCMAES:
         return grown
 
     def _restart_if_done(self, before: Explored, after: Explored, scale: Scale) -> None:
+        assert self._es is not None
         # As long as nothing feasible is known, there is no hypervolume to stand still.
         if len(after.front):
             old, new = (
@@ -228,6 +246,19 @@ class MOCMAES:
     def _started(self, mean: Floats, step_size: float) -> CubeCMAES:
         largest = 2.0 * self._setting.step_size
         return CubeCMAES(mean, step_size, largest, self._setting.population, self._elite, self._rng)
+
+
+def latin_hypercube(count: int, dimension: int, rng: np.random.Generator) -> Floats:
+    """Return points of the unit cube, shape (count, dimension), of which every axis has one in each of equal parts."""
+    parts = np.stack([rng.permutation(count) for _ in range(dimension)], axis=1)
+    return np.asarray((parts + rng.random((count, dimension))) / count, np.float64)
+
+
+def middle_of_the_best(explored: Explored) -> Floats:
+    """Return the mean of the front's parameters; if nothing is feasible, the point that violates least."""
+    if len(explored.front):
+        return np.asarray(explored.parameters[explored.front].mean(axis=0), np.float64)
+    return explored.parameters[int(np.argmin(explored.violation))]
 
 
 def hypervolume_loss(

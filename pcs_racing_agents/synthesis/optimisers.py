@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.mapping.optional import require
 from pcs_racing_agents.synthesis.explored import Explored, Scale
-from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, Setting, cma_options
+from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, Setting, cma_options, middle_of_the_best
 
 __all__ = ["METHODS", "Optimiser", "make_optimiser"]
 
@@ -170,7 +170,11 @@ class COMO:
 
 
 class CMAMAE:
-    """CMA-MAE: M. Fontaine and S. Nikolaidis, Covariance matrix adaptation MAP-annealing, GECCO 2023; pyribs'."""
+    """CMA-MAE: M. Fontaine and S. Nikolaidis, Covariance matrix adaptation MAP-annealing, GECCO 2023; pyribs'.
+
+    Points outside the unit cube are moved to its border; pyribs would draw anew until all lie within, if need be for
+    ever.
+    """
 
     LEARNING_RATE = 0.01  # both as in the paper
     CELLS = 100
@@ -199,7 +203,7 @@ class CMAMAE:
             return self._rng.random((self._setting.population, self._setting.dimension))
         return np.clip(np.concatenate([emitter.ask() for emitter in self._emitters]), 0.0, 1.0)
 
-    def _set_up(self, objectives: int, lowest: float) -> None:
+    def _set_up(self, objectives: int, lowest: float, start: Floats) -> None:
         from ribs.archives import GridArchive
         from ribs.emitters import EvolutionStrategyEmitter
 
@@ -216,12 +220,11 @@ class CMAMAE:
         self._emitters = [
             EvolutionStrategyEmitter(
                 self._archive,
-                x0=self._setting.start,
+                x0=start,
                 sigma0=self._setting.step_size,
                 ranker="imp",
                 selection_rule="mu",
                 restart_rule="basic",
-                bounds=[(0.0, 1.0)] * self._setting.dimension,
                 batch_size=len(part),
                 seed=seed,
             )
@@ -239,7 +242,8 @@ class CMAMAE:
         values = self._scale(_worst(self._scale, objectives, violation))
         total, ways = values.sum(axis=1), values[:, :-1] - values[:, 1:]
         if first:
-            self._set_up(objectives.shape[1], float(total.min()))
+            start = middle_of_the_best(grown) if self._setting.start is None else self._setting.start
+            self._set_up(objectives.shape[1], float(total.min()), start)
             self._archive.add(points, total, ways)
             return grown
         news = self._archive.add(points, total, ways)

@@ -152,10 +152,11 @@ class Search:
         Reference point of the hypervolume in normalised objectives; by default a tenth of the range below the nadir.
     ideal, nadir : array_like, shape (G,), optional
         Values that normalise to 1 and 0. By default the range of the front, as it is in each generation.
-    start : array_like, shape (P,), optional
-        First mean of CMA-ES; the middle of the bounds by default.
+    start : {"middle", "sample"} or array_like, shape (P,)
+        First mean of CMA-ES: the middle of the bounds, a point, or the middle of the best of a first generation that is
+        a sample of everything within the bounds.
     step_size : float
-        First standard deviation of CMA-ES, as a share of the bounds' range, above 0 to 1.
+        First standard deviation of CMA-ES, as a share of the bounds' range, above 0 to 1; half of it after a sample.
 
     Attributes
     ----------
@@ -185,7 +186,7 @@ class Search:
         reference: ArrayLike = -0.1,
         ideal: ArrayLike | None = None,
         nadir: ArrayLike | None = None,
-        start: ArrayLike | None = None,
+        start: ArrayLike | str = "middle",
         step_size: float = 0.2,
     ) -> None:
         self._low, self._high = _checked_bounds(bounds)
@@ -199,9 +200,7 @@ class Search:
                 raise InputError(f"{name} is {value!r}; it must be one of {', '.join(choices)}")
         self._reference = _checked_vector("reference", reference)
         self._scale_from = _checked_scale(ideal, nadir)
-        first = (self._low + self._high) / 2.0 if start is None else _checked_vector("start", start, dimension)
-        if np.any(first < self._low) or np.any(first > self._high):
-            raise InputError(f"start is {first.tolist()}; it must lie within the bounds")
+        first = self._first_mean(start)
         self._population = population
         root = np.random.SeedSequence(int(seed))
         setting = Setting(
@@ -211,7 +210,7 @@ class Search:
             elite_ratio=float(elite_ratio),
             loss=loss,
             mean=mean,
-            start=(first - self._low) / (self._high - self._low),
+            start=first,
             step_size=float(step_size),
             reference=self._reference if self._reference.ndim else float(self._reference),
             ideal=self._scale_from[0],
@@ -370,6 +369,19 @@ class Search:
             nadir=scale.nadir,
             reference=np.array(np.broadcast_to(self._reference, scale.ideal.shape)),
         )
+
+    def _first_mean(self, start: Any) -> Floats | None:
+        """Return the first mean in the unit cube, or None for a sample."""
+        if isinstance(start, str):
+            if start not in ("middle", "sample"):
+                raise InputError(f"start is {start!r}; it must be middle, sample, or a point")
+            if start == "sample":
+                return None
+            start = (self._low + self._high) / 2.0
+        first = _checked_vector("start", start, len(self._low))
+        if np.any(first < self._low) or np.any(first > self._high):
+            raise InputError(f"start is {first.tolist()}; it must lie within the bounds")
+        return (first - self._low) / (self._high - self._low)
 
     def _check_told(self) -> None:
         if len(self._asked):

@@ -98,6 +98,15 @@ def test_with_the_mean_of_the_archive_it_samples_around_that():
         search.tell(spheres(asked))
 
 
+def test_a_sample_covers_the_bounds_and_the_search_goes_on_from_its_best():
+    search = Search(UNIT, population=20, start="sample", step_size=0.02)
+    first = search.ask()
+    np.testing.assert_array_equal(np.sort((20 * first).astype(int), axis=0), np.tile(np.arange(20)[:, None], 6))
+    search.tell(spheres(first))
+    best = search.archive.mean(axis=0)
+    assert abs(search.ask() - best).max() < 0.05
+
+
 def test_a_search_that_stands_still_starts_again():
     kept = []
     synthesize(
@@ -150,7 +159,7 @@ def test_every_method_repeats_itself_stays_within_bounds_and_leaves_numpy_alone(
 
     np.random.seed(5)  # noqa: NPY002
     state = np.random.get_state()  # noqa: NPY002
-    first = synthesize(evaluate, bounds, method=method, **SMALL)
+    first = synthesize(evaluate, bounds, method=method, start="sample", **SMALL)
     after = np.random.get_state()  # noqa: NPY002
     np.testing.assert_array_equal(state[1], after[1])
     assert state[2:] == after[2:]
@@ -158,8 +167,8 @@ def test_every_method_repeats_itself_stays_within_bounds_and_leaves_numpy_alone(
     assert len(points) == 72
     assert (points >= bounds[:, 0]).all()
     assert (points <= bounds[:, 1]).all()
-    same(first, synthesize(evaluate, bounds, method=method, **SMALL))
-    other = synthesize(evaluate, bounds, method=method, **{**SMALL, "seed": 4})
+    same(first, synthesize(evaluate, bounds, method=method, start="sample", **SMALL))
+    other = synthesize(evaluate, bounds, method=method, start="sample", **{**SMALL, "seed": 4})
     assert not np.array_equal(first.explored_parameters, other.explored_parameters)
 
 
@@ -299,6 +308,7 @@ def test_the_front_can_be_given_other_values():
         ({"ideal": [1.0] * 3, "nadir": [0.0] * 3}, "ideal has 3 numbers; there are 2 objectives"),
         ({"reference": [0.0] * 3}, "reference has 3 numbers; there are 2 objectives"),
         ({"start": [2.0] * 6}, "must lie within the bounds"),
+        ({"start": "centre"}, "start is 'centre'; it must be middle, sample, or a point"),
         ({"start": [0.5]}, r"start has shape \(1,\); it must have \(6,\)"),
     ],
 )
