@@ -60,6 +60,10 @@ class StudyConfig:
         Our best agent among them.
     egos, variants, lines : int
         Start policies of the ego, variants of the opponent, and start lines of each cell; from both sides.
+    further_tracks, further_opponents, further_arms : tuple of str
+        The second table has these beside those of the first.
+    further_lines : int
+        Start lines of its cells; 0 for no second table.
     ppo : str or None
         Settings of a PPO baseline that is trained along the way; None for none.
     rivals : tuple of str
@@ -96,6 +100,10 @@ class StudyConfig:
     egos: int = 20
     variants: int = 20
     lines: int = 5
+    further_tracks: tuple[str, ...] = ()
+    further_opponents: tuple[str, ...] = ()
+    further_arms: tuple[str, ...] = ()
+    further_lines: int = 0
     ppo: str | None = None
     rivals: tuple[str, ...] = ()
     rival_races: int = 100
@@ -105,7 +113,7 @@ class StudyConfig:
         self.game  # noqa: B018 - checks race and epsilon
         for key in ("circuits", "targets", "response_pool", "fitting_opponents", "tracks", "opponents", "arms"):
             self._check_names(key, 1)
-        for key in ("responses", "rivals"):
+        for key in ("responses", "rivals", "further_tracks", "further_opponents", "further_arms"):
             self._check_names(key, 0)
         for name in self.targets:
             get_target(name)
@@ -128,6 +136,7 @@ class StudyConfig:
             egos=(2, 1000),
             variants=(2, 1000),
             lines=(1, 1000),
+            further_lines=(0, 1000),
             rival_races=(2, 2000),
             seed=(0, 2**62),
         )
@@ -142,6 +151,29 @@ class StudyConfig:
             raise ConfigError(f"{key} is {names!r}; it must be a list of names")
         if len(set(names)) < len(names):
             raise ConfigError(f"{key} are {', '.join(names)}; name each once")
+
+    @property
+    def tables(self) -> dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], int]]:
+        """Circuits, opponents, arms and start lines of each table, by name."""
+        tables = {"main": (self.tracks, self.opponents, self.arms, self.lines)}
+        if self.further_lines:
+            tables["further"] = (
+                (*self.tracks, *(name for name in self.further_tracks if name not in self.tracks)),
+                (*self.opponents, *(name for name in self.further_opponents if name not in self.opponents)),
+                (*self.arms, *(name for name in self.further_arms if name not in self.arms)),
+                self.further_lines,
+            )
+        return tables
+
+    @property
+    def every_track(self) -> tuple[str, ...]:
+        """All circuits that are used."""
+        return tuple(dict.fromkeys((*self.circuits, *self.tracks, *self.further_tracks)))
+
+    @property
+    def every_arm(self) -> tuple[str, ...]:
+        """All agents of the tables."""
+        return tuple(dict.fromkeys((*self.arms, *self.further_arms)))
 
     @property
     def game(self) -> GameConfig:

@@ -1,6 +1,5 @@
 """Races of a study that are worth watching: a win by switching, a loss, a crash; chosen by rule, not by taste."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -13,14 +12,7 @@ from pcs_racing_agents.explaining.words import story
 from pcs_racing_agents.strategies.agent import Competitor
 from pcs_racing_agents.tournament.cells import Cell
 
-__all__ = ["KINDS", "Watched", "telling_races", "watch_race"]
-
-KINDS: Mapping[str, str] = {
-    "win": "A win by switching: the same race is lost by the agent that keeps its policy",
-    "loss": "A loss: the same race is won by the agent that keeps its policy",
-    "crash": "A crash that the agent is to blame for",
-}
-"""What races are picked, and what the report says about each."""
+__all__ = ["Watched", "telling_races", "watch_race"]
 
 
 class Watched(NamedTuple):
@@ -40,10 +32,11 @@ class Watched(NamedTuple):
 
 
 def telling_races(agent: Cell, base: Cell) -> dict[str, int]:
-    """Pick a race of each kind of :data:`KINDS` from the cells of an agent and of the one that never switches.
+    """Pick a win by switching, a loss, and a crash from the cells of an agent and of the one that never switches.
 
-    Of crashes one after a move is taken, if there is any. Where there are several races, it is the one with the median
-    lead: typical of its kind, not the most spectacular.
+    A win or a loss is rather one where keeping the policy brings the contrary in the same race; a crash is the agent's
+    fault, and rather one after its first move. Where there are several such races, it is the one with the median lead:
+    typical of its kind, not the most spectacular.
 
     Parameters
     ----------
@@ -53,23 +46,31 @@ def telling_races(agent: Cell, base: Cell) -> dict[str, int]:
     Returns
     -------
     dict of str to int
-        The number of the race in the cells; kinds that did not occur are left out. Where the base never did the
-        contrary, a win or a loss of its own is taken.
+        What the race is, and its number in the cells; what did not occur is left out.
     """
     ours, theirs = agent.matches, base.matches
     clean = ~ours.crash.any(axis=1)
     switched = (ours.policy[:, 0] != ours.policy[:, 0, :1]).any(axis=1)
-    won, lost = clean & (ours.winner == 0), clean & (ours.winner == 1)
-    wanted = {
-        "win": [won & switched & (theirs.winner == 1), won & switched],
-        "loss": [lost & (theirs.winner == 0), lost],
-        "crash": [(ours.fault[:, 0] > 0) & (ours.moves[:, 0, 0] >= 0), ours.fault[:, 0] > 0],
-    }
+    won, lost, fault = clean & (ours.winner == 0), clean & (ours.winner == 1), ours.fault[:, 0] > 0
+    keeps = f"{base.ego} starts alike and"
+    wanted = (
+        {
+            f"A win by switching; {keeps} loses": won & switched & (theirs.winner == 1),
+            "A win, policies being switched": won & switched,
+        },
+        {f"A loss; {keeps} wins": lost & (theirs.winner == 0), "A loss": lost},
+        {
+            f"A crash that {agent.ego} is to blame for": fault & (ours.moves[:, 0, 0] >= 0),
+            f"A crash before the first move that {agent.ego} is to blame for": fault,
+        },
+    )
     found = {}
-    for kind, choices in wanted.items():
-        races = next((rows for rows in map(np.flatnonzero, choices) if len(rows)), None)
-        if races is not None:
-            found[kind] = _median(races, ours.lead)
+    for choices in wanted:
+        for title, chosen in choices.items():
+            races = np.flatnonzero(chosen)
+            if len(races):
+                found[title] = _median(races, ours.lead)
+                break
     return found
 
 

@@ -3,6 +3,8 @@
 import csv
 import io
 from collections.abc import Iterator
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.tournament.cells import Cell, play_cell
 from pcs_racing_agents.trees.storage import StoredTrees, build_trees
 
-__all__ = ["cells", "judge_on_trees", "race_cells", "race_rivals"]
+__all__ = ["StudyCell", "cells", "judge_on_trees", "race_cells", "race_rivals"]
 
 CELL_SEED = 0
 HELD_OUT_SEED = 4_000_000
@@ -28,29 +30,41 @@ def race_cells(study: Study) -> None:
         pass
 
 
-def cells(study: Study) -> Iterator[tuple[str, str, str, Cell]]:
-    """Return every cell as (circuit, opponent, arm, cell); races that were driven are read, the others driven."""
+class StudyCell(NamedTuple):
+    """A cell of one of the study's tables.
+
+    Attributes
+    ----------
+    table, track, opponent, arm : str
+    cell : Cell
+    """
+
+    table: str
+    track: str
+    opponent: str
+    arm: str
+    cell: Cell
+
+
+def cells(study: Study) -> Iterator[StudyCell]:
+    """Return every cell; races that were driven are read, the others driven."""
     config = study.config
-    folder = study.folder / "races"
-    with open_job(folder, "races", {"archive": study.archive.content_hash}) as job:
-        for track in config.tracks:
-            game = study.game(track)
-            for number, opponent in enumerate(config.opponents):
-                rival = study.agent(opponent)
-                for arm in config.arms:
-                    cell = play_cell(
-                        game,
-                        study.agent(arm),
-                        rival,
-                        egos=config.egos,
-                        opponents=config.variants,
-                        lines=config.lines,
-                        seed=config.seed + CELL_SEED + number,
-                        job=job,
-                        executor=study.executor,
-                        progress=study.progress(f"races: {arm} against {opponent} on {track}"),
-                    )
-                    yield track, opponent, arm, cell
+    with open_job(study.folder / "races", "races", {"archive": study.archive.content_hash}) as job:
+        for number, (table, (tracks, opponents, arms, lines)) in enumerate(config.tables.items()):
+            for track, opponent, arm in product(tracks, opponents, arms):
+                cell = play_cell(
+                    study.game(track),
+                    study.agent(arm),
+                    study.agent(opponent),
+                    egos=config.egos,
+                    opponents=config.variants,
+                    lines=lines,
+                    seed=config.seed + CELL_SEED + 100 * number + opponents.index(opponent),
+                    job=job,
+                    executor=study.executor,
+                    progress=study.progress(f"races: {arm} against {opponent} on {track}"),
+                )
+                yield StudyCell(table, track, opponent, arm, cell)
 
 
 def race_rivals(study: Study) -> None:
@@ -79,7 +93,7 @@ def judge_on_trees(study: Study) -> None:
     config = study.config
     if config.pairs == 0 or not stored_trees(study):
         return
-    agents = [agent for agent in map(study.agent, config.arms) if isinstance(agent, Agent)]
+    agents = [agent for agent in map(study.agent, config.every_arm) if isinstance(agent, Agent)]
     rows: list[tuple[object, ...]] = [("track", "agent", "tree", *TreeScore._fields)]
     for number, track in enumerate(config.circuits):
         trees = build_trees(

@@ -10,5 +10,5 @@ __all__ = ["write_report"]
 def write_report(study: Study) -> None:
     """Write ``results.csv``, ``table.csv`` and ``report.html``."""
     played = list(cells(study))
-    rows = [row for *_, cell in played for row in cell.rows()]
+    rows = [row for found in played for row in found.cell.rows()]
     write_rows(rows, study.config.game.race.name, study.folder / "results.csv")

@@ -196,7 +196,7 @@ def run_study(
         if name not in STAGES:
             raise UnknownNameError(f"stage {name!r} is unknown; a study has {', '.join(STAGES)}")
     study = Study(config, Path(folder), executor, quiet)
-    for name in {*config.circuits, *config.tracks}:
+    for name in config.every_track:
         study.track(name)  # an unknown circuit is an error now, not in an hour
     with claim_folder(study.folder, "study", plain_settings(config)):
         for stage in _stages():
