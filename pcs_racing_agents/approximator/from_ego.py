@@ -22,7 +22,7 @@ from pcs_racing_agents.jobs import Progress
 if TYPE_CHECKING:
     from pcs_racing_agents.trees import EgoTrees
 
-__all__ = ["TrainedOnEgo", "ego_score_table", "score_ego", "take_roots", "train_on_ego"]
+__all__ = ["TrainedOnEgo", "check_ego_target", "ego_score_table", "score_ego", "take_roots", "train_on_ego"]
 
 TARGET = "static-q"
 BEST = "best in hindsight"
@@ -84,9 +84,8 @@ def train_on_ego(
     """
     from pcs_racing_agents.trees import ego_rows
 
+    check_ego_target(settings)
     settings = settings_for_trees(settings)
-    if settings.target != TARGET:
-        raise InputError(f"target is {settings.target!r}; ego trees have one player and give {TARGET!r} alone")
     numbers = pair_number(trees.policies)
     different = len(np.unique(numbers))
     if different < 3:
@@ -120,6 +119,18 @@ def train_on_ego(
         roots = score_ego(plays, take_roots(trees, held_out))
         summary["test_utility"] = float(f"{roots[name].mean():.4g}")
     return TrainedOnEgo(replace(network, training=summary), result, scores, roots)
+
+
+def check_ego_target(settings: TrainSettings) -> None:
+    """Check that the target is one that ego trees give.
+
+    Raises
+    ------
+    InputError
+        If it is another one.
+    """
+    if settings.target != TARGET:
+        raise InputError(f"target is {settings.target!r}; ego trees have one player and give {TARGET!r} alone")
 
 
 def take_roots(trees: "EgoTrees", indices: ArrayLike) -> "EgoTrees":

@@ -118,8 +118,17 @@ def score_rows(network: RegretNetwork, rows: Rows) -> list[RowScore]:
 
 
 def follow(network: RegretNetwork) -> Play:
-    """Return the strategy that makes the network's choice with certainty."""
-    return lambda observations: np.eye(len(network.moves))[network.choose(observations)]
+    """Return the strategy that makes the network's choice with certainty; of target "nash", one that draws from it."""
+
+    def play(observations: NDArray[np.float32]) -> NDArray[np.float64]:
+        choice = np.eye(len(network.moves))[network.choose(observations)]
+        if network.target != "nash":
+            return choice
+        odds = np.maximum(network.unclipped(observations).astype(np.float64), 0.0)
+        total = odds.sum(axis=-1, keepdims=True)
+        return np.where(total > 0.0, odds / np.where(total > 0.0, total, 1.0), choice)
+
+    return play
 
 
 def constant_plays(moves: Sequence[str]) -> dict[str, Play]:

@@ -144,11 +144,12 @@ class TrainSettings:
 def settings_for_trees(settings: TrainSettings) -> TrainSettings:
     """Return settings whose open choices are made for rows of trees or ego trees."""
     weights = "uniform" if settings.target == "regret" else "random"
+    values = settings.target != "nash"  # which are probabilities
     return replace(
         settings,
         row_weights=weights if settings.row_weights is None else settings.row_weights,
-        floor=0.25 if settings.floor is None else settings.floor,
-        differences=True if settings.differences is None else settings.differences,
+        floor=0.25 * values if settings.floor is None else settings.floor,
+        differences=values if settings.differences is None else settings.differences,
     )
 
 

@@ -6,7 +6,8 @@ The targets differ in what they assume of the opponent and in how they compare n
   nodes which it avoids hardly count;
 - normalised regrets have the same size at every node;
 - equilibrium advantages ask the exact solution instead of CFR;
-- "static" values play best against an opponent that does not look at the race.
+- "static" values play best against an opponent that does not look at the race;
+- and "nash" is no value but the equilibrium strategy itself.
 """
 
 from typing import NamedTuple
@@ -46,6 +47,7 @@ TARGETS = {
     "normalised": Target("cumulative regret over the largest of the node's, -1 to 1", False, "cfr"),
     "advantage": Target("what a move gains or loses against the equilibrium, both playing on by it", False, "exact"),
     "static-q": Target("utility of a move and best play from then on, against a static opponent", False, "exact"),
+    "nash": Target("probability of the move in an equilibrium, to be drawn from", False, "exact"),
 }
 """Kinds of targets that trees give."""
 
@@ -140,6 +142,8 @@ def node_targets(
         ]
     if target == "advantage":
         return list(solution.advantages)
+    if target == "nash":
+        return list(solution.profile)
     profile = static_profile(tree, opponent, stay)
     q = [best_response(tree, profile, player).q for player in (0, 1)]
     return list(zip(*q, strict=True))

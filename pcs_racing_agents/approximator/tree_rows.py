@@ -112,7 +112,7 @@ def tree_rows(
         ended = np.where(over, payoffs.reshape(seeds, nodes, -1)[..., 0], 0.0).sum(axis=0)[taken]
         for player, values in enumerate((first, second)):
             goal = values[taken]
-            if target != "regret":
+            if target in ("advantage", "static-q"):
                 offset = ended[:, None] * (1 - 2 * player) if target == "static-q" else 0.0
                 goal = (goal * seeds - offset) / np.maximum(going.sum(axis=0), 1)[:, None]
             use = going & np.isfinite(goal).all(axis=1)

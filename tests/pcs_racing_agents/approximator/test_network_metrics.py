@@ -74,6 +74,14 @@ def test_a_strategy_is_followed_in_both_roles():
         np.testing.assert_array_equal(profile[1][player].sum(axis=1), 1.0)
 
 
+def test_a_network_of_probabilities_is_drawn_from():
+    network = random_network(
+        inputs=2, hidden=(), target="nash", weights=([[3.0, -2.0], [1.0, -1.0], [-1.0, -3.0], [0.0, -4.0]],),
+        biases=(np.zeros(4),), mean=np.zeros(2), scale=np.ones(2),
+    )  # fmt: skip
+    np.testing.assert_allclose(follow(network)(np.eye(2)), [[0.75, 0.25, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
+
+
 @pytest.mark.parametrize("moves", [1, 2])
 def test_on_one_seed_the_loss_is_half_the_nash_conv(moves):
     race_tree = random_tree(moves=moves)

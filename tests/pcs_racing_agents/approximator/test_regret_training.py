@@ -142,6 +142,46 @@ def test_clipped_targets_are_learned_clipped():
     assert score_rows(paper, rows_of(*situations(seed=1)))[0].agreement > 0.85
 
 
+def test_differences_are_learned_apart_from_the_level():
+    """The situations differ many times as much as the moves, yet the network is to tell the moves apart."""
+    x, values, pair, step = situations(4000)
+    level = 3000.0 * (x[:, :1] * x[:, 1:2] + np.abs(x[:, 2:3]))
+    rows = rows_of(x, values + level, pair, step)
+    fresh = situations(seed=1)
+    judge = rows_of(*fresh)
+    found = []
+    for differences in (True, False):
+        settings = load_train_settings(QUICK, differences=differences)
+        network, _ = train_network(rows, identity(), settings, name="net")
+        found.append(score_rows(network, judge)[0].agreement)
+        known = 3000.0 * (fresh[0][:, 0] * fresh[0][:, 1] + np.abs(fresh[0][:, 2])) + fresh[1].mean(axis=1)
+        assert np.corrcoef(network(fresh[0]).mean(axis=1), known)[0, 1] > 0.9
+    assert found[0] > 0.8 > 0.6 > found[1]
+
+
+def test_rows_of_advantages_have_no_level_to_learn():
+    x, values, pair, step = situations()
+    centred = values - values.mean(axis=1, keepdims=True)
+    settings = load_train_settings(QUICK, differences=True)
+    network, _ = train_network(rows_of(x, centred, pair, step), identity(), settings, name="net")
+    assert score_rows(network, rows_of(*situations(seed=1)))[0].agreement > 0.9
+    assert np.abs(network(x).mean(axis=1)).max() < 0.2 * np.abs(centred).max()
+
+
+def test_a_floor_raises_what_is_far_below_the_best():
+    """Random moves lose about 20; with a floor of 0.5 nothing is learned to be more than 10 below the best."""
+    x, values, pair, step = situations(4000)
+    lost = np.mean(values.max(axis=1, keepdims=True) - values)
+    network, _ = train_network(
+        rows_of(x, values, pair, step), identity(), load_train_settings(QUICK, floor=0.5), name="n"
+    )
+    answers = network(x)
+    below = answers.max(axis=1, keepdims=True) - answers
+    assert 0.45 * lost < np.quantile(below, 0.99) < 0.7 * lost
+    assert np.quantile(values.max(axis=1, keepdims=True) - values, 0.99) > 2.0 * lost
+    assert score_rows(network, rows_of(*situations(seed=1)))[0].agreement > 0.9
+
+
 def test_constant_inputs_and_targets_are_no_trouble():
     x, _, pair, step = situations(100)
     result = fit(rows_of(np.ones_like(x), np.full((100, 4), 3.0), pair, step), load_train_settings(QUICK, epochs=2))

@@ -7,12 +7,13 @@ from toy_trees import random_tree
 
 from pcs_racing import InputError, make_game
 from pcs_racing_agents.approximator import GameIdentity, game_identity, load_network, load_train_settings
+from pcs_racing_agents.approximator.from_ego import score_ego, train_on_ego
 from pcs_racing_agents.approximator.from_trees import train_on_trees, trees_identity
 from pcs_racing_agents.approximator.metrics import TreeScore
 from pcs_racing_agents.approximator.rows import pair_number
 from pcs_racing_agents.approximator.training import Epoch
 from pcs_racing_agents.cli import main
-from pcs_racing_agents.trees import build_trees, load_trees
+from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees, load_trees
 
 pytest.importorskip("torch")
 
@@ -81,11 +82,18 @@ def test_stored_trees_know_their_game(game, folder):
     assert trees_identity(load_trees(folder).settings) == game_identity(game)
 
 
-def test_trees_of_different_games_are_refused(folder, tmp_path, capsys):
-    other = make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"epsilon": 0.2}, "epsilon is 0.2 in one and"),
+        ({"utility": "win"}, "utility is 'win' in one and"),
+    ],
+)
+def test_trees_of_different_games_are_refused(folder, tmp_path, capsys, change, message):
+    other = make_game("Pipkin", moves=2, step_seconds=1.0, **change)
     build_trees(other, tmp_path / "other", pairs=2)
     assert train(folder, tmp_path / "other", "--out", tmp_path / "out") == 2
-    assert "hold trees of different games: epsilon differs" in capsys.readouterr().err
+    assert f"hold trees of different games: {message}" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -94,6 +102,57 @@ def test_several_folders_of_one_game_are_learned_from_together(folder, tmp_path)
     out = tmp_path / "out"
     assert train(folder, tmp_path / "more", "--epochs", 1, "--no-tensorboard", "--no-picture", "--out", out) == 0
     assert yaml.safe_load((out / "manifest.yaml").read_text())["training"]["trees"] == 11
+
+
+@pytest.fixture(scope="module")
+def ego_folder(game, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ego")
+    build_ego_trees(game, folder, roots=24)
+    return folder
+
+
+@pytest.mark.parametrize("share", [0.15, 0.0])
+def test_ego_trees_teach_values_against_static_opponents(game, ego_folder, tmp_path, capsys, share):
+    (tmp_path / "mine.yaml").write_text(f"{{epochs: 5, hidden: [8], target: static-q, test_share: {share}}}")
+    out = tmp_path / "net"
+    plain = ["--no-tensorboard", "--no-picture"]
+    assert train(ego_folder, "--config", tmp_path / "mine.yaml", *plain, "--out", out) == 0
+    network = load_network(out)
+    network.check_fits(game)
+    assert (network.target, network.training["roots"], network.training["utility"]) == ("static-q", 24, "lead")
+    text = capsys.readouterr().out
+    scores = (out / "scores.csv").read_text().splitlines()
+    if share > 0.0:
+        assert network.training["test_roots"] >= 1
+        assert f"utility in {network.training['test_roots']} held-out roots" in text
+        assert len(scores) == 1 + network.training["test_roots"] * (1 + 4 + 2)
+        assert scores[0] == "strategy,root,utility"
+    else:
+        assert scores == ["strategy"]
+
+
+def test_ego_trees_give_one_target_and_do_not_mix_with_others(folder, ego_folder, tmp_path, capsys):
+    assert train(ego_folder, "--target", "regret", "--out", tmp_path / "out") == 2
+    assert "target is 'regret'; ego trees have one player and give 'static-q' alone" in capsys.readouterr().err
+    assert train(folder, ego_folder, "--out", tmp_path / "out") == 2
+    assert f"{ego_folder} holds ego trees, others do not; give folders of one kind" in capsys.readouterr().err
+
+
+def test_without_hindsight_a_network_promises_no_more_than_it_gets(ego_folder, game):
+    """What hindsight says of the first move is the best of all that could follow, and so at least as much."""
+    trees = load_ego_trees(ego_folder)
+    scores = score_ego({"never": lambda seen: np.tile([0.0, 0.0, 0.0, 1.0], (len(seen), 1))}, trees)
+    assert (scores["never"] <= scores["best in hindsight"] + 1e-6).all()
+    assert (scores["random moves"] <= scores["best in hindsight"] + 1e-6).all()
+    settings = load_train_settings(target="static-q", hidden=(8,), epochs=5, test_share=0.0)
+    seen = trees.observations(0)[:, 0]
+    promises = [
+        train_on_ego(trees, game_identity(game), load_train_settings(settings, continuation=how), name="net").network(
+            seen
+        )
+        for how in ("learned", "best")
+    ]
+    assert promises[0].max(axis=1).mean() < promises[1].max(axis=1).mean()
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import pytest
 
 from pcs_racing.errors import ConfigError, UnknownNameError
 from pcs_racing_agents.approximator import TARGETS, TrainSettings, load_train_settings
+from pcs_racing_agents.approximator.settings import settings_for_trees
 from pcs_racing_agents.configuration import shipped_configs
 
 
@@ -16,6 +17,17 @@ def test_settings_come_from_yaml_and_can_be_changed(tmp_path):
     assert load_train_settings() == TrainSettings()
     with pytest.raises(UnknownNameError, match="settings 'nowhere' are unknown"):
         load_train_settings("nowhere")
+
+
+def test_open_choices_are_made_as_fits_the_target():
+    def chosen(target, **given):
+        made = settings_for_trees(load_train_settings(target=target, **given))
+        return made.row_weights, made.floor, made.differences
+
+    assert chosen("regret") == ("uniform", 0.25, True)
+    assert chosen("advantage") == ("random", 0.25, True)
+    assert chosen("nash") == ("random", 0.0, False)
+    assert chosen("advantage", row_weights="reach", floor=0.0, differences=False) == ("reach", 0.0, False)
 
 
 @pytest.mark.parametrize("name", shipped_configs("train"))
@@ -31,6 +43,9 @@ def test_shipped_settings_are_sound(name):
         ("opponent: x", "opponent is 'x'; it must be one of fixed-sequence, never-switch"),
         ("row_weights: x", "row_weights is 'x'; it must be one of uniform, random, reach"),
         ("variant: x", "variant is 'x'; it must be one of vanilla"),
+        ("floor: -1", "floor is -1; it must be a number from 0 to 1000"),
+        ("differences: 1", "differences is 1; it must be true or false"),
+        ("continuation: x", "continuation is 'x'; it must be one of learned, best"),
         ("epochs: 0", "epochs is 0; it must be a whole number from 1 to 100000"),
         ("epochs: 1.5", "epochs is 1.5"),
         ("seed: true", "seed is True"),
