@@ -175,7 +175,7 @@ def save_driver(folder: str | Path, layers: Layers, *, name: str, hold: int, tra
     """
     folder = Path(folder)
     hidden = _check_layers(name, layers)
-    tensors = {}
+    tensors: dict[str, NDArray[np.float32]] = {}
     for i, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
         tensors |= {f"layers.{i}.weight": weight, f"layers.{i}.bias": bias}
     content = save_tensors({key: np.ascontiguousarray(value, np.float32) for key, value in tensors.items()})

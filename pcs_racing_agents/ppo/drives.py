@@ -72,6 +72,8 @@ class Drives:
         Simulation steps of 0.01 s for which an action holds; even.
     rivalry : float
         Share of the opponent's progress that is taken off the own one.
+    leading : float
+        What a second in front is worth, and one behind costs, m.
     crash_penalty : float
         What a crash by own fault costs, m.
     """
@@ -85,6 +87,7 @@ class Drives:
         *,
         hold: int = 2,
         rivalry: float = 0.5,
+        leading: float = 0.0,
         crash_penalty: float = 10.0,
     ) -> None:
         options = DriveOptions(
@@ -98,8 +101,9 @@ class Drives:
             crash_penalty=crash_penalty,
         )
         self.batch = DriveBatch(races, options, threads=1)
-        self.observation_space = spaces.Box(-np.inf, np.inf, (len(INPUTS),), np.float32)
-        self.action_space = spaces.Box(-ACTION_LIMIT, ACTION_LIMIT, (2,), np.float32)
+        self.observation_space: spaces.Box[Any] = spaces.Box(-np.inf, np.inf, (len(INPUTS),), np.float32)
+        self.action_space: spaces.Space[Any] = spaces.Box(-ACTION_LIMIT, ACTION_LIMIT, (2,), np.float32)
+        self._leading = leading * options.time_step
         self._rngs: list[np.random.Generator] = []
         self._rows = np.arange(races)
         self._buffers = np.empty(VIEW_SIZE), np.empty(len(INPUTS))
@@ -113,9 +117,10 @@ class Drives:
         self.batch.restart(self._rows, self._rngs)
         return self._observe(self._rows, np.empty((len(self), len(INPUTS)), np.float32))
 
-    def step(self, actions: NDArray[np.float32]) -> PartStep:
+    def step(self, actions: NDArray[Any]) -> PartStep:
         """Drive every race one step on; ``actions`` has shape (n, 2)."""
         _, rewards, terminated, truncated = self.batch.step(np.tanh(actions.astype(np.float64)))
+        rewards += self._leading * np.sign(self.batch.state.lead)
         seen = self._observe(self._rows, np.empty((len(self), len(INPUTS)), np.float32))
         last = seen
         over = np.flatnonzero(terminated | truncated)
@@ -184,6 +189,7 @@ class DriveLevel:
                 policies,
                 hold=settings.hold,
                 rivalry=settings.rivalry,
+                leading=settings.leading,
                 crash_penalty=settings.crash_penalty,
             )
             for track in self.tracks

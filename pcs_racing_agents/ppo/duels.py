@@ -50,8 +50,8 @@ class Duels:
         opponents: Sequence[tuple[float, str]],
     ) -> None:
         self.envs = DuelVectorEnv(games, track=track, archive=archive, race=rules, opponent=list(opponents), threads=1)
-        self.observation_space: spaces.Box = self.envs.single_observation_space  # type: ignore[assignment]
-        self.action_space = self.envs.single_action_space
+        self.observation_space: spaces.Box[Any] = self.envs.single_observation_space  # type: ignore[assignment]
+        self.action_space: spaces.Space[Any] = self.envs.single_action_space
 
     def __len__(self) -> int:
         return self.envs.num_envs

@@ -35,7 +35,7 @@ class PartStep(NamedTuple):
 class Part(Protocol):
     """A group of environments that begin anew in the step in which they end, each drawing from its own generator."""
 
-    observation_space: spaces.Box
+    observation_space: spaces.Box[Any]
     action_space: spaces.Space[Any]
 
     def __len__(self) -> int:

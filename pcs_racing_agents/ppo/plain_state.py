@@ -95,5 +95,5 @@ def _filled(like: Any, path: str, found: dict[str, Any]) -> Any:
     if isinstance(like, dict):
         return dict(zip(like, filled, strict=True))
     if isinstance(like, tuple) and hasattr(like, "_asdict"):
-        return type(like)._make(filled)
+        return type(like)(*filled)
     return type(like)(filled)

@@ -176,6 +176,8 @@ class DriveSettings(Settings):
     rivalry : float
         Share of the opponent's progress that is taken off the own one in the reward: 0 for a lap record, 1 for nothing
         but the lead.
+    leading : float
+        What a second in front is worth in the reward, and one behind costs, m.
     crash_penalty : float
         What a crash by own fault costs, m.
     noise : float
@@ -189,6 +191,7 @@ class DriveSettings(Settings):
     slowest: float = 0.3
     hold: int = 4
     rivalry: float = 0.9
+    leading: float = 2.0
     crash_penalty: float = 10.0
     noise: float = 0.5
     discount: float = 0.998
@@ -208,6 +211,7 @@ class DriveSettings(Settings):
             duration=(0.1, 3600.0),
             slowest=(0.0, 1.0),
             rivalry=(0.0, 1.0),
+            leading=(0.0, 1e6),
             crash_penalty=(0.0, 1e6),
             noise=(1e-3, 10.0),
         )

@@ -89,7 +89,7 @@ class Trained:
     seconds : float
         That all seeds took, with all interruptions left out.
     folder : Path
-        What was written: ``weights.safetensors`` and what describes them.
+        What was written: weights, what describes them, and the curves.
     """
 
     settings: Settings
@@ -136,8 +136,8 @@ def train_ppo(
     config : str, Path or Settings
         A shipped configuration's name, a YAML file, or settings.
     folder : str or Path
-        A new or empty folder, or that of the same training. It gets ``curve.csv`` (every evaluation), ``updates.csv``
-        (figures of every update), ``policy/`` (the weights) and a checkpoint for each seed.
+        A new or empty folder, or that of the same training. It gets ``policy/`` (the weights, what describes them, and
+        every evaluation as ``curve.csv``), ``updates.csv`` (figures of every update) and a checkpoint for each seed.
     name : str, optional
         Of the policy; by default the one under which the agent ``ppo`` or the driver ``ppo-drive`` looks for it.
     progress : callable, optional
@@ -174,7 +174,6 @@ def train_ppo(
             runs.append(run)
         run = max(runs, key=lambda run: run.best_worth)  # of equals the first
         curves = tuple(run.curve for run in runs)
-        write_curve(curves, job.folder / "curve.csv")
         _write_updates(runs, job.folder / "updates.csv")
         trained = Trained(
             settings=settings,
@@ -188,6 +187,7 @@ def train_ppo(
             folder=job.folder / "policy",
         )
         level.save(run.best, trained.folder, name or level.default_name, _about(trained))
+        write_curve(curves, trained.folder / "curve.csv")
     return trained
 
 

@@ -103,7 +103,7 @@ def test_races_go_on_from_their_state(track):
 
 
 def test_rewards_are_progress_less_a_share_of_the_opponents(track):
-    part = drives(track, hold=10, rivalry=0.5, crash_penalty=7.0)
+    part = drives(track, hold=10, rivalry=0.5, leading=3.0, crash_penalty=7.0)
     part.reset(0)
     actions = np.tile(np.array([0.0, 0.5], np.float32), (6, 1))
     crashes = 0
@@ -112,7 +112,9 @@ def test_rewards_are_progress_less_a_share_of_the_opponents(track):
         step = part.step(actions)
         going = ~(step.terminated | step.truncated)
         driven = part.batch.state.progress - before
-        np.testing.assert_allclose(step.rewards[going], driven[going] @ [1.0, -0.5], atol=1e-12)
+        np.testing.assert_allclose(
+            step.rewards[going], driven[going] @ [1.0, -0.5] + 0.3 * np.sign(part.batch.state.lead[going]), atol=1e-12
+        )
         crashes += int(step.terminated.sum())
         assert (step.rewards[step.terminated] < -4.0).all()  # straight on into a wall: by own fault
         assert (part.batch.state.tick[~going] == 0).all()

@@ -66,7 +66,7 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained,
         train_ppo(settings[level], tmp_path, progress=stop_after(2), checkpoint_seconds=1e9)
     again = train_ppo(settings[level], tmp_path)
     assert_same_state(state_of(tmp_path), state_of(trained[level].folder.parent))
-    for name in ("curve.csv", "updates.csv", "policy/weights.safetensors"):
+    for name in ("policy/curve.csv", "updates.csv", "policy/weights.safetensors"):
         assert (tmp_path / name).read_bytes() == (trained[level].folder.parent / name).read_bytes(), name
     assert again.steps == trained[level].steps
 
@@ -190,13 +190,13 @@ def test_a_drive_policy_is_a_driver(trained):
 
 def test_curves_are_kept(settings, trained, tmp_path):
     run = trained["drive"]
-    found = read_curve(run.folder.parent / "curve.csv")
+    found = read_curve(run.folder / "curve.csv")
     assert [curve.steps for curve in found] == [(0, 320, 640)]
     assert found[0].scores[1].keys() == run.curves[0].scores[1].keys()
     cell = next(iter(run.scores))
     assert found[0].scores[1][cell] == pytest.approx(run.curves[0].scores[1][cell], rel=1e-5)
     again = write_curve(found, tmp_path / "again.csv")
-    assert again.read_bytes() == (run.folder.parent / "curve.csv").read_bytes()
+    assert again.read_bytes() == (run.folder / "curve.csv").read_bytes()
     lines = (run.folder.parent / "updates.csv").read_text().splitlines()
     assert lines[0].startswith("seed,steps,approx_kl")
     assert [line.split(",")[1] for line in lines[1:]] == ["160", "320", "480", "640"]

@@ -1,0 +1,102 @@
+"""PPO against the agent of counterfactual regret: train it, save it, race it.
+
+    python examples/ppo_against_cfr.py
+    python examples/ppo_against_cfr.py --steps 200000 --race contest --archive contest --rival response
+
+PPO learns the game of moves against a mixture of opponents with Stable-Baselines3. What it has learned is saved as
+plain numbers, read again without torch, and raced against the rival and others: every start policy against every
+opponent, from both sides, in the very races that the agent which never switches drives, too. The default is a look at
+how it works, in about a minute; the weights that come with the package were trained for longer (docs/ppo.md). Stop the
+training and start it again: it goes on where it was.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from pcs_racing import load_track, make_game
+from pcs_racing.errors import UnknownNameError
+from pcs_racing.replay import save_replay
+from pcs_racing_agents import make
+from pcs_racing_agents.jobs import show_progress
+from pcs_racing_agents.ppo.settings import DuelSettings
+from pcs_racing_agents.ppo.train import train_ppo
+from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.tournament.statistics import compare
+from pcs_racing_agents.tournament.watching import record_match
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--track", default="Tarnfjord", help="circuit to learn and to race on")
+    parser.add_argument("--race", default="paper", help="rules of the race: paper or contest")
+    parser.add_argument("--archive", default="default", help="archive that both move in")
+    parser.add_argument("--steps", type=int, default=20_000, help="moves to learn from")
+    parser.add_argument("--rival", default="cfr-argmax", help="agent of the zoo to race against")
+    parser.add_argument("--rival-network", metavar="DIR", help="its network, where none is shipped")
+    parser.add_argument("--egos", type=int, default=8, help="start policies of each agent")
+    parser.add_argument("--variants", type=int, default=8, help="start policies of each opponent")
+    parser.add_argument("--seed", type=int, default=0, help="root of everything random")
+    parser.add_argument("--out", type=Path, default=Path("out/ppo_against_cfr"), help="folder for all that is made")
+    arguments = parser.parse_args()
+
+    # 0. Who races; a name that is unknown is told before anything is trained.
+    world = {"archive": arguments.archive, "race": arguments.race}
+    options = {"network": arguments.rival_network} if arguments.rival_network else {}
+    try:
+        rival = make(arguments.rival, **world, **options)
+    except UnknownNameError as error:
+        raise SystemExit(f"ppo_against_cfr: error: {error}; or race another one with --rival") from None
+
+    # 1. Train, against opponents that PPO is to beat. The folder keeps checkpoints, curves and weights.
+    settings = DuelSettings(
+        archive=arguments.archive,
+        race=arguments.race,
+        tracks=(arguments.track,),
+        opponents={"never-switch": 2, "random-moves": 1},
+        steps=arguments.steps,
+        seeds=(arguments.seed,),
+        envs=min(192, max(8, arguments.steps // 64)),
+        entropy=0.01,
+        reward_scale=0.1 if arguments.race == "paper" else 1.0,
+        evaluate_every=max(1, arguments.steps // 5),
+        evaluation_races=60,
+    )
+    trained = train_ppo(settings, arguments.out / "training", name="ppo-example", progress=show_progress("moves"))
+
+    # 2. What was saved: weights.safetensors, manifest.yaml and curve.csv. No torch is needed from here on.
+    print(f"saved: {trained.folder} (seed {trained.seed}, after {trained.steps} moves)")
+    ppo = make("ppo", network=trained.folder, **world)
+
+    # 3. Race. All cells against an opponent have the same races, so their differences are not those of luck.
+    game = make_game(load_track(arguments.track), arguments.archive, arguments.race)
+    never_switch = make("never-switch", **world)
+    draws = {"egos": arguments.egos, "opponents": arguments.variants, "lines": 3, "seed": arguments.seed + 1}
+    print(f"\n{game.track.name}, rules {arguments.race}: score (a win 1, a tie a half), difference at 95 %")
+    print(f"{'against':>24} {'races':>6} {'never-switch':>13} {'ppo':>7} {'difference':>11} {'interval':>18}")
+    for opponent in (rival, never_switch, make("random-moves", **world)):
+        cells = [play_cell(game, ego, opponent, **draws) for ego in (never_switch, ppo)]
+        base, score = (cell.score for cell in cells)
+        egos, opponents = cells[0].units.variants.T
+        gain = compare(score, base, egos, opponents)  # its interval knows which races share a policy
+        interval = f"[{gain.low:+.3f}, {gain.high:+.3f}]"
+        figures = f"{base.mean():13.3f} {score.mean():7.3f} {gain.difference:+11.3f} {interval:>18}"
+        print(f"{opponent.name:>24} {len(score):6} {figures}")
+
+    # 4. One of these races to watch.
+    cell = play_cell(game, ppo, rival, **draws)
+    best = int(np.argmax(cell.matches.lead))
+    recording = record_match(
+        game,
+        ppo,
+        rival,
+        policies=cell.units.variants[best],
+        start=cell.units.starts.take([best]),
+        seed=int(cell.units.seeds[best]),
+    )
+    print(f"\nto watch: {save_replay(recording.replay, arguments.out / 'race.html')}")
+
+
+if __name__ == "__main__":
+    main()
