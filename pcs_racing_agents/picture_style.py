@@ -21,6 +21,7 @@ __all__ = [
     "picture_bytes",
     "place_labels",
     "save_picture",
+    "short",
     "spread_labels",
     "tidy",
 ]
@@ -51,6 +52,7 @@ _STYLE: Any = {
     "grid.color": EDGE,
     "grid.linewidth": 0.7,
     "legend.frameon": False,
+    "text.parse_math": False,
     "svg.hashsalt": "pcs-racing",
     "svg.fonttype": "path",
 }
@@ -88,6 +90,11 @@ def tidy(axes: Any, grid: str = "both") -> None:
     axes.tick_params(length=0)
     if grid:
         axes.grid(visible=True, axis=grid)
+
+
+def short(name: str, longest: int = 26) -> str:
+    """Return a name that fits beside a picture: its beginning, where it is long."""
+    return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 
 def spread_labels(wanted: list[float], gap: float) -> list[float]:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.archive import PolicyArchive
 from pcs_racing.characteristics import get_characteristics
 from pcs_racing.errors import InputError
-from pcs_racing_agents.picture_style import COLOURS, INK, SOFT, new_figure, picture, place_labels, tidy
+from pcs_racing_agents.picture_style import COLOURS, INK, SOFT, new_figure, picture, place_labels, short, tidy
 
 __all__ = ["archive_picture", "draw_archive", "draw_arrow", "in_units", "plane"]
 
@@ -123,7 +123,7 @@ def archive_picture(
     told = f"{len(archive)} policies"
     if len(archive.explored_coordinates):
         told += f", grey: {len(archive.explored_coordinates)} explored"
-    axes.set_title(f"Archive {archive.name}, preset {archive.preset}: {told}")
+    axes.set_title(f"Archive {short(archive.name)}, preset {archive.preset}: {told}")
     text = f"arrows: moves of policy {start}"
     if nowhere:
         text += f"; {', '.join(nowhere)} keep{'s' if len(nowhere) == 1 else ''} it"

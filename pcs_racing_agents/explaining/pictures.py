@@ -7,7 +7,7 @@ import numpy as np
 from pcs_racing.packing import join_segments
 from pcs_racing_agents.explaining.explain import Explanation
 from pcs_racing_agents.explaining.pcs_picture import draw_archive, draw_arrow, in_units, plane
-from pcs_racing_agents.picture_style import CARS, EDGE, INK, SOFT, new_figure, picture, tidy
+from pcs_racing_agents.picture_style import CARS, EDGE, INK, SOFT, new_figure, picture, short, tidy
 
 __all__ = ["draw_lead", "draw_space", "draw_track", "draw_worth", "explanation_picture"]
 
@@ -81,8 +81,8 @@ def draw_space(axes: Any, explanation: Explanation) -> None:
         )
     names = explanation.names
     axes.set_title("Moves in the Policy Characteristic Space")
-    axes.text(0.99, 0.99, f"{names[explanation.car]}: arrows", **_corner(axes, mine))
-    axes.text(0.99, 0.94, f"{names[1 - explanation.car]}: as measured before each move", **_corner(axes, theirs))
+    axes.text(0.99, 0.99, f"{short(names[explanation.car])}: arrows", **_corner(axes, mine))
+    axes.text(0.99, 0.94, f"{short(names[1 - explanation.car])}: as measured before each move", **_corner(axes, theirs))
 
 
 def draw_track(axes: Any, explanation: Explanation) -> None:

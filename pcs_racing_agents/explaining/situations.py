@@ -20,7 +20,7 @@ from pcs_racing.archive import PolicyArchive
 from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing_agents.explaining.explain import lead_seen
-from pcs_racing_agents.picture_style import INK, SOFT, new_figure, picture
+from pcs_racing_agents.picture_style import INK, SOFT, new_figure, picture, short
 from pcs_racing_agents.strategies.observing import earlier, opponent
 
 __all__ = ["LEADS", "PACES", "Situations", "situations_picture", "situations_text", "summarise", "write_situations"]
@@ -192,5 +192,7 @@ def situations_picture(found: Situations) -> Any:
         panels[a, 0].set_ylabel(found.moves[a], color=INK)
     figure.supxlabel(f"opponent's {found.axis} as measured, thirds", fontsize=9, color=SOFT)
     races = int(found.counts[0].sum())
-    figure.suptitle(f"{found.agent}: which move in which situation, % of {races} races", x=0.01, ha="left", fontsize=10)
+    figure.suptitle(
+        f"{short(found.agent)}: which move in which situation, % of {races} races", x=0.01, ha="left", fontsize=10
+    )
     return figure

@@ -15,6 +15,7 @@ from pcs_racing_agents.picture_style import (
     new_figure,
     picture,
     place_labels,
+    short,
     spread_labels,
     tidy,
 )
@@ -73,10 +74,8 @@ def differences_picture(table: StudyTable) -> Any:
         if row.paper is not None and "cfr-argmax" in names:
             place = -names.index("cfr-argmax")
             axes.plot(row.paper.difference, place, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4)
-    told = (
-        f"difference of score from {table.base}, 95 % intervals; hollow: p (Holm) of 0.05 or more; diamonds: the paper"
-    )
-    _finish(figure, panels, names, told)
+    told = f"difference of score from {short(table.base)}, 95 % intervals"
+    _finish(figure, panels, names, f"{told}; hollow: p (Holm) not below 0.05; diamonds: the paper's")
     return figure
 
 
@@ -108,11 +107,13 @@ def adaptivity_picture(table: StudyTable) -> Any:
             fontsize=8.5,
             color=colour,
         )
-    axes.set_yticks([-i for i in range(len(rows))], [f"{row.track} against {row.opponent}" for row, _ in rows])
+    axes.set_yticks(
+        [-i for i in range(len(rows))], [f"{short(row.track)} against {short(row.opponent)}" for row, _ in rows]
+    )
     axes.set_ylim(-len(rows) + 0.4, 0.6)
-    axes.set_xlabel(f"score of {table.best} minus score of {table.blind}")
+    axes.set_xlabel(f"score of {short(str(table.best))} minus score of {short(str(table.blind))}")
     axes.set_title(
-        "blue: circuits learned on, orange: others; hollow: p (Holm) of 0.05 or more", fontsize=8.5, color=SOFT
+        "blue: circuits learned on, orange: others; hollow: p (Holm) not below 0.05", fontsize=8.5, color=SOFT
     )
     tidy(axes, "x")
     return figure
@@ -145,7 +146,7 @@ def curves_picture(
             axes.set_yscale("log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axes.set_title(title, fontsize=9)
+        axes.set_title(short(title), fontsize=9)
         tidy(axes, "y")
         axes.minorticks_off()
         _name_ends(axes, curves, log)
@@ -182,7 +183,7 @@ def exploitability_picture(places: Sequence[Place], *, unit: str = "utility") ->
     tidy(axes)
     points = [(place.loss, place.score) for place in places]
     place_labels(
-        axes, points, [place.name for place in places], [COLOURS[i % len(COLOURS)] for i in range(len(places))]
+        axes, points, [short(place.name) for place in places], [COLOURS[i % len(COLOURS)] for i in range(len(places))]
     )
     return figure
 
@@ -206,13 +207,14 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
     matrix = np.asarray(payoffs, np.float64)
     if matrix.shape != (len(names), len(names)) or len(names) == 0:
         raise InputError(f"payoffs have shape {matrix.shape}; {len(names)} agents need ({len(names)}, {len(names)})")
+    shown = [short(name) for name in names]
     size = 0.58 * len(names)
     figure = new_figure(size + 2.0, size + 1.4)
     axes = figure.subplots()
     image = axes.imshow(matrix, cmap="PuOr", vmin=-0.15, vmax=1.15)
-    axes.set_xticks(range(len(names)), names, rotation=40, ha="left", rotation_mode="anchor")
+    axes.set_xticks(range(len(names)), shown, rotation=40, ha="left", rotation_mode="anchor")
     axes.xaxis.tick_top()
-    axes.set_yticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), shown)
     for (i, j), value in np.ndenumerate(matrix):
         if not np.isnan(value):
             dark = image.cmap(image.norm(value))[:3] @ np.array([0.299, 0.587, 0.114]) < 0.5
@@ -236,7 +238,7 @@ def ratings_picture(ratings: Ratings) -> Any:
             ends = [scale * ratings.low[i], scale * ratings.high[i]]
             axes.plot(ends, [-place] * 2, color=COLOURS[0], lw=2.0, solid_capstyle="butt")
         axes.plot(ratings.elo[i], -place, "o", color=COLOURS[0], ms=6)
-    axes.set_yticks([-place for place in range(len(order))], [ratings.names[i] for i in order])
+    axes.set_yticks([-place for place in range(len(order))], [short(ratings.names[i]) for i in order])
     axes.set_xlabel("rating (Bradley-Terry; 400 are odds of ten to one; mean 0)")
     tidy(axes, "x")
     return figure
@@ -255,14 +257,16 @@ def _grid(table: StudyTable) -> tuple[Any, list[tuple[TableRow, Any]]]:
     for row in table.rows:
         axes = grid[tracks.index(row.track), opponents.index(row.opponent)]
         axes.set_visible(True)
-        axes.set_title(f"{row.track}{'' if row.seen else ' (unseen)'}, {row.opponent}", fontsize=8.5)
+        axes.set_title(
+            f"{short(row.track, 16)}{'' if row.seen else ' (unseen)'}, {short(row.opponent, 16)}", fontsize=8.5
+        )
         panels.append((row, axes))
     return figure, panels
 
 
 def _finish(figure: Any, panels: list[tuple[TableRow, Any]], names: Sequence[str], told: str) -> None:
     for _, axes in panels:
-        axes.set_yticks([-i for i in range(len(names))], names)
+        axes.set_yticks([-i for i in range(len(names))], [short(name) for name in names])
         axes.set_ylim(-len(names) + 0.4, 0.6)
         axes.locator_params(axis="x", nbins=5)
         tidy(axes, "x")

@@ -1,0 +1,125 @@
+import xml.etree.ElementTree as ET
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from toy_cells import toy_cells
+
+from pcs_racing import InputError
+from pcs_racing_agents.explaining.pcs_picture import archive_picture
+from pcs_racing_agents.picture_style import picture_bytes, save_picture, spread_labels
+from pcs_racing_agents.study import figures
+from pcs_racing_agents.study.report_inputs import Curve, Place
+from pcs_racing_agents.study.table import make_table
+from pcs_racing_agents.tournament.ratings import rate
+
+
+@pytest.fixture(scope="module")
+def table():
+    cells = toy_cells(egos=5, variants=4, opponents=("never-switch", "somebody"))
+    return make_table(cells, best="our-best", blind="best-fixed", seen={"Tarnfjord"})
+
+
+def curves(seed=0):
+    rng, x = np.random.default_rng(seed), np.arange(12.0)
+    validation = np.where(x % 3 == 0, np.exp(-x / 5.0), np.nan)  # measured now and then
+    return [Curve(x, np.exp(-x / 4.0) + 0.01 * rng.random(12), "training"), Curve(x, validation, "validation")]
+
+
+def ratings():
+    return rate(["a", "b", "a", "c"] * 20, ["b", "c", "c", "a"] * 20, [1, 1, 1, -1] * 10 + [0, -1, 1, 1] * 10)
+
+
+PLACES = [Place("one", 0.5, 0.0, 0.2, 0.01), Place("two", 0.5, 0.01, 0.2, 0.0), Place("three", 0.4, 0.0, 0.9, 0.0)]
+PAYOFFS = np.array([[np.nan, 0.9], [0.1, np.nan]])
+
+DRAWINGS = {
+    "scores": lambda table: figures.scores_picture(table),
+    "differences": lambda table: figures.differences_picture(table),
+    "adaptivity": lambda table: figures.adaptivity_picture(table),
+    "curves": lambda table: figures.curves_picture({str(n): curves(n) for n in range(5)}),
+    "rewards": lambda table: figures.curves_picture({"ppo": curves()}, x_label="steps", y_label="reward", log=False),
+    "exploitability": lambda table: figures.exploitability_picture(PLACES, unit="m of lead"),
+    "payoffs": lambda table: figures.payoffs_picture(["one", "two"], PAYOFFS),
+    "ratings": lambda table: figures.ratings_picture(ratings()),
+}
+
+
+@pytest.mark.parametrize("name", DRAWINGS)
+def test_a_picture_has_the_same_bytes_every_time(name, table):
+    first, second = (picture_bytes(DRAWINGS[name](table)) for _ in range(2))
+    assert first == second
+    root = ET.fromstring(first)
+    assert root.tag.endswith("svg")
+    assert len(first) < 400_000
+
+
+def points_of(axes):
+    """Places of all single marks of a panel."""
+    return [tuple(line.get_xydata()[0]) for line in axes.lines if len(line.get_xdata()) == 1]
+
+
+def test_scores_stand_where_the_table_says(table):
+    panels = [axes for axes in figures.scores_picture(table).axes if axes.get_visible()]
+    assert len(panels) == len(table.rows)
+    assert [label.get_text() for label in panels[0].get_yticklabels()] == list(table.arms)
+    for row, axes in zip(table.rows, panels, strict=True):
+        marks = points_of(axes)
+        for arm in row.arms:
+            assert (arm.score, -table.arms.index(arm.arm)) in marks
+        if row.paper is not None:
+            assert (row.paper.non_gt, 0) in marks
+            assert (row.paper.gt, -2) in marks
+
+
+def test_differences_that_may_be_nothing_are_hollow(table):
+    for row, axes in zip(table.rows, figures.differences_picture(table).axes, strict=True):
+        marks = {tuple(line.get_xydata()[0]): line for line in axes.lines if line.get_marker() == "o"}
+        for i, one in enumerate(row.differences):
+            mark = marks[one.result.difference, -i]
+            assert (mark.get_markerfacecolor() == "white") == (one.p_holm >= 0.05)
+
+
+def test_what_can_not_be_drawn_is_named(table):
+    with pytest.raises(InputError, match="no adaptivity gains"):
+        figures.adaptivity_picture(make_table(toy_cells(egos=3, variants=3)))
+    with pytest.raises(InputError, match="no learning curves"):
+        figures.curves_picture({})
+    with pytest.raises(InputError, match="no learning curves"):
+        figures.curves_picture({"regret": []})
+    with pytest.raises(InputError, match="no agent whose score"):
+        figures.exploitability_picture([])
+    with pytest.raises(InputError, match=r"shape \(2, 2\); 3 agents"):
+        figures.payoffs_picture(["a", "b", "c"], PAYOFFS)
+
+
+def test_the_archive_shows_where_moves_lead(archive, tmp_path):
+    figure = archive_picture(archive, epsilon=0.5, policy=3)
+    texts = " ".join(text.get_text() for text in figure.axes[0].texts)
+    names, leads_to = archive.move_names(0.5), archive.move_table(0.5)[3]
+    assert all(name in texts for name in names)
+    arrows = [text for text in figure.axes[0].texts if text.get_text() == "" and text.arrow_patch is not None]
+    assert len(arrows) == len(set(leads_to.tolist()) - {3})
+    assert save_picture(figure, tmp_path / "archive.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match="policy is 12"):
+        archive_picture(archive, policy=12)
+
+
+def test_drawing_leaves_the_readers_settings_alone(table):
+    import matplotlib
+
+    before = dict(matplotlib.rcParams)
+    picture_bytes(figures.scores_picture(table))
+    assert dict(matplotlib.rcParams) == before
+
+
+@given(st.lists(st.floats(-5.0, 5.0), max_size=12), st.floats(0.01, 2.0))
+def test_labels_move_apart_and_keep_their_order(wanted, gap):
+    places = spread_labels(wanted, gap)
+    order = sorted(range(len(wanted)), key=lambda i: wanted[i])
+    moved = [places[i] for i in order]
+    assert all(b - a >= gap - 1e-9 for a, b in pairwise(moved))
+    if all(wanted[b] - wanted[a] >= gap for a, b in pairwise(order)):
+        assert places == pytest.approx(wanted)

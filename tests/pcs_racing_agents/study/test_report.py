@@ -1,0 +1,300 @@
+import base64
+import html
+import json
+import re
+import shutil
+import subprocess
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from toy_cells import toy_cells
+
+from pcs_racing import InputError, make_game
+from pcs_racing.replay import read_replay
+from pcs_racing_agents.strategies import make_setting
+from pcs_racing_agents.strategies.zoo import build
+from pcs_racing_agents.study import report
+from pcs_racing_agents.study.highlights import Watched, telling_races, watch_race
+from pcs_racing_agents.study.report import Payoffs, Picture, ReportContent, Sheet, report_page, write_page
+from pcs_racing_agents.study.report_inputs import TreeLoss, places_of, read_curves, read_losses, software
+from pcs_racing_agents.study.table import make_table
+from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.tournament.ratings import rate
+
+NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
+VOID = {"meta", "img", "br"}
+
+
+@pytest.fixture(scope="module")
+def raced(oval, archive):
+    """A game, an agent with its opponent, and the cells of the agent and of the one that never switches."""
+    game = make_game(oval, archive, "contest", step_seconds=0.8)
+    setting = make_setting(archive, game.config)
+    agent, base, rival = (build(name, setting) for name in ("random-moves", "never-switch", "lane-switcher"))
+    cells = [play_cell(game, arm, rival, egos=4, opponents=4, lines=2, seed=3) for arm in (agent, base)]
+    return game, agent, rival, cells
+
+
+@pytest.fixture(scope="module")
+def watched(raced) -> Watched:
+    game, agent, rival, cells = raced
+    title, race = next(iter(telling_races(*cells).items()))
+    return watch_race(game, agent, rival, cells[0], race, title)
+
+
+@pytest.fixture(scope="module")
+def content(archive, watched) -> ReportContent:
+    table = make_table(
+        toy_cells(tracks=("Tarnfjord", NASTY), opponents=("never-switch",), egos=4, variants=4),
+        best="our-best",
+        blind="best-fixed",
+        seen={"Tarnfjord"},
+    )
+    losses = [TreeLoss("Tarnfjord", "our-best", 2, ((0.2, 0.01), (0.1, 0.01), (0.3, 0.02)))]
+    return ReportContent(
+        title=f"A study {NASTY}",
+        about=f"{NASTY}\n\nSecond paragraph.",
+        findings=[NASTY],
+        table=table,
+        archive=replace(archive, name=NASTY),
+        losses=losses,
+        ratings=rate(["a", "b", "a"], ["b", NASTY, NASTY], [1, 1, 1]),
+        payoffs=Payoffs(("a", NASTY), np.array([[np.nan, 0.7], [0.3, np.nan]])),
+        ablations=[Sheet("Ablation", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
+        sheets=[Sheet("Sheet", ("what",), ((NASTY,),))],
+        pictures=[Picture(NASTY, NASTY, b"\x89PNG\r\n")],
+        races=[watched, watched._replace(title=NASTY, text=NASTY)],
+        settings={"race": NASTY, "tracks": ["a", "b"]},
+        versions=software(),
+        seeds={"root": 0},
+        seconds={"archive": 61.0, "races": 2.0},
+    )
+
+
+@pytest.fixture(scope="module")
+def page(content) -> str:
+    return report_page(content)
+
+
+class _Balance(HTMLParser):
+    """Counts tags and keeps what is written between them."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.text, self.ids, self.links, self.frames, self.images = [], [], [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        values = dict(attrs)
+        if tag not in VOID:
+            self.open.append(tag)
+        self.ids += [values["id"]] if "id" in values else []
+        self.links += [values["href"]] if "href" in values else []
+        self.frames += [values] if tag == "iframe" else []
+        self.images += [values] if tag == "img" else []
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture(scope="module")
+def parsed(page) -> _Balance:
+    found = _Balance()
+    found.feed(page)
+    found.close()
+    assert found.open == []
+    return found
+
+
+def test_the_page_loads_nothing(page):
+    assert "default-src 'none'" in page
+    outside = re.sub(r'srcdoc="[^"]*"', "", page)
+    assert not re.search(r"https?://", outside)
+    assert not re.search(r"<(link|script)|@import|url\(", outside)
+    assert set(re.findall(r'src="([^,"]*),', outside)) == {"data:image/svg+xml;base64", "data:image/png;base64"}
+
+
+def test_every_section_is_there_and_linked(parsed):
+    assert parsed.links == [f"#{name}" for name in parsed.ids]
+    assert parsed.ids == [
+        *("findings", "results", "adaptivity-gain", "ablations", "races-to-watch", "policies", "exploitability"),
+        *("ratings", "more", "how-it-was-made"),
+    ]
+
+
+def test_texts_stay_texts(page, parsed):
+    assert "<b>" not in page
+    assert page.count("<!doctype html>") == 1
+    everything = "".join(parsed.text)
+    assert everything.count(NASTY) >= 12
+    assert parsed.frames[1]["title"] == NASTY
+
+
+def test_the_numbers_of_the_table_are_in_it(content, parsed):
+    everything = " ".join(parsed.text)
+    for row in content.table.rows:
+        for one in (*row.differences, row.gain):
+            assert f"{one.result.difference:+.3f}" in everything
+    assert "0.569 ± 0.213 GT" in everything
+    assert "63.0 (1.1 min)" in everything
+
+
+def test_pictures_can_be_read(parsed):
+    drawn = [image["src"].split(",")[1] for image in parsed.images if "svg" in image["src"]]
+    assert len(drawn) == 7
+    for data in drawn:
+        assert ET.fromstring(base64.b64decode(data)).tag.endswith("svg")
+    assert all(image["alt"] for image in parsed.images)
+
+
+def test_races_can_be_read_back(tmp_path, parsed, watched):
+    file = tmp_path / "race.html"
+    file.write_text(parsed.frames[0]["srcdoc"])
+    back = read_replay(file)
+    assert back.outcome == watched.replay.outcome
+    assert np.abs(back.progress - watched.replay.progress).max() < 0.001
+    assert any(event.kind == "move" for event in back.events)
+    assert {"sandbox", "srcdoc", "title", "loading"} == set(parsed.frames[0])
+
+
+def test_sections_without_content_are_left_out():
+    page = report_page(ReportContent("Nothing yet"))
+    assert "<section" not in page
+    assert "<nav></nav>" in page
+    page = report_page(ReportContent("Times", seconds={"archive": 3.0}))
+    assert page.count("<section") == 1
+
+
+def test_without_matplotlib_the_page_says_so(monkeypatch, content):
+    from pcs_racing_agents.study import markup
+
+    monkeypatch.setattr(markup, "find_spec", lambda name: None)
+    page = report_page(replace(content, pictures=()))
+    assert "matplotlib is not installed" in page
+    assert "<img" not in page
+
+
+def test_the_same_content_gives_the_same_bytes(tmp_path, content, page):
+    assert write_page(content, tmp_path / "report.html").read_text() == page
+    with pytest.raises(InputError, match="there is no folder"):
+        write_page(content, tmp_path / "nowhere" / "report.html")
+
+
+def test_every_field_is_told(content):
+    """What is given changes the page."""
+    for name in ReportContent.__dataclass_fields__:
+        empty = ReportContent("")
+        if name not in ("epsilon", "loss_unit", "curves", "reward_curves", "title"):
+            assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(empty), name
+    assert len(report._SECTIONS) == 11
+
+
+# Races to watch
+
+
+def test_telling_races_are_what_they_are_called(raced):
+    *_, (ours, theirs) = raced
+    found = telling_races(ours, theirs)
+    assert len(found) >= 2
+    for title, race in found.items():
+        ours_alone = ours.matches
+        if title.startswith("A win"):
+            assert ours_alone.winner[race] == 0
+            assert len(set(ours_alone.policy[race, 0].tolist())) > 1
+        if title.startswith("A loss"):
+            assert ours_alone.winner[race] == 1
+        if title.startswith("A crash"):
+            assert ours_alone.fault[race, 0] == 1
+        else:
+            assert not ours_alone.crash[race].any()
+        if "starts alike" in title:
+            assert theirs.matches.winner[race] == 1 - ours_alone.winner[race]
+
+
+def test_a_race_to_watch_is_the_race(raced, watched):
+    *_, (ours, theirs) = raced
+    race = telling_races(ours, theirs)[watched.title]
+    assert watched.replay.lead[-1] == ours.matches.lead[race]
+    assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
+
+
+# What the stages left
+
+
+def test_losses_are_means_over_trees(tmp_path):
+    path = tmp_path / "exploitability.csv"
+    head = "track,agent,tree,lost_to_best_response,lost_to_equilibrium,off_in_self_play,against_random\n"
+    path.write_text(head + "Oval,a,0,1.0,0.5,0,2\nOval,a,1,3.0,0.5,0,4\nOval,b,0,1,1,1,1\n")
+    first, second = read_losses(path)
+    assert first == TreeLoss("Oval", "a", 2, ((2.0, 1.0), (0.5, 0.0), (3.0, 1.0)))
+    assert np.isnan(second.columns[0][1])
+    table = make_table(toy_cells(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
+    (place,) = places_of(table, [first, second])
+    assert (place.name, place.loss, place.loss_error) == ("a", 2.0, 1.0)
+    assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))
+    assert places_of(None, [first]) == []
+    path.write_text(head.replace("agent", "name"))
+    with pytest.raises(InputError, match="no column 'agent'"):
+        read_losses(path)
+    path.write_text(head + "Oval,a,0,much,0,0,0\n")
+    with pytest.raises(InputError, match="'much' where a number should be"):
+        read_losses(path)
+
+
+def test_curves_come_from_the_files_beside_networks(tmp_path):
+    path = tmp_path / "learning_curves.csv"
+    path.write_text("epoch,training_loss,validation_loss\n1,0.5,\n2,0.25,0.3\n")
+    training, validation = read_curves(path)
+    assert (training.label, training.y.tolist(), training.x.tolist()) == ("training", [0.5, 0.25], [1.0, 2.0])
+    assert np.isnan(validation.y[0])
+    with pytest.raises(InputError, match="can't read"):
+        read_curves(tmp_path / "nothing.csv")
+
+
+# In a browser
+
+VISIT = """
+<script>
+addEventListener("load", () => setTimeout(() => {
+  const seen = { images: [...document.images].map((image) => image.naturalWidth), title: document.title,
+                 links: document.querySelectorAll("nav a").length, wide: document.body.scrollWidth };
+  document.body.dataset.seen = JSON.stringify(seen);
+}, 500));
+</script>
+</body>"""
+TELL = """<script>
+addEventListener("load", () => requestAnimationFrame(() => requestAnimationFrame(() => {
+  console.log("drawn " + document.documentElement.dataset.drawn + " of " + document.title);
+})));
+</script></body>"""
+
+
+def test_the_page_works_in_a_browser(tmp_path, content):
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no chromium on PATH to open the page with")
+    shown = report_page(replace(content, pictures=(), races=content.races[:1]))
+    # The race tells when it has drawn itself; nothing else in the page may complain.
+    shown = shown.replace(html.escape("</body>"), html.escape(TELL)).replace('loading="lazy" ', "")
+    path = tmp_path / "report.html"
+    path.write_text(shown.replace("</body>", VISIT))
+    quiet = "--disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-component-update"
+    command = [program, "--headless", "--no-sandbox", *quiet.split(), "--disable-sync", "--enable-logging=stderr"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1200,8000", "--virtual-time-budget=4000"]
+    done = subprocess.run(
+        [*command, "--dump-dom", path.as_uri()], capture_output=True, text=True, timeout=120, check=True
+    )
+    seen = json.loads(html.unescape(re.search(r'data-seen="([^"]*)"', done.stdout).group(1)))
+    assert seen["title"] == content.title
+    assert seen["links"] == 10
+    assert len(seen["images"]) == 7
+    assert min(seen["images"]) > 100
+    assert seen["wide"] <= 1200
+    told = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    assert len(told) == 1, told
+    assert re.search(r"drawn [0-9.]+ of random-moves against lane-switcher", told[0])
