@@ -44,7 +44,7 @@ def play_trees(study: Study) -> None:
     for number, name in enumerate(study.config.circuits):
         if study.config.pairs > 0:
             build_trees(
-                study.game(name),
+                study.tree_game(name),
                 study.folder / "trees" / name,
                 pairs=study.config.pairs,
                 seeds_per_pair=study.config.seeds,
@@ -103,7 +103,7 @@ def choose_blind(study: Study) -> None:
     targets = None
     if 0 < config.fixed_targets < len(study.archive):
         rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(FITTING_SEED,)))
-        targets = select_diverse(study.archive, config.fixed_targets, "map", rng)
+        targets = select_diverse(study.archive, config.fixed_targets, "map", rng).tolist()
     folder = study.folder / "blind"
     settings = {"archive": study.archive.content_hash}
     with open_job(folder / "races", "fitting", settings) as job:

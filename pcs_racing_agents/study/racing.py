@@ -97,7 +97,7 @@ def judge_on_trees(study: Study) -> None:
     rows: list[tuple[object, ...]] = [("track", "agent", "tree", *TreeScore._fields)]
     for number, track in enumerate(config.circuits):
         trees = build_trees(
-            study.game(track),
+            study.tree_game(track),
             study.folder / "exploitability" / track,
             pairs=max(2, config.pairs // 4),
             seeds_per_pair=config.seeds,
@@ -115,13 +115,12 @@ def judge_on_trees(study: Study) -> None:
 
 
 def _play(agent: Agent) -> Play:
-    """Chances of the moves that the trees know: those that the rules offer."""
-    offered = agent.setting.offered
-    return lambda observations: agent.probabilities(observations)[:, :offered]
+    """Chances of the moves that the trees know: all but "stay"."""
+    return lambda observations: agent.probabilities(observations)[:, :-1]
 
 
 def _in_trees(agent: Agent, trees: StoredTrees) -> bool:
-    """Whether an agent makes only moves that the rules offer; blind ones may stay where the rules do not."""
+    """Whether an agent makes only moves that the trees know."""
     play = _play(agent)
     for tree in trees:
         for k in range(tree.game_tree().depth):

@@ -1,14 +1,170 @@
-"""The last stage: one line for every race, the table, and the page."""
+"""The last stage: one line for every race, the tables, and the page."""
 
-from pcs_racing_agents.study.racing import cells
-from pcs_racing_agents.study.run import Study
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pcs_racing.files import write_atomically
+from pcs_racing_agents.configuration import plain_settings
+from pcs_racing_agents.strategies.agent import Agent
+from pcs_racing_agents.strategies.blind import Blend, Schedule, Walk
+from pcs_racing_agents.strategies.fits import load_fit
+from pcs_racing_agents.study.cell_races import cell_races
+from pcs_racing_agents.study.highlights import telling_races, watch_race
+from pcs_racing_agents.study.racing import StudyCell, cells
+from pcs_racing_agents.study.report import Payoffs, ReportContent, Sheet, Watched, write_page
+from pcs_racing_agents.study.report_inputs import TreeLoss, read_curves, read_losses, software
+from pcs_racing_agents.study.run import Study, stage_seconds
+from pcs_racing_agents.study.table import StudyTable, make_table
+from pcs_racing_agents.study.table_text import difference_text, overview_rows, table_markdown, table_text, write_table
+from pcs_racing_agents.tournament.ratings import Ratings, rate
 from pcs_racing_agents.tournament.table import write_rows
 
-__all__ = ["write_report"]
+__all__ = ["best_blind", "study_table", "write_report"]
 
 
 def write_report(study: Study) -> None:
-    """Write ``results.csv``, ``table.csv`` and ``report.html``."""
+    """Write ``results.csv``, ``table.csv``, ``table.md``, ``table.txt`` and ``report.html``."""
     played = list(cells(study))
-    rows = [row for found in played for row in found.cell.rows()]
-    write_rows(rows, study.config.game.race.name, study.folder / "results.csv")
+    folder = study.folder
+    write_rows(
+        (row for found in played for row in found.cell.rows()), study.config.game.race.name, folder / "results.csv"
+    )
+    main = study_table(study, played, "main")
+    write_table(main, folder / "table.csv")
+    _write(folder / "table.md", table_markdown(main))
+    _write(folder / "table.txt", table_text(main))
+    write_page(_content(study, played, main), folder / "report.html")
+
+
+def study_table(study: Study, played: Sequence[StudyCell], name: str) -> StudyTable:
+    """Compare the arms of one of the study's tables."""
+    raced = {(f.track, f.opponent, f.arm): cell_races(f.cell) for f in played if f.table == name}
+    return make_table(
+        raced, base=study.config.arms[0], best=study.config.best, blind=best_blind(study), seen=study.config.circuits
+    )
+
+
+def best_blind(study: Study) -> str | None:
+    """Return the arm that never looks at the race and did best on training races; constant moves count as plans.
+
+    The plan that was found best is at least as good on those races as any constant move, since the search begins with
+    the best of them.
+    """
+    reached = {}
+    for name in ("best-fixed", "best-schedule"):
+        file = study.folder / "blind" / f"{name}.yaml"
+        if name in study.config.arms and file.is_file():
+            reached[name] = float(load_fit(file).training["reached"])
+    if reached:
+        return max(reached, key=lambda name: (reached[name], name))
+    blind = (name for name in study.config.arms[1:] if _is_blind(study.agent(name)))
+    return next(blind, None)
+
+
+def _is_blind(agent: object) -> bool:
+    return isinstance(agent, Agent) and isinstance(agent.strategy, Blend | Schedule | Walk)
+
+
+def _content(study: Study, played: Sequence[StudyCell], main: StudyTable) -> ReportContent:
+    config = study.config
+    ratings, payoffs = _rivals(study)
+    sheets = []
+    if config.further_lines:
+        further = study_table(study, played, "further")
+        head, *rows = overview_rows(further, difference_text)
+        note = f"{config.further_lines * config.egos * config.variants * 2} races for each cell."
+        sheets.append(Sheet("More opponents, circuits and agents", head, tuple(rows), note))
+    return ReportContent(
+        title=f"Study: {config.race} race, archive {study.archive.name}",
+        about=(
+            f"{sum(len(found.cell.units) for found in played):,} races of {config.game.horizon:g} s. A move goes "
+            f"{config.epsilon:g} of the archive's range on an axis, every {config.game.step_seconds:g} s."
+        ),
+        findings=list(_findings(main)),
+        table=main,
+        archive=study.archive,
+        epsilon=config.epsilon,
+        curves={file.parent.name: read_curves(file) for file in study.folder.glob("networks/*/learning_curves.csv")},
+        losses=_losses(study),
+        ratings=ratings,
+        payoffs=payoffs,
+        sheets=sheets,
+        races=list(_watched(study, played)),
+        settings=plain_settings(config),
+        versions=software(),
+        seeds={"study": config.seed},
+        seconds=stage_seconds(study),
+    )
+
+
+def _findings(table: StudyTable) -> Iterator[str]:
+    """What the main table says, in sentences."""
+    for arm in (arm for arm in table.arms if arm != table.base):
+        found = [one.result for row in table.rows for one in row.differences if one.arm == arm]
+        above = sum(result.low > 0.0 for result in found)
+        yield (
+            f"{arm} gains {min(r.difference for r in found):+.3f} to {max(r.difference for r in found):+.3f} over "
+            f"{table.base} in {len(found)} rows; the 95 % interval is above 0 in {above}."
+        )
+    gains = [row.gain.result for row in table.rows if row.gain is not None]
+    if gains:
+        yield (
+            f"Of that, looking at the race brings {table.best} {min(g.difference for g in gains):+.3f} to "
+            f"{max(g.difference for g in gains):+.3f} over {table.blind}; the interval is above 0 in "
+            f"{sum(g.low > 0.0 for g in gains)} of {len(gains)} rows."
+        )
+
+
+def _losses(study: Study) -> list[TreeLoss]:
+    file = study.folder / "exploitability.csv"
+    return read_losses(file) if file.is_file() else []
+
+
+def _rivals(study: Study) -> tuple[Ratings | None, Payoffs | None]:
+    """Ratings and payoffs of the races all against all."""
+    file = study.folder / "rivals.csv"
+    if not file.is_file():
+        return None, None
+    with open(file, newline="", encoding="utf-8") as lines:
+        rows = list(csv.DictReader(lines))
+    crash = np.array([row["crash"] != "" for row in rows])
+    result = np.array([{"ego": 1, "opponent": -1}.get(row["winner"], 0) for row in rows])
+    nobody = crash & (result == 0)
+    names = tuple(study.config.rivals)
+    place = {name: i for i, name in enumerate(names)}
+    total, races = np.zeros((len(names), len(names))), np.zeros((len(names), len(names)))
+    for row, won, unpaid in zip(rows, result, nobody, strict=True):
+        i, j = place[row["ego"]], place[row["opponent"]]
+        total[i, j] += 0.0 if unpaid else 0.5 + 0.5 * won
+        total[j, i] += 0.0 if unpaid else 0.5 - 0.5 * won
+        races[i, j] += 1.0
+        races[j, i] += 1.0
+    scores = np.divide(total, races, out=np.full_like(total, np.nan), where=races > 0.0)
+    unit = np.array([f"{row['track']} {row['race']}" for row in rows])
+    ratings = rate(
+        [row["ego"] for row in rows],
+        [row["opponent"] for row in rows],
+        result,
+        nobody=nobody,
+        unit=unit,
+        rng=np.random.default_rng(np.random.SeedSequence(study.config.seed, spawn_key=(6_000_000,))),
+    )
+    return ratings, Payoffs(names, scores)
+
+
+def _watched(study: Study, played: Sequence[StudyCell]) -> Iterator[Watched]:
+    """A win by switching, a loss and a crash of our best agent, on the first circuit against the first opponent."""
+    config = study.config
+    by_key = {(found.track, found.opponent, found.arm): found.cell for found in played if found.table == "main"}
+    place = config.tracks[0], config.opponents[0]
+    cell = by_key[(*place, config.best)]
+    for title, race in telling_races(cell, by_key[(*place, config.arms[0])]).items():
+        ego, rival = study.agent(config.best), study.agent(place[1])
+        yield watch_race(study.game(place[0]), ego, rival, cell, race, title)
+
+
+def _write(path: Path, text: str) -> None:
+    write_atomically(path, lambda file: file.write(text.encode("utf-8")))

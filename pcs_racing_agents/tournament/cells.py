@@ -24,6 +24,8 @@ from pcs_racing_agents.tournament.runner import Pairing, play_pairings
 
 __all__ = ["Cell", "Units", "draw_units", "play_cell"]
 
+LINE_SETS = 8  # a circuit has so many times the start lines that a pair of variants meets on
+
 
 @dataclass(frozen=True, eq=False)
 class Units:
@@ -34,7 +36,7 @@ class Units:
     variants : ndarray, shape (U, 2), int64
         Variants of ego and opponent: policies of the archive to start with, or which of a driver's policies.
     line : ndarray, shape (U,), int64
-        Number of the start line.
+        Number of the start line on the circuit.
     starts : Starts
         U of them.
     seeds : ndarray, shape (U,), uint64
@@ -113,7 +115,7 @@ def draw_units(
     egos, opponents : int or sequence of int
         How many variants, drawn without repetition (all of them, where there are no more); or which.
     lines : int
-        Start lines, 1 to 1000.
+        Start lines of each pair of variants, 1 to 1000; drawn from eight times as many.
     seed : int
 
     Raises
@@ -127,10 +129,15 @@ def draw_units(
     seeds = race_seeds(seed, 1)  # checks the seed
     first = _variants("egos", egos, variant_count(arena, ego), seed, 3)
     second = _variants("opponents", opponents, variant_count(arena, opponent), seed, 4)
-    rules = replace(arena.setup.config, start_lines=lines)
+    rules = replace(arena.setup.config, start_lines=lines * LINE_SETS)
     where = start_lines(arena.track, rules, np.random.SeedSequence(seed, spawn_key=(0,)))
     grid = np.meshgrid(first, second, np.arange(lines), np.arange(2), indexing="ij")
-    a, b, line, side = (axis.reshape(-1).astype(np.int64) for axis in grid)
+    a, b, own_line, side = (axis.reshape(-1).astype(np.int64) for axis in grid)
+    pairs = len(first) * len(second)
+    # Were the lines the same for all pairs, their luck would not average out, however many pairs there are.
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5,)))
+    rounds = [generator.permutation(lines * LINE_SETS) for _ in range(-(-pairs // LINE_SETS))]
+    line = np.concatenate(rounds)[np.repeat(np.arange(pairs), 2 * lines) * lines + own_line]
     seeds = race_seeds(seed, len(line))
     return Units(np.stack([a, b], axis=1), line, Starts(where[line], side), seeds, int(seed))
 

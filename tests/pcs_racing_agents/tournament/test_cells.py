@@ -26,10 +26,14 @@ def test_a_cell_crosses_everything(contest, zoo):
     units = draw_units(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
     assert len(units) == 4 * 3 * 2 * 2 == len(set(units.ids))
     egos, opponents, lines, sides = (np.unique(column) for column in np.array(units.ids).T)
-    assert (len(egos), len(opponents), lines.tolist(), sides.tolist()) == (4, 3, [0, 1], [0, 1])
+    assert (len(egos), len(opponents), lines.tolist(), sides.tolist()) == (4, 3, list(range(16)), [0, 1])
     assert egos.max() < 12
     assert opponents.max() < 20
-    assert len(np.unique(units.starts.s)) == 2
+    # Every pair has two lines of its own out of sixteen, each of them from both sides.
+    for pair in np.unique(units.variants, axis=0):
+        of_pair = units.line[(units.variants == pair).all(axis=1)]
+        assert sorted(np.unique(of_pair, return_counts=True)[1].tolist()) == [2, 2]
+    assert len(np.unique(units.starts.s)) == 16
     assert len(np.unique(units.seeds)) == 48
     paper = draw_units(contest, zoo["random-moves"], zoo["lane-switcher"])
     assert len(paper) == 12 * 20 * 5 * 2  # this archive has 12 policies to start with; with 20 it were 4,000
