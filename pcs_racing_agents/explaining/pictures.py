@@ -53,7 +53,8 @@ def draw_space(axes: Any, explanation: Explanation) -> None:
     draw_archive(axes, archive, faint=True)
     right, up = plane(archive)
     points = archive.coordinates[:, [right, up]]
-    seen = in_units(archive, [step.opponent for step in steps]).reshape(len(steps), -1)[:, [right, up]]
+    estimates = np.array([step.opponent for step in steps]).reshape(-1, len(archive.characteristics))
+    seen = in_units(archive, estimates)[:, [right, up]]
     _include(axes, seen)
     axes.plot(seen[:, 0], seen[:, 1], color=theirs, lw=0.9, alpha=0.6, zorder=4)
     for k, place in enumerate(seen):
