@@ -26,6 +26,10 @@ class StudyConfig:
         Rules: a preset's name or a YAML file.
     epsilon : float
         How far a move goes, in the archive's normalised units.
+    moves : int
+        Moves of each car in a game.
+    step_seconds : float
+        Time between two moves, s.
     synthesis : str or None
         Configuration of the archive's synthesis; None takes the archive that is named instead of making one.
     archive : str
@@ -81,6 +85,8 @@ class StudyConfig:
 
     race: str = "paper"
     epsilon: float = 0.5
+    moves: int = 4
+    step_seconds: float = 8.0
     synthesis: str | None = None
     archive: str = "default"
     circuits: tuple[str, ...] = ("Tarnfjord",)
@@ -178,7 +184,8 @@ class StudyConfig:
     @property
     def game(self) -> GameConfig:
         """Rules of the game; with the move "stay" if the race's rules have it."""
-        return load_game_config(load_race_config(self.race), epsilon=self.epsilon)
+        race = load_race_config(self.race)
+        return load_game_config(race, epsilon=self.epsilon, moves=self.moves, step_seconds=self.step_seconds)
 
 
 def load_study_config(source: str | Path | StudyConfig | None = None, **changes: Any) -> StudyConfig:

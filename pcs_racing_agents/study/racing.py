@@ -49,8 +49,9 @@ class StudyCell(NamedTuple):
 def cells(study: Study) -> Iterator[StudyCell]:
     """Return every cell; races that were driven are read, the others driven."""
     config = study.config
-    with open_job(study.folder / "races", "races", {"archive": study.archive.content_hash}) as job:
-        for number, (table, (tracks, opponents, arms, lines)) in enumerate(config.tables.items()):
+    settings = {"archive": study.archive.content_hash}
+    for number, (table, (tracks, opponents, arms, lines)) in enumerate(config.tables.items()):
+        with open_job(study.folder / "races" / table, "races", settings) as job:
             for track, opponent, arm in product(tracks, opponents, arms):
                 cell = play_cell(
                     study.game(track),

@@ -1,0 +1,117 @@
+"""A whole study, from trees to the report, in a game of two moves of two seconds."""
+
+from dataclasses import replace
+
+import pytest
+
+from pcs_racing.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing_agents.jobs import make_executor
+from pcs_racing_agents.study import STAGES, load_study_config, run_study
+from pcs_racing_agents.study.run import stage_seconds
+from pcs_racing_agents.study.ship import main as ship
+
+TINY = load_study_config(
+    "quick",
+    moves=2,
+    step_seconds=2.0,
+    circuits=("Pipkin",),
+    tracks=("Pipkin",),
+    pairs=3,
+    targets=("regret",),
+    fitting_games=2,
+    fixed_targets=2,
+    opponents=("never-switch", "lane-switcher"),
+    arms=("never-switch", "best-fixed", "cfr-argmax", "quick"),
+    egos=2,
+    variants=2,
+    lines=1,
+    further_lines=1,
+    further_opponents=("random-moves",),
+    rivals=("never-switch", "cfr-argmax", "lane-switcher"),
+    rival_races=2,
+)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study") / "tiny"
+    return run_study(TINY, folder, quiet=True)
+
+
+def test_a_study_leaves_its_results(finished):
+    lines = (finished.folder / "results.csv").read_text(encoding="utf-8").splitlines()
+    main, further = 2 * 4 * 8, 3 * 4 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
+    assert len(lines) == 1 + main + further
+    assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
+    page = (finished.folder / "report.html").read_text(encoding="utf-8")
+    assert "<iframe" in page
+    assert "https://" not in page.replace("http://www.w3.org", "")
+    assert set(stage_seconds(finished)) == set(STAGES)
+
+
+def test_a_second_run_repeats_nothing_and_writes_the_same_bytes(finished):
+    results = (finished.folder / "results.csv").read_bytes()
+    chunks = {file: file.stat().st_mtime_ns for file in finished.folder.rglob("*.npz")}
+    again = run_study(TINY, finished.folder, quiet=True)
+    assert (again.folder / "results.csv").read_bytes() == results
+    assert {file: file.stat().st_mtime_ns for file in finished.folder.rglob("*.npz")} == chunks
+
+
+def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
+    other = tmp_path / "other"
+    with make_executor("threads", 2) as executor:
+        run_study(TINY, other, only=STAGES[: STAGES.index("races")], executor=executor, quiet=True)
+        for file in sorted(other.rglob("*.npz"))[::3]:
+            file.unlink()  # as if the run had been killed before they were there
+        for stage in ("trees", "networks", "responses"):
+            (other / stage / "done.yaml").unlink()
+        run_study(TINY, other, executor=executor, quiet=True)
+    assert (other / "results.csv").read_bytes() == (finished.folder / "results.csv").read_bytes()
+    assert (other / "table.csv").read_bytes() == (finished.folder / "table.csv").read_bytes()
+
+
+def test_what_was_found_can_be_shipped(finished, tmp_path, capsys):
+    config = tmp_path / "tiny.yaml"
+    config.write_text("moves: 2\nstep_seconds: 2.0\ncircuits: [Pipkin]\ntargets: [regret]\nresponses: [quick]\n")
+    (tmp_path / "pcs_racing_agents" / "strategies").mkdir(parents=True)
+    assert ship([str(config), str(finished.folder), str(tmp_path)]) == 0
+    assert sorted(path.name for path in (tmp_path / "networks").iterdir()) == [
+        "default-paper-gain",
+        "default-paper-regret",
+    ]
+    assert len(list((tmp_path / "pcs_racing_agents" / "strategies" / "fits").glob("default-paper-best-*.yaml"))) == 2
+
+
+def test_another_study_in_the_folder_is_refused(finished):
+    with pytest.raises(InputError, match="seed"):
+        run_study(replace(TINY, seed=1), finished.folder, quiet=True)
+
+
+def test_stages_come_in_order(tmp_path):
+    with pytest.raises(UnknownNameError, match="stage 'lunch' is unknown; a study has archive, trees"):
+        run_study(TINY, tmp_path / "x", only=["lunch"], quiet=True)
+    with pytest.raises(InputError, match="stage 'races' needs stage 'archive', which is not done"):
+        run_study(TINY, tmp_path / "x", only=["races"], quiet=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"arms": ("never-switch",), "best": "response"}, "best is 'response'; it must be one of the arms"),
+        ({"egos": 1}, "egos is 1; it must be a whole number from 2"),
+        ({"pairs": 1}, "networks need at least 3 trees"),
+        ({"archive": "nowhere"}, "archive is 'nowhere'; it must be a folder or one of contest, default"),
+        ({"targets": ("fame",)}, "fame"),
+        ({"tracks": ("Pipkin", "Pipkin")}, "name each once"),
+        ({"lunch": 1}, "unknown study setting 'lunch'"),
+    ],
+)
+def test_impossible_studies_are_refused(changes, message):
+    with pytest.raises((ConfigError, UnknownNameError), match=message):
+        load_study_config("quick", **changes)
+
+
+@pytest.mark.parametrize("name", ["quick", "paper", "contest"])
+def test_shipped_studies_load(name):
+    config = load_study_config(name)
+    assert config.best in config.arms
