@@ -8,7 +8,7 @@ PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 .PHONY: help demo test lint types benchmarks clean
 
 help:
-	@echo "make demo        a tournament between four policies, its table, and a race to watch (under 3 minutes)"
+	@echo "make demo        the paper's study in small: trees, networks, races, a report to look at (under 5 minutes)"
 	@echo "make test        the test suite"
 	@echo "make lint        style, and the format of the code"
 	@echo "make types       static types"
@@ -16,7 +16,7 @@ help:
 	@echo "make clean       remove results and caches, but not $(VENV)"
 
 demo: $(VENV)/base.stamp
-	$(RUN) examples/tournament.py --out out/demo
+	$(VENV)/bin/pcs-racing study quick --out out/demo
 
 test: $(VENV)/test.stamp
 	$(RUN) -m pytest -n 2 --dist worksteal
@@ -42,8 +42,8 @@ $(RUN):
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/base.stamp: pyproject.toml | $(RUN)
-	@echo "installing into $(VENV) (a minute or two, once)"
-	$(PIP) --editable ".[mapping]"
+	@echo "installing into $(VENV), PyTorch included (some minutes, once)"
+	$(PIP) --editable ".[mapping,plots,learning]"
 	@touch $@
 
 $(VENV)/test.stamp: pyproject.toml | $(RUN)
