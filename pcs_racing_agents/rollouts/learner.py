@@ -204,7 +204,8 @@ def learn_response(
             last = round_ == settings.rounds - 1 and step == 0
             network = fit(settings.members if last else min(settings.members, 2))
     assert network is not None
-    summary = {"rows": sum(len(part) for part in rows), **{k: v for k, v in network.training.items() if k != "rows"}}
+    rest = {key: value for key, value in network.training.items() if key != "rows"}
+    summary = {"rows": sum(len(part) for part in rows), "worth": settings.worth, **rest}
     return replace(network, training=summary)
 
 
