@@ -4,11 +4,11 @@
     python benchmarks/optimisers.py --race                                  # the race itself, on one circuit
     python benchmarks/optimisers.py --overhead                              # what an evaluation costs beside the race
 
-Every method is given the bounds, the size of a generation (50) and the seed, and starts from points spread over all that
-is within the bounds, not from their middle; none knows the ideal or the nadir point. A front's share is its hypervolume by that of the whole Pareto
-front, both normalised by the true ideal and nadir, reference a tenth below the nadir: these points serve for scoring
-only. Under noise (standard deviation a tenth of the true range on every axis) the *true* values of the archive's points
-count, and the bias is what their noisy values claim on top of that.
+Every method is given the bounds, the size of a generation (50) and the seed, and starts from points spread over all
+that is within the bounds, not from their middle. None knows the ideal or the nadir point. The share of a front is its
+hypervolume by that of the whole Pareto front, both normalised by the true ideal and nadir, reference a tenth below the
+nadir: these points serve for scoring only. Under noise (standard deviation a tenth of the true range on every axis) the
+*true* values of the archive's points count, and the bias is what their noisy values claim on top of that.
 
 In the race, the front of each run is raced again in held-out scenarios before it is scored, and the range is that of
 all fronts of all runs together.
@@ -205,7 +205,7 @@ def race(seeds: int, track: str) -> None:
     from pcs_racing.registry import get_planner
     from pcs_racing_agents.synthesis.evaluate import draw_scenarios, evaluate
 
-    population, generations, crashes = 30, 20, 0.1
+    population, generations, crashes = 25, 16, 0.1
     family = get_planner("lattice")
     config = replace(load_race_config("paper"), duration=16.0)
     axes = ("aggressiveness", "restraint")
