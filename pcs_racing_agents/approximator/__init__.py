@@ -1,6 +1,7 @@
 """The regret approximator: training rows, the network, and how it is trained and judged."""
 
-from pcs_racing_agents.approximator.network import GameIdentity, RegretNetwork, game_identity
+from pcs_racing_agents.approximator.identity import GameIdentity, game_identity
+from pcs_racing_agents.approximator.network import RegretNetwork
 from pcs_racing_agents.approximator.network_files import list_networks, load_network
 from pcs_racing_agents.approximator.rows import Rows, join_rows
 from pcs_racing_agents.approximator.settings import TrainSettings, load_train_settings

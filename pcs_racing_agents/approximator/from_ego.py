@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.errors import InputError
+from pcs_racing_agents.approximator.identity import GameIdentity
 from pcs_racing_agents.approximator.metrics import Play, RowScore, constant_plays, follow, score_rows
-from pcs_racing_agents.approximator.network import GameIdentity, RegretNetwork
+from pcs_racing_agents.approximator.network import RegretNetwork
 from pcs_racing_agents.approximator.rows import draw_pairs, pair_number
 from pcs_racing_agents.approximator.settings import TrainSettings, settings_for_trees
 from pcs_racing_agents.approximator.training import Fit, train_network

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.errors import InputError
+from pcs_racing_agents.approximator.identity import GameIdentity
 from pcs_racing_agents.approximator.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
-from pcs_racing_agents.approximator.network import GameIdentity, RegretNetwork
+from pcs_racing_agents.approximator.network import RegretNetwork
 from pcs_racing_agents.approximator.rows import Rows, draw_pairs, join_rows, pair_number
 from pcs_racing_agents.approximator.settings import TrainSettings, settings_for_trees
 from pcs_racing_agents.approximator.targets import get_target, solve_for

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,53 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
 from pcs_racing_agents.approximator.forward import forward, pack_layers
+from pcs_racing_agents.approximator.identity import GameIdentity, check_same_game, game_identity
 
-__all__ = ["GameIdentity", "RegretNetwork", "game_identity"]
+__all__ = ["GameIdentity", "RegretNetwork"]
 
 Floats = NDArray[np.float32]
 
 MOST_WEIGHTS = 4_000_000
 MOST_LAYERS = 16
-
-
-class GameIdentity(NamedTuple):
-    """What a network must know of the game that it was made for.
-
-    Attributes
-    ----------
-    elements : tuple of str
-        Names of the numbers of an observation, in order: the encoding of a history.
-    moves : tuple of str
-        Names of the moves, in order.
-    epsilon : tuple of float
-        How far the moves go.
-    archive : str
-        Name of the archive of policies.
-    archive_sha256 : str
-        Its :attr:`pcs_racing.PolicyArchive.content_hash`.
-    preset : str
-        Name of the rules of the race.
-    """
-
-    elements: tuple[str, ...]
-    moves: tuple[str, ...]
-    epsilon: tuple[float, ...]
-    archive: str
-    archive_sha256: str
-    preset: str
-
-
-def game_identity(game: RaceGame) -> GameIdentity:
-    """Return what networks and trees keep of the game that they belong to."""
-    epsilon = game.config.epsilon
-    return GameIdentity(
-        elements=tuple(element.name for element in game.observation_elements),
-        moves=game.move_names,
-        epsilon=epsilon if isinstance(epsilon, tuple) else (epsilon,),
-        archive=game.archive.name,
-        archive_sha256=game.archive.content_hash,
-        preset=game.config.race.name,
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,21 +218,7 @@ class RegretNetwork:
         what : str
             What it belongs to, for the message.
         """
-        own = self.identity
-        if own.elements != other.elements:
-            raise InputError(f"network {self.name!r} {_difference(own.elements, other.elements, 'sees', what)}")
-        if other.moves not in (own.moves, (*own.moves, "stay")):
-            raise InputError(f"network {self.name!r} {_difference(own.moves, other.moves, 'values moves', what)}")
-        if own.epsilon != other.epsilon:
-            raise InputError(
-                f"network {self.name!r} was made for moves of epsilon {_list(own.epsilon)}; {what} has "
-                f"{_list(other.epsilon)}"
-            )
-        if own.archive_sha256 != other.archive_sha256:
-            raise InputError(
-                f"network {self.name!r} was made for archive {own.archive!r} (sha256 {own.archive_sha256[:12]}); "
-                f"{what} has archive {other.archive!r} (sha256 {other.archive_sha256[:12]})"
-            )
+        check_same_game(self.identity, other, f"network {self.name!r}", what)
 
     def save(self, folder: str | Path) -> Path:
         """Write ``weights.safetensors`` and ``manifest.yaml`` into a folder, which is made if need be."""
@@ -308,19 +255,3 @@ def _array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
         raise InputError(f"{what} hold NaN or infinity")
     array.setflags(write=False)
     return array
-
-
-def _list(values: Sequence[Any]) -> str:
-    return ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values)
-
-
-def _difference(own: tuple[str, ...], other: tuple[str, ...], verb: str, what: str) -> str:
-    """Say in a clause where two lists of names differ first."""
-    if len(own) != len(other):
-        return f"{verb} {_short(own)}; {what} has {_short(other)}"
-    i = next(i for i, (a, b) in enumerate(zip(own, other, strict=True)) if a != b)
-    return f"{verb} {own[i]!r} at place {i}; {what} has {other[i]!r} there"
-
-
-def _short(names: tuple[str, ...]) -> str:
-    return f"{len(names)} ({_list(names)})" if len(names) <= 6 else f"{len(names)} ({names[0]} to {names[-1]})"

@@ -13,7 +13,8 @@ from safetensors.numpy import save as save_tensors
 
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
-from pcs_racing_agents.approximator.network import MOST_LAYERS, GameIdentity, RegretNetwork
+from pcs_racing_agents.approximator.identity import GameIdentity
+from pcs_racing_agents.approximator.network import MOST_LAYERS, RegretNetwork
 
 __all__ = ["list_networks", "load_network", "read_network", "save_network", "shipped_folder"]
 

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.errors import InputError
-from pcs_racing_agents.approximator.network import GameIdentity, RegretNetwork
+from pcs_racing_agents.approximator.goals import row_goals, scale_rows
+from pcs_racing_agents.approximator.identity import GameIdentity
+from pcs_racing_agents.approximator.network import RegretNetwork
 from pcs_racing_agents.approximator.rows import Rows, split_by_pair
 from pcs_racing_agents.approximator.settings import TrainSettings
 from pcs_racing_agents.approximator.targets import best_moves
@@ -152,12 +154,12 @@ def fit(rows: Rows, settings: TrainSettings, *, clipped: bool = False, progress:
     torch = _torch()
     held_out, pairs = split_by_pair(rows, settings.validation_share, settings.seed)
     learned, judged = rows.take(~held_out), rows.take(held_out)
-    by = _scaling(learned, settings, clipped)
+    by = scale_rows(learned, settings, clipped)
     draws, start = (np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,))) for key in (1, 2))
 
     def tensors(part: Rows) -> tuple[Any, Any, Any, Any]:
         x = (part.observations - by.mean) / by.scale
-        arrays = (x, *_goals(part, by, clipped, settings.below_zero))
+        arrays = (x, *row_goals(part, by, clipped, settings.below_zero))
         return tuple(torch.from_numpy(array) for array in arrays)
 
     def loss(x: Any, goal: Any, weight: Any, one_sided: Any) -> Any:
@@ -257,84 +259,3 @@ def _one_thread(torch: Any) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-class _Scaling(NamedTuple):
-    """Numbers that bring inputs and targets to order 1."""
-
-    mean: Floats
-    scale: Floats
-    depth: float
-    centre: Floats
-    size: np.float32
-    hopeless: float
-    level: float
-
-
-def _scaling(rows: Rows, settings: TrainSettings, clipped: bool) -> _Scaling:
-    """Weighted means and spreads of the rows.
-
-    Inputs get mean 0 and deviation 1 (an input that never changes keeps its unit). Targets are measured around every
-    move's mean (around 0 if clipped: 0 must stay 0), in units of their root mean square.
-    """
-    share = rows.weights / rows.weights.sum()
-    mean = share @ rows.observations.astype(np.float64)
-    deviation = np.sqrt(share @ (rows.observations - mean) ** 2)
-    known = share[:, None] * rows.mask
-    total = known.sum(axis=0)
-    depth = np.inf
-    if settings.floor and not clipped:
-        short = _highest(rows) - rows.targets
-        depth = settings.floor * np.sum(known * short) / total.sum() or np.inf
-    targets = _raised(rows, depth).astype(np.float64)
-    if clipped:
-        centre, values = np.zeros(targets.shape[1]), np.maximum(targets, 0.0)
-        level = size = np.sqrt(np.sum(known * values**2) / total.sum()) or 1.0
-    else:
-        centre = np.sum(known * targets, axis=0) / np.where(total > 0.0, total, 1.0)
-        values = np.where(rows.mask, targets - centre, 0.0)
-        means = values.sum(axis=1, keepdims=True) / rows.mask.sum(axis=1, keepdims=True)
-        if settings.differences:
-            values = np.where(rows.mask, values - means, 0.0)
-        size = np.sqrt(np.sum(known * values**2) / total.sum()) or 1.0
-        # The mean never counts more than the differences: in rows of advantages there is nothing to learn of it.
-        level = max(np.sqrt(share @ means[:, 0] ** 2), size)
-    # How far below 0 the targets of rows without a positive one are, in that unit.
-    known = known * ~(targets > 0.0).any(axis=1, keepdims=True)
-    hopeless = np.sum(known * (targets / size) ** 2) / known.sum() if known.any() else 1.0
-    return _Scaling(
-        mean.astype(np.float32),
-        np.where(deviation > 1e-6, deviation, 1.0).astype(np.float32),
-        float(depth),
-        centre.astype(np.float32),
-        np.float32(size),
-        float(hopeless),
-        float(size / level),
-    )
-
-
-def _highest(rows: Rows) -> Floats:
-    return np.where(rows.mask, rows.targets, -np.inf).max(axis=1, keepdims=True)
-
-
-def _raised(rows: Rows, depth: float) -> Floats:
-    """Targets, none of them further below the highest of its row than ``depth``."""
-    if np.isinf(depth):
-        return rows.targets
-    return np.where(rows.mask, np.maximum(rows.targets, _highest(rows) - np.float32(depth)), np.float32(0.0))
-
-
-def _goals(rows: Rows, by: _Scaling, clipped: bool, below_zero: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """What each output should be, how much its error counts, and whether only an error upwards counts."""
-    goal = (_raised(rows, by.depth) - by.centre) / by.size
-    weight = (rows.mask / rows.mask.sum(axis=1, keepdims=True)).astype(np.float32)
-    if not clipped:
-        return goal, weight, np.zeros(goal.shape, np.bool_)
-    one_sided = goal <= 0.0
-    if below_zero > 0.0:
-        # In a row without a positive regret the clipped values would not tell which move is the least bad. Such rows
-        # can lie far below 0: they count in units of their own spread.
-        hopeless = ~(goal > 0.0).any(axis=1, keepdims=True)
-        one_sided &= ~hopeless
-        weight = np.where(hopeless, np.float32(below_zero / max(by.hopeless, 1.0)) * weight, weight)
-    return np.where(one_sided, np.float32(0.0), goal), weight, one_sided
