@@ -25,7 +25,7 @@ from pcs_racing_agents.synthesis.explored import Scale
 from pcs_racing_agents.synthesis.indicators import hypervolume
 from pcs_racing_agents.synthesis.selection import front_layers
 
-__all__ = ["draw_front", "hypervolume_error", "write_archive"]
+__all__ = ["draw_front", "hypervolume_error", "stated_settings", "write_archive"]
 
 Floats = NDArray[np.float64]
 
@@ -102,7 +102,7 @@ def write_archive(
     facts["no_op_share"], facts["duplicate_share"] = archive.no_op_share(), archive.duplicate_share()
     if len(parameters) < config.fewest:
         _log.warning("the archive holds %d policies; %d were wanted", len(parameters), config.fewest)
-    settings = {**_stated(config), **_versions(), **notes, **facts}
+    settings = {**stated_settings(config), **_versions(), **notes, **facts}
     archive = _with_settings(archive, {key: _rounded(value) for key, value in settings.items()})
     write_atomically(folder / "hypervolume.csv", lambda file: file.write(_course(history)))
     if find_spec("matplotlib") is not None:
@@ -132,7 +132,7 @@ def _top_tenth(values: Floats, by: Floats) -> float:
     return float(values[order[-max(1, len(order) // 10) :]].mean())
 
 
-def _stated(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
+def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
     """Every setting of a synthesis as a text or a number."""
     values = {**plain_settings(config), "characteristics": list(config.axes)}
     texts = {key: ", ".join(map(str, value)) for key, value in values.items() if isinstance(value, list)}

@@ -31,7 +31,7 @@ from pcs_racing_agents.synthesis.evaluate import Scenarios, draw_scenarios, summ
 from pcs_racing_agents.synthesis.indicators import hypervolume
 from pcs_racing_agents.synthesis.selection import beaten, difference_errors, spread_first, thin_out
 
-__all__ = ["News", "Told", "choose", "draw_policies", "make_archive", "measure"]
+__all__ = ["News", "Told", "choose", "draw_policies", "make_archive", "measure", "stage_scenarios"]
 
 Floats = NDArray[np.float64]
 Notes = Mapping[str, str | float]
@@ -68,34 +68,52 @@ def make_archive(
     folder = Path(folder)
     family = get_planner(config.planner)
     hashes = {name: load_track(name).content_hash for name in config.tracks}
-    roots = np.random.SeedSequence(config.seed).spawn(5)
-    search, choice, final = (
-        draw_scenarios(
+    search, choice, final = stage_scenarios(config)
+    scouts, optimiser = _roots(config)[3:]
+    _check_folder(folder)
+    settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
+    with open_job(folder / "job", "archive", settings) as job:
+        run = ArchiveSearch(config, job, executor, told or (lambda _: None), family, search)
+        run.run(draw_policies(family, config.scouts, scouts), _number(optimiser))
+        chosen, notes = choose(run, choice)
+        kept, raced, more = measure(run, chosen, final)
+        content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
+        notes = {**notes, **more, "track_hashes": content}
+        return write_archive(folder, config, run.explored(), run.scale, kept, raced, run.history, notes)
+
+
+def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenarios]:
+    """The races of a synthesis: of its search, its choice and its measurement; no two stages share any.
+
+    Raises
+    ------
+    InputError
+        If a track has no place for the start.
+    """
+    search, choice, final, *_ = _roots(config)
+
+    def drawn(root: np.random.SeedSequence, opponents: int, starts: int, duration: float) -> Scenarios:
+        return draw_scenarios(
             config.tracks,
             replace(config.rules, duration=float(duration)),
-            draw_policies(family, opponents, root),
+            draw_policies(get_planner(config.planner), opponents, root),
             config.axes,
             planner=config.planner,
             starts=starts,
             segment_seconds=config.segment_seconds,
             seed=_number(root),
         )
-        for root, opponents, starts, duration in (
-            (roots[0], config.opponents, config.starts, config.duration),
-            (roots[1], config.choice_opponents, config.choice_starts, config.duration),
-            (roots[2], config.final_opponents, config.final_starts, config.final_duration),
-        )
+
+    return (
+        drawn(search, config.opponents, config.starts, config.duration),
+        drawn(choice, config.choice_opponents, config.choice_starts, config.duration),
+        drawn(final, config.final_opponents, config.final_starts, config.final_duration),
     )
-    _check_folder(folder)
-    settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
-    with open_job(folder / "job", "archive", settings) as job:
-        run = ArchiveSearch(config, job, executor, told or (lambda _: None), family, search)
-        run.run(draw_policies(family, config.scouts, roots[3]), _number(roots[4]))
-        chosen, notes = choose(run, choice)
-        kept, raced, more = measure(run, chosen, final)
-        content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
-        notes = {**notes, **more, "track_hashes": content}
-        return write_archive(folder, config, run.explored(), run.scale, kept, raced, run.history, notes)
+
+
+def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
+    """Roots of the three stages, of the scouts and of the optimiser."""
+    return np.random.SeedSequence(config.seed).spawn(5)
 
 
 def draw_policies(family: Planner, count: int, root: np.random.SeedSequence) -> Floats:

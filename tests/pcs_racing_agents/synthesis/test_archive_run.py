@@ -16,10 +16,9 @@ from pcs_racing.errors import ConfigError
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.cli import main
 from pcs_racing_agents.jobs import make_executor
-from pcs_racing_agents.planners.lattice import LATTICE
-from pcs_racing_agents.synthesis.archive_run import draw_policies, make_archive
+from pcs_racing_agents.synthesis.archive_run import make_archive, stage_scenarios
 from pcs_racing_agents.synthesis.config import ArchiveConfig, list_archive_configs, load_archive_config
-from pcs_racing_agents.synthesis.evaluate import Block, draw_scenarios, race_block, summarise
+from pcs_racing_agents.synthesis.evaluate import Block, race_block, summarise
 from pcs_racing_agents.synthesis.selection import front_layers
 
 pytest.importorskip("cma")
@@ -95,15 +94,12 @@ def test_the_manifest_says_how_it_was_made(made):
 def test_the_coordinates_come_from_races_that_chose_nobody(made):
     """Measured here once more, from the configuration alone."""
     archive = made[0]
-    from dataclasses import replace
-
-    root = np.random.SeedSequence(TINY.seed).spawn(5)[2]
-    opponents = draw_policies(LATTICE, TINY.final_opponents, root)
-    seed = int(root.spawn(1)[0].generate_state(1, np.uint64)[0] >> np.uint64(1))
-    scenarios = draw_scenarios(
-        TINY.tracks, replace(TINY.rules, duration=8.0), opponents, TINY.axes, starts=1, segment_seconds=2.0, seed=seed
-    )
-    found = summarise(race_block(Block(scenarios, archive.parameters)))
+    search, choice, final = stage_scenarios(TINY)
+    assert final.config.duration == 8.0
+    for earlier in (search, choice):
+        assert not np.isin(final.seed, earlier.seed).any()
+        assert not (final.opponents[:, None] == earlier.opponents[None]).all(axis=-1).any()
+    found = summarise(race_block(Block(final, archive.parameters)))
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
     np.testing.assert_array_equal(found.spread, archive.spread)
     np.testing.assert_array_equal(found.own_crash, archive.own_crash)

@@ -1,0 +1,84 @@
+"""The archives that come with the package are what their configurations and manifests say."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from pcs_racing import load_archive, load_track, make_game
+from pcs_racing.archive import shipped_folder
+from pcs_racing.testing import check_archive
+from pcs_racing_agents.synthesis import load_archive_config
+from pcs_racing_agents.synthesis.archive_report import stated_settings
+from pcs_racing_agents.synthesis.archive_run import stage_scenarios
+from pcs_racing_agents.synthesis.evaluate import Block, race_block, summarise
+
+
+@pytest.fixture(params=["default", "contest"])
+def name(request):
+    return request.param
+
+
+def test_its_settings_are_those_of_the_configuration_that_ships(name):
+    settings = load_archive(name).settings
+    for key, value in stated_settings(load_archive_config(name)).items():
+        assert settings[key] == value or key == "fewest", key  # which is only a wish
+
+
+def test_it_was_made_on_the_circuits_that_ship(name):
+    config = load_archive_config(name)
+    assert len(config.tracks) >= 3
+    for track, stated in zip(config.tracks, load_archive(name).settings["track_hashes"].split(", "), strict=True):
+        assert stated == f"{track} {load_track(track).content_hash[:16]}"
+
+
+def test_its_policies_lie_spread_along_the_front(name):
+    archive = load_archive(name)
+    config = load_archive_config(name)
+    check_archive(archive)
+    assert len(archive) >= config.fewest
+    assert len(archive) >= 40 or name != "default"
+    points = archive.normalised
+    away = np.linalg.norm(points[:, None] - points[None], axis=-1)[~np.eye(len(points), dtype=bool)]
+    assert away.min() > 0.0
+    # Seen from either axis there is a policy within a quarter of the range of any place.
+    for axis in range(2):
+        assert np.diff(np.sort(points[:, axis])).max() < 0.25
+    assert np.corrcoef(points.T)[0, 1] < -0.9  # what is more of one is less of the other
+    assert archive.duplicate_share() < 0.15
+
+
+def test_crashes_are_as_rare_as_they_should_be(name):
+    archive = load_archive(name)
+    lower = np.argsort(archive.coordinates[:, 0])[: len(archive) // 2]
+    top = np.argsort(archive.coordinates[:, 0])[-max(1, len(archive) // 10) :]
+    if name == "default":
+        assert archive.own_crash.max() < 0.15
+    else:
+        assert 0.02 <= archive.own_crash[lower].mean() <= 0.10
+        assert 0.30 <= archive.own_crash[top].mean() <= 0.50
+
+
+def test_its_coordinates_are_what_the_measuring_races_give(name):
+    """Two of its policies drive a part of those races again; other processors may round otherwise."""
+    archive = load_archive(name)
+    _, _, final = stage_scenarios(load_archive_config(name))
+    chosen = [0, len(archive) - 1]
+    found = summarise(race_block(Block(final, archive.parameters[chosen])))
+    assert (np.abs(found.coordinates - archive.coordinates[chosen]) <= archive.spread[chosen]).all()
+    np.testing.assert_allclose(found.own_crash, archive.own_crash[chosen], atol=0.05)
+
+
+def test_it_can_be_raced(name):
+    rules = {"default": "paper", "contest": "contest"}[name]
+    game = make_game("Tarnfjord", name, race=rules, moves=1, step_seconds=2.0)
+    assert game.table.shape[0] == len(load_archive(name))
+
+
+def test_the_course_of_the_search_ships_with_it(name):
+    config = load_archive_config(name)
+    with open(shipped_folder() / name / "hypervolume.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == config.generations + 1
+    assert int(rows[-1]["evaluations"]) == config.evaluations == len(load_archive(name).explored.parameters)
+    assert float(rows[-1]["hypervolume"]) > 1.2 * float(rows[0]["hypervolume"])
