@@ -1,0 +1,25 @@
+"""The code in docs/synthesis.md runs, and the page names every method."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pcs_racing_agents.synthesis.optimisers import METHODS
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "synthesis.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(len(BLOCKS)))
+def test_the_page_s_code_runs(number, tmp_path):
+    (tmp_path / "block.py").write_text(BLOCKS[number])
+    done = subprocess.run([sys.executable, "block.py"], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
+def test_every_method_is_on_the_page():
+    assert all(f'`"{method}"`' in PAGE and f"| `{method}` |" in PAGE for method in METHODS)
