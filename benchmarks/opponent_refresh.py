@@ -77,7 +77,7 @@ def main() -> None:
         sizes: dict[str, list[int]] = {variant: [] for variant in VARIANTS}
         for kind, opponents in held_out.items():
             rules = replace(first.rules, duration=16.0)
-            races = draw_scenarios(first.tracks, rules, opponents, first.axes, starts=2, seed=OTHER_RUN + 3)
+            races = draw_scenarios(first.tracks, rules, opponents, first.axes, starts=1, seed=OTHER_RUN + 3)
             alike = evaluate(races, random_policies, executor=executor).coordinates
             scale = Scale(alike.max(axis=0), alike.min(axis=0))
             for variant in VARIANTS:
