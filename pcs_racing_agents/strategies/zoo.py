@@ -24,6 +24,7 @@ from pcs_racing.race_config import RaceConfig
 from pcs_racing.registry import parse_policy, planner_names
 from pcs_racing_agents.strategies import agents, drivers
 from pcs_racing_agents.strategies.agent import Agent, Competitor, Driver, as_competitor
+from pcs_racing_agents.strategies.receding_horizon import receding_horizon
 from pcs_racing_agents.strategies.setting import Setting, make_setting
 
 __all__ = [
@@ -136,6 +137,12 @@ ZOO: dict[str, Entry] = {
         "advantage over the best blind strategy, with a margin",
         "network",
     ),
+    "response": _network(
+        "gain",
+        "argmax",
+        "makes the move that wins most against the opponents that it has learned to answer",
+        "advantages on branched races, learned from the last step back (`pcs_racing_agents.rollouts`)",
+    ),
     "restricted-response": Entry(
         agents.restricted_response,
         "for each game draws whether to exploit a static opponent or to play safe",
@@ -153,6 +160,11 @@ ZOO: dict[str, Entry] = {
         "argmax",
         "makes the move that a policy trained by PPO finds most likely",
         "Schulman et al. 2017, with Stable-Baselines3",
+    ),
+    "receding-horizon": Entry(
+        receding_horizon,
+        "looks some steps ahead with the simulator at every decision, and solves the small game that it finds there",
+        "beyond the paper: its limitation to few decisions; model predictive game playing",
     ),
     "random-policy": Entry(
         drivers.random_policy,

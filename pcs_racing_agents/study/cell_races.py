@@ -1,6 +1,7 @@
 """What the table of a study needs of its races: from cells that were played, or from their lines in a file."""
 
 import csv
+from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ CRASHES = ("", "wall", "car")
 FAULTS = ("", "ego", "opponent", "both")
 COLUMNS = (
     "track", "opponent", "ego", "winner", "crash", "fault", "ego_variant", "opponent_variant", "start_s", "side",
+    "seed",
 )  # fmt: skip
 
 
@@ -73,18 +75,26 @@ def cell_races(cell: Cell) -> CellRaces:
     )
 
 
-def read_races(path: str | Path) -> dict[Key, CellRaces]:
+def read_races(path: str | Path, seeds: Collection[int] | None = None) -> dict[Key, CellRaces]:
     """Read the cells of a study back from its ``results.csv``.
 
     Start lines are told apart by their place, to a tenth of a millimetre; their numbers may differ from those of
     :class:`pcs_racing_agents.tournament.cells.Units`.
 
+    Parameters
+    ----------
+    path : str or Path
+    seeds : collection of int, optional
+        Only the cells of these seeds. The tables of a study differ in their seeds: one for each opponent of the first
+        table, counted from the study's own, and 100 more for the second.
+
     Raises
     ------
     InputError
-        If the file can't be read or a line of it is no race.
+        If the file can't be read, a line of it is no race, or the same agents raced on a circuit with different seeds.
     """
     cells: dict[Key, list[tuple[float, ...]]] = {}
+    seed_of: dict[Key, int] = {}
     try:
         with open(path, newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
@@ -92,7 +102,15 @@ def read_races(path: str | Path) -> dict[Key, CellRaces]:
             if missing:
                 raise InputError(f"{path} has no column {missing[0]!r}; it must be a results.csv of races")
             for row in reader:
-                cells.setdefault((row["track"], row["opponent"], row["ego"]), []).append(_race(row, path, reader))
+                race, seed = _race(row, path, reader)
+                key = (row["track"], row["opponent"], row["ego"])
+                if seeds is None or seed in seeds:
+                    if seed_of.setdefault(key, seed) != seed:
+                        raise InputError(
+                            f"{path}: {key[2]} raced {key[1]} on {key[0]} with seeds {seed_of[key]} and {seed}, which "
+                            "are of different tables; say which with seeds"
+                        )
+                    cells.setdefault(key, []).append(race)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"can't read {path}: {error}") from None
     found = {}
@@ -104,15 +122,17 @@ def read_races(path: str | Path) -> dict[Key, CellRaces]:
     return found
 
 
-def _race(row: dict[str, str], path: str | Path, reader: "csv.DictReader[str]") -> tuple[float, ...]:
+def _race(row: dict[str, str], path: str | Path, reader: "csv.DictReader[str]") -> tuple[tuple[float, ...], int]:
+    """Return the numbers of a race, and its seed."""
     known = (("winner", ("ego", "opponent", "")), ("crash", CRASHES), ("fault", FAULTS))
     for name, values in known:
         if row[name] not in values:
             raise InputError(f"{path}, line {reader.line_num}: {name} is {row[name]!r}; it must be one of {values}")
     try:
         labels = [float(row[name]) for name in ("ego_variant", "opponent_variant", "start_s", "side")]
+        seed = int(row["seed"])
     except (TypeError, ValueError):
         raise InputError(f"{path}, line {reader.line_num} is no race: a number is missing") from None
     crash = row["crash"] != ""
     tied = row["winner"] == "" and not crash
-    return (row["winner"] == "ego", tied, crash, row["fault"] in ("ego", "both"), *labels)
+    return (row["winner"] == "ego", tied, crash, row["fault"] in ("ego", "both"), *labels), seed

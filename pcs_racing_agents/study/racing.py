@@ -12,6 +12,7 @@ from pcs_racing.files import write_atomically
 from pcs_racing_agents.approximator.metrics import Play, TreeScore, score_trees
 from pcs_racing_agents.jobs import open_job
 from pcs_racing_agents.strategies.agent import Agent
+from pcs_racing_agents.strategies.fits import save_fit
 from pcs_racing_agents.study.preparing import stored_trees
 from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.tournament.cells import Cell, play_cell
@@ -22,6 +23,7 @@ __all__ = ["StudyCell", "cells", "judge_on_trees", "race_cells", "race_rivals"]
 CELL_SEED = 0
 HELD_OUT_SEED = 4_000_000
 RIVAL_SEED = 5_000_000
+MIXING_SEED = 6_000_000
 
 
 def race_cells(study: Study) -> None:
@@ -87,6 +89,29 @@ def race_rivals(study: Study) -> None:
     with open_job(study.folder / "rivals", "tournament", tournament_settings(plan)) as job:
         played = play_plan(plan, job=job, executor=study.executor, progress=study.progress("races of rivals"))
     write_results(played, study.folder / "rivals.csv")
+    _mix_rivals(study)
+
+
+def _mix_rivals(study: Study) -> None:
+    """Find how often to draw each of the rivals that are agents: the meta-strategy of PSRO, on training races."""
+    from pcs_racing_agents.tournament.fitting import TrainingRaces, fit_psro
+
+    config = study.config
+    members = [agent for agent in map(study.agent, config.rivals) if isinstance(agent, Agent)]
+    if len(members) < 2:
+        return
+    training = TrainingRaces(
+        tracks=tuple(study.track(name) for name in config.circuits),
+        opponents=(members[0],),
+        setting=study.setting,
+        races=config.rival_races,
+        seed=config.seed + MIXING_SEED,
+    )
+    with open_job(study.folder / "rivals" / "mixing", "fitting", {"archive": study.archive.content_hash}) as job:
+        fit = fit_psro(
+            training, members, job=job, executor=study.executor, progress=study.progress("races for the mixture")
+        )
+    save_fit(fit, study.folder / "rivals" / "psro.yaml")
 
 
 def judge_on_trees(study: Study) -> None:

@@ -37,7 +37,7 @@ def ship(study: Study, checkout: Path) -> list[Path]:
         written.append(replace(load_network(study.network(found)), name=name).save(checkout / "networks" / name))
     folder = checkout / "pcs_racing_agents" / "strategies" / "fits"
     folder.mkdir(exist_ok=True)
-    for file in sorted((study.folder / "blind").glob("*.yaml")):
+    for file in sorted([*study.folder.glob("blind/*.yaml"), *study.folder.glob("rivals/psro.yaml")]):
         if file.name != "done.yaml":
             written.append(save_fit(load_fit(file), folder / f"{stem}-{file.name}"))
     return written
