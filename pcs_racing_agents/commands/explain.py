@@ -94,7 +94,7 @@ def _race(arguments: argparse.Namespace) -> None:
     if arguments.results is not None:
         results = open_results(arguments.results)
         row = results.row(arguments.number or 0)
-        contest, race, lead = results.contest(row["track"], row["ego"], row["opponent"]), int(row["race"]), row["lead"]
+        contest, race, lead = results.contest(row), int(row["race"]), row["lead"]
     else:
         contest, race = _planned(arguments), arguments.index or 0
         if not 0 <= race < len(contest.seeds):

@@ -34,6 +34,7 @@ from pcs_racing_agents.tournament.schedule import Schedule, draw_schedule
 __all__ = ["Contest", "Results", "open_results", "planned_contest"]
 
 MANIFEST = "job.yaml"
+CELL = ("track", "ego", "opponent", "seed")
 LARGEST_MANIFEST = 10_000_000
 
 
@@ -93,19 +94,18 @@ class Results:
             raise InputError(f"there is no race {number} in {self.folder}; it holds races 0 to {len(self.rows) - 1}")
         return self.rows[number]
 
-    def contest(self, track: str, ego: str, opponent: str) -> Contest:
-        """Return the races of two competitors on a track, in the order of their ``race`` numbers.
+    def contest(self, row: Mapping[str, str]) -> Contest:
+        """Return all races of the pair, on the track and of the seed of a line; its ``race`` is its number in them.
 
         Raises
         ------
         InputError
             If the archive, the track or an agent is not what it was when the races were driven.
         """
-        row = next(row for row in self.rows if (row["track"], row["ego"], row["opponent"]) == (track, ego, opponent))
         try:
             if self.study is not None and not self.tournament:
-                return _of_study(self.study, track, ego, opponent, int(row["seed"]))
-            return self._of_tournament(track, ego, opponent)
+                return self._of_study(self.study, row)
+            return self._of_tournament(row["track"], row["ego"], row["opponent"])
         except (KeyError, TypeError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
@@ -119,15 +119,25 @@ class Results:
         InputError
             If it did not race here, or as :meth:`contest`.
         """
-        keys = dict.fromkeys((row["track"], row["ego"], row["opponent"]) for row in self.rows)
-        found = [key for key in keys if agent in key[1:]]
+        firsts = {tuple(row[key] for key in CELL): row for row in reversed(self.rows)}
+        found = [row for row in reversed(firsts.values()) if agent in (row["ego"], row["opponent"])]
         if not found:
-            names = sorted({name for key in keys for name in key[1:]})
+            names = sorted({row[car] for row in self.rows for car in ("ego", "opponent")})
             raise InputError(f"{agent!r} did not race in {self.folder}; there are {', '.join(names)}")
-        for key in found:
-            for car in (0, 1):
-                if key[1 + car] == agent:
-                    yield self.contest(*key), car
+        for row in found:
+            for car, name in enumerate((row["ego"], row["opponent"])):
+                if name == agent:
+                    yield self.contest(row), car
+
+    def _of_study(self, study: Study, row: Mapping[str, str]) -> Contest:
+        """Cells have variants and lines of their own, which all their lines together tell."""
+        cell = [line for line in self.rows if all(line[key] == row[key] for key in CELL)]
+        variants = [sorted({int(line[key]) for line in cell}) for key in ("ego_variant", "opponent_variant")]
+        lines = len(cell) // max(1, 2 * len(variants[0]) * len(variants[1]))
+        game, cars = study.game(row["track"]), (study.agent(row["ego"]), study.agent(row["opponent"]))
+        seed = int(row["seed"])
+        units = draw_units(game, *cars, egos=variants[0], opponents=variants[1], lines=lines, seed=seed)
+        return Contest(game, *cars, units.variants, units.starts, units.seeds)
 
     def _of_tournament(self, track: str, ego: str, opponent: str) -> Contest:
         settings, study = self.settings, self.study
@@ -178,7 +188,7 @@ def open_results(folder: str | Path) -> Results:
         raise InputError(f"can't read {file}: {error.strerror}; it is written when all races are driven") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{file} is damaged: {error}") from None
-    missing = {"track", "ego", "opponent", "race", "seed", "lead"} - set(rows[0] if rows else ())
+    missing = {*CELL, "race", "lead", "ego_variant", "opponent_variant", "start_s"} - set(rows[0] if rows else ())
     if missing:
         raise InputError(f"{file} holds no races with {', '.join(sorted(missing))}")
     return Results(place, manifest["settings"], rows, study, manifest["kind"] == "tournament")
@@ -203,13 +213,6 @@ def planned_contest(
 def _scheduled(game: RaceGame, cars: Sequence[Competitor], schedule: Schedule) -> Contest:
     variants = schedule.variants(variant_count(game, cars[0]), variant_count(game, cars[1]))
     return Contest(game, cars[0], cars[1], variants, schedule.starts, schedule.seeds)
-
-
-def _of_study(study: Study, track: str, ego: str, opponent: str, seed: int) -> Contest:
-    config = study.config
-    game, cars = study.game(track), (study.agent(ego), study.agent(opponent))
-    units = draw_units(game, *cars, egos=config.egos, opponents=config.variants, lines=config.lines, seed=seed)
-    return Contest(game, *cars, units.variants, units.starts, units.seeds)
 
 
 def _manifest(folder: Path) -> dict[str, Any] | None:

@@ -47,7 +47,7 @@ def test_every_race_of_a_tournament_is_found_again(folder):
     assert len(results.rows) == len(tournament.rows)
     for number in (0, 5, 11):
         row = results.row(number)
-        contest = results.contest(row["track"], row["ego"], row["opponent"])
+        contest = results.contest(row)
         recording = record_row(tournament, tournament.rows[number], candidates=False)
         race = int(row["race"])
         assert contest.seeds[race] == tournament.plan.schedules[0].seeds[race]
@@ -173,8 +173,10 @@ def study(saved, tmp_path_factory):
     study = Study(config, place, quiet=True)
     with claim_folder(place, "study", plain_settings(config)):
         game = study.game("Pipkin")
-        options = {"egos": 2, "opponents": 2, "lines": 2, "seed": 3}
-        cells = [play_cell(game, study.agent(arm), study.agent("lane-switcher"), **options) for arm in config.arms]
+        pairs, rival = {"egos": 2, "opponents": 2}, study.agent("lane-switcher")
+        cells = [play_cell(game, study.agent(arm), rival, lines=2, seed=3, **pairs) for arm in config.arms]
+        # A second table has the same pairs with other lines.
+        cells += [play_cell(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)]
         write_rows([row for cell in cells for row in cell.rows()], "paper", place / "results.csv")
         rivals = {name: study.agent(name) for name in config.rivals}
         plan = plan_tournament(load_track("Pipkin"), rivals, config.game, archive=saved, races_per_pair=2, seed=7)
@@ -186,13 +188,16 @@ def study(saved, tmp_path_factory):
 def test_races_of_a_study_are_found_again(study, capsys):
     place, cells = study
     results = open_results(place)
-    contest = results.contest("Pipkin", "always-aggressiveness+", "lane-switcher")
     units = cells[1].units
+    contest = results.contest(results.row(len(units)))
     assert contest.variants.tolist() == units.variants.tolist()
     assert contest.seeds.tolist() == units.seeds.tolist()
     assert contest.starts.s.tolist() == units.starts.s.tolist()
     assert main(["explain", str(place), str(len(units) + 3)]) == 0
     assert capsys.readouterr().out.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
+    assert main(["explain", str(place), str(2 * len(units) + 2)]) == 0
+    assert main(["explain", str(place), "--situations", "never-switch"]) == 0
+    assert "in 24 races" in capsys.readouterr().out
 
 
 def test_races_of_a_studys_ratings_are_found_again(study, capsys):
@@ -211,7 +216,7 @@ def test_settings_of_another_version_are_named(study, tmp_path, capsys):
 
 def test_rows_of_a_contest_keep_their_numbers(folder):
     place, tournament = folder
-    contest = open_results(place).contest("Pipkin", "random-moves", "never-switch")
     rows = [row for row in tournament.rows if (row.ego, row.opponent) == ("random-moves", "never-switch")]
+    contest = open_results(place).contest({"track": "Pipkin", "ego": "random-moves", "opponent": "never-switch"})
     assert [row.start_s for row in rows] == contest.starts.s.tolist()
     assert replace(tournament, rows=tuple(rows)).rows[0].race == 0

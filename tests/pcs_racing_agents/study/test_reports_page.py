@@ -30,11 +30,11 @@ def test_code_runs(number, capsys, tmp_path, monkeypatch):
 
 def as_results(cells) -> str:
     """The races of cells as the lines of a results.csv."""
-    lines = ["track,opponent,ego,winner,crash,fault,ego_variant,opponent_variant,start_s,side"]
+    lines = ["track,opponent,ego,winner,crash,fault,ego_variant,opponent_variant,start_s,side,seed"]
     for (track, opponent, arm), races in cells.items():
         for score, crash, own, ego, other, line, side in zip(*races, strict=True):
             outcome = ("ego" if score else "" if crash else "opponent", "car" if crash else "", "ego" if own else "")
-            lines.append(",".join(map(str, (track, opponent, arm, *outcome, ego, other, f"{line:.4f}", side))))
+            lines.append(",".join(map(str, (track, opponent, arm, *outcome, ego, other, f"{line:.4f}", side, 0))))
     return "\n".join(lines)
 
 

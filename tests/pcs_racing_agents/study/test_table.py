@@ -193,8 +193,8 @@ def test_races_that_were_driven_come_back_from_their_file(tmp_path, played):
     ],
 )
 def test_files_that_hold_no_races_are_refused(tmp_path, old, new, message):
-    text = "track,race,ego,opponent,winner,crash,fault,ego_variant,opponent_variant,start_s,side\n"
-    text += "Oval,0,a,b,,wall,ego,1,2,1.0000,0\n"
+    text = "track,race,ego,opponent,winner,crash,fault,ego_variant,opponent_variant,start_s,side,seed\n"
+    text += "Oval,0,a,b,,wall,ego,1,2,1.0000,0,7\n"
     path = tmp_path / "results.csv"
     path.write_text(text.replace(old, new))
     if message is None:
@@ -202,6 +202,17 @@ def test_files_that_hold_no_races_are_refused(tmp_path, old, new, message):
         return
     with pytest.raises(InputError, match=message):
         read_races(path)
+
+
+def test_tables_of_a_study_are_told_apart_by_their_seeds(tmp_path):
+    text = "track,race,ego,opponent,winner,crash,fault,ego_variant,opponent_variant,start_s,side,seed\n"
+    path = tmp_path / "results.csv"
+    path.write_text(text + "Oval,0,a,b,ego,,,1,2,1.0000,0,7\nOval,0,a,b,opponent,,,1,2,1.0000,0,107\n")
+    with pytest.raises(InputError, match="a raced b on Oval with seeds 7 and 107"):
+        read_races(path)
+    assert read_races(path, seeds=range(7, 9))["Oval", "b", "a"].score.tolist() == [1.0]
+    assert read_races(path, seeds=[107])["Oval", "b", "a"].score.tolist() == [0.0]
+    assert read_races(path, seeds=[3]) == {}
 
 
 def test_a_missing_file_is_named(tmp_path):
