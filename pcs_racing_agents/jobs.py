@@ -188,7 +188,8 @@ def _completed(
                 index = under_way.pop(future)
                 yield index, future.result()
     except (BrokenExecutor, CancelledError) as error:
-        raise JobError(f"a worker of {name} died ({str(error) or 'it was cancelled'}); {GO_ON}") from None
+        why = str(error) or "its tasks were cancelled"
+        raise JobError(f"{name} was cut short: a worker died or the cluster is gone ({why}); {GO_ON}") from None
     finally:
         for future in under_way:
             future.cancel()

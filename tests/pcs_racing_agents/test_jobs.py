@@ -249,7 +249,7 @@ def kill_yourself(task: int) -> dict[str, int]:
 def test_a_killed_worker_is_told_in_a_line_and_loses_nothing_that_is_done(tmp_path):
     with (
         open_job(tmp_path, "squares", SETTINGS) as job,
-        pytest.raises(JobError, match=r"a worker of square died .*what is done is kept"),
+        pytest.raises(JobError, match=r"square was cut short: a worker died .*what is done is kept"),
         make_executor("processes", 1) as executor,
     ):
         job.run("square", kill_yourself, range(8), executor=executor)
