@@ -197,7 +197,7 @@ def test_races_of_a_study_are_found_again(study, capsys):
     assert capsys.readouterr().out.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
     assert main(["explain", str(place), str(2 * len(units) + 2)]) == 0
     assert main(["explain", str(place), "--situations", "never-switch"]) == 0
-    assert "in 24 races" in capsys.readouterr().out
+    assert "24/24 races" in capsys.readouterr().err
 
 
 def test_races_of_a_studys_ratings_are_found_again(study, capsys):
