@@ -216,6 +216,8 @@ def make_table(
     for what, name in (("base", base), ("best", best), ("blind", blind)):
         if name is not None and name not in arms:
             raise InputError(f"{what} is {name!r}, which did not race; the arms are {', '.join(arms)}")
+    if best == blind:
+        blind = None  # it does not look at the race itself: there is no such gain
     rows = [
         _row(track, opponent, cells, [base, *(arm for arm in arms if arm != base)], best, blind, track in seen)
         for track, opponent in dict.fromkeys((track, opponent) for track, opponent, _ in cells)
@@ -253,7 +255,7 @@ def _row(
         low, high = max(mean.low, 0.0), min(mean.high, 1.0)
         shares = float(races.crash.mean()), float(races.own_crash.mean())
         results.append(ArmResult(arm, len(races.score), mean.mean, low, high, float(each.std(ddof=1)), *shares))
-    gain = difference(best, blind) if best in scores and blind in scores and best != blind else None
+    gain = difference(best, blind) if best in scores and blind in scores else None
     return TableRow(
         track=track,
         opponent=opponent,

@@ -123,6 +123,13 @@ def test_rows_may_lack_an_arm(cells):
     assert table_text(table)
 
 
+def test_a_blind_best_agent_has_no_adaptivity_gain(cells):
+    table = make_table(cells, best="best-fixed", blind="best-fixed")
+    assert table.blind is None
+    assert all(row.gain is None for row in table.rows)
+    assert "Adaptivity" not in table_text(table)
+
+
 def test_text_and_markdown_hold_every_number(table):
     for text in (table_text(table), table_markdown(table)):
         for row in table.rows:
