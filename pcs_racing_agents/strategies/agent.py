@@ -5,7 +5,7 @@ such a model may stand, too. An agent is a value: a function from what is seen t
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -241,6 +241,8 @@ def as_competitor(given: Any, name: str | None = None) -> Competitor:
         return Driver(name, given.policies, given.facts)
     if isinstance(given, Predictor):
         return Named(name, given)
+    if is_dataclass(given) and any(field.name == "name" for field in fields(given)):
+        return replace(given, name=name)
     raise InputError(f"{given!r} has a name of its own, {given.name!r}; it can't be called {name!r}")
 
 

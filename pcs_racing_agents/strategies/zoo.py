@@ -164,7 +164,7 @@ ZOO: dict[str, Entry] = {
     "receding-horizon": Entry(
         receding_horizon,
         "looks some steps ahead with the simulator at every decision, and solves the small game that it finds there",
-        "beyond the paper: its limitation to few decisions; model predictive game playing",
+        "receding horizon control, for the paper's first limitation: trees too deep for many decisions",
     ),
     "random-policy": Entry(
         drivers.random_policy,
