@@ -239,6 +239,7 @@ def ratings_picture(ratings: Ratings) -> Any:
             axes.plot(ends, [-place] * 2, color=COLOURS[0], lw=2.0, solid_capstyle="butt")
         axes.plot(ratings.elo[i], -place, "o", color=COLOURS[0], ms=6)
     axes.set_yticks([-place for place in range(len(order))], [short(ratings.names[i]) for i in order])
+    axes.set_ylim(-len(order) + 0.4, 0.6)
     axes.set_xlabel("rating (Bradley-Terry; 400 are odds of ten to one; mean 0)")
     tidy(axes, "x")
     return figure

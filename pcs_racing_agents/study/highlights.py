@@ -1,5 +1,6 @@
 """Races of a study that are worth watching: a win by switching, a loss, a crash; chosen by rule, not by taste."""
 
+from importlib.util import find_spec
 from typing import NamedTuple
 
 import numpy as np
@@ -24,11 +25,14 @@ class Watched(NamedTuple):
     text : str
         What happened, in words; may be empty.
     replay : Replay
+    picture : bytes
+        The moves, as :func:`pcs_racing_agents.explaining.pictures.explanation_picture` draws them, SVG; may be empty.
     """
 
     title: str
     text: str
     replay: Replay
+    picture: bytes = b""
 
 
 def telling_races(agent: Cell, base: Cell) -> dict[str, int]:
@@ -109,7 +113,13 @@ def watch_race(
         seed=int(units.seeds[race]),
         candidates=candidates,
     )
-    return Watched(title, story(explanation), explanation.replay)
+    picture = b""
+    if find_spec("matplotlib") is not None:
+        from pcs_racing_agents.explaining.pictures import explanation_picture
+        from pcs_racing_agents.picture_style import picture_bytes
+
+        picture = picture_bytes(explanation_picture(explanation))
+    return Watched(title, story(explanation), explanation.replay, picture)
 
 
 def _median(races: NDArray[np.intp], lead: NDArray[np.float64]) -> int:

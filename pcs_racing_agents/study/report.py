@@ -219,11 +219,13 @@ def _races(content: ReportContent) -> Iterator[str]:
     for race in content.races:
         yield f"<h3>{html.escape(race.title)}</h3>"
         yield (
-            f'<iframe sandbox="allow-scripts" loading="lazy" title="{html.escape(race.title)}" '
+            f'<iframe sandbox="allow-scripts" title="{html.escape(race.title)}" '
             f'srcdoc="{html.escape(replay_page(race.replay))}"></iframe>'
         )
         if race.text:
             yield f"<pre>{html.escape(race.text)}</pre>"
+        if race.picture:
+            yield image(race.picture, "What was seen and done: numbers are moves, blue is car 0, orange car 1.")
 
 
 def _archive(content: ReportContent) -> Iterator[str]:
