@@ -25,15 +25,19 @@ from pcs_racing_agents.synthesis.evaluate import draw_scenarios, evaluate
 from pcs_racing_agents.synthesis.explored import Scale
 from pcs_racing_agents.synthesis.indicators import hypervolume
 
-VARIANTS: dict[str, tuple[int, ...]] = {"fixed": (), "refreshed once": (12,), "refreshed three times": (6, 12, 18)}
+VARIANTS: dict[str, tuple[float, ...]] = {  # parts of the generations after which opponents are replaced
+    "fixed": (),
+    "refreshed once": (1 / 2,),
+    "refreshed three times": (1 / 4, 1 / 2, 3 / 4),
+}
 OTHER_RUN = 1000  # seed of the archive that the competitive opponents come from
 
 
-def configuration(preset: str, seed: int, refresh: tuple[int, ...]) -> ArchiveConfig:
+def configuration(preset: str, seed: int, generations: int, refresh: tuple[float, ...] = ()) -> ArchiveConfig:
     return ArchiveConfig(
         preset=preset,
         tracks=("Tarnfjord", "Vellindra", "Kestrelheim"),
-        generations=26,
+        generations=generations,
         population=20,
         scouts=40,
         opponents=4,
@@ -47,7 +51,7 @@ def configuration(preset: str, seed: int, refresh: tuple[int, ...]) -> ArchiveCo
         final_starts=1,
         fewest=10,
         most=60,
-        refresh_generations=refresh,
+        refresh_generations=tuple(1 + int(part * generations) for part in refresh),
         seed=seed,
     )
 
@@ -56,38 +60,43 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--preset", default="paper", choices=("paper", "contest"))
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--generations", type=int, default=26, help="of 20 policies, after 40 at random (default: 26)")
+    parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
     parser.add_argument("--out", type=Path, default=Path("out/opponent_refresh"))
     add_executor_options(parser)
     arguments = parser.parse_args()
+    if "fixed" not in arguments.variants:
+        parser.error("--variants must name fixed, which the others are compared with")
     family = get_planner("lattice")
     with executor_from(arguments) as executor:
 
         def made(seed: int, variant: str):  # type: ignore[no-untyped-def]
             folder = arguments.out / arguments.preset / f"{variant.replace(' ', '-')}-{seed}"
-            return make_archive(configuration(arguments.preset, seed, VARIANTS[variant]), folder, executor=executor)
+            config = configuration(arguments.preset, seed, arguments.generations, VARIANTS[variant])
+            return make_archive(config, folder, executor=executor)
 
         other = made(OTHER_RUN, "fixed")
-        first = configuration(arguments.preset, OTHER_RUN, ())
+        first = configuration(arguments.preset, OTHER_RUN, arguments.generations)
         held_out = {
             "random": draw_policies(family, 8, np.random.SeedSequence(OTHER_RUN + 1)),
             "competitive": other.parameters[select_diverse(other, 8, "map")],
         }
         random_policies = draw_policies(family, 80, np.random.SeedSequence(OTHER_RUN + 2))
         found: dict[tuple[str, str], list[float]] = {}
-        sizes: dict[str, list[int]] = {variant: [] for variant in VARIANTS}
+        sizes: dict[str, list[int]] = {variant: [] for variant in arguments.variants}
         for kind, opponents in held_out.items():
             rules = replace(first.rules, duration=16.0)
             races = draw_scenarios(first.tracks, rules, opponents, first.axes, starts=1, seed=OTHER_RUN + 3)
             alike = evaluate(races, random_policies, executor=executor).coordinates
             scale = Scale(alike.max(axis=0), alike.min(axis=0))
-            for variant in VARIANTS:
+            for variant in arguments.variants:
                 for seed in range(arguments.seeds):
                     archive = made(seed, variant)
                     points = evaluate(races, archive.parameters, executor=executor).coordinates
                     found.setdefault((kind, variant), []).append(hypervolume(scale(points), REFERENCE))
                     if kind == "random":
                         sizes[variant].append(len(archive.explored.parameters))
-    print(f"preset {arguments.preset}, {arguments.seeds} seeds; hypervolume on held-out opponents\n")
+    print(f"preset {arguments.preset}, {arguments.seeds} seeds, {arguments.generations} generations of 20\n")
     print("| opponents held out | variant | policies raced | median | lowest | highest | mean gain over fixed (95 %) |")
     print("|---|---|---|---|---|---|---|")
     for (kind, variant), volumes in found.items():
