@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,9 +43,12 @@ def write_report(study: Study) -> None:
 def study_table(study: Study, played: Sequence[StudyCell], name: str) -> StudyTable:
     """Compare the arms of one of the study's tables."""
     raced = {(f.track, f.opponent, f.arm): cell_races(f.cell) for f in played if f.table == name}
-    return make_table(
-        raced, base=study.config.arms[0], best=study.config.best, blind=best_blind(study), seen=study.config.circuits
-    )
+    config = study.config
+    table = make_table(raced, base=config.arms[0], best=config.best, blind=best_blind(study), seen=config.circuits)
+    if config.game.race.name == "paper":
+        return table
+    # In another race than the paper's there is nothing to put the paper's figures beside.
+    return replace(table, rows=tuple(replace(row, paper=None) for row in table.rows))
 
 
 def best_blind(study: Study) -> str | None:
