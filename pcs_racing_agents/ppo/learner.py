@@ -14,6 +14,7 @@ import numpy as np
 
 from pcs_racing.errors import InputError
 from pcs_racing_agents.chunk_files import Arrays
+from pcs_racing_agents.planners.network import INPUTS
 from pcs_racing_agents.ppo.layers import Layers
 from pcs_racing_agents.ppo.parts import Part
 from pcs_racing_agents.ppo.plain_state import pack, unpack
@@ -122,8 +123,14 @@ def make_learner(settings: Settings, parts: Sequence[Part], seed: int, activatio
         "net_arch": {"pi": list(settings.hidden), "vf": list(settings.value_hidden)},
         "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[activation],
     }
+    smooth: dict[str, Any] = {}
     if isinstance(settings, DriveSettings):
-        policy["log_std_init"] = float(np.log(settings.noise))
+        noise = settings.noise
+        if settings.noise_steps:
+            # One deviation for each neuron of the last hidden layer, whose outputs are about a half in size.
+            noise /= 0.5 * np.sqrt(settings.hidden[-1] if settings.hidden else len(INPUTS))
+            smooth = {"use_sde": True, "sde_sample_freq": settings.noise_steps}
+        policy["log_std_init"] = float(np.log(noise))
     seen = settings.rollout * envs.num_envs
     batches = -(-seen // settings.batch_size)
     with warnings.catch_warnings():  # of batches of unequal size: the last is hardly smaller
@@ -144,6 +151,7 @@ def make_learner(settings: Settings, parts: Sequence[Part], seed: int, activatio
             max_grad_norm=settings.max_gradient,
             policy_kwargs=policy,
             device="cpu",
+            **smooth,
         )
     model.set_logger(Logger(None, []))
     return Learner(model, rate, limit)

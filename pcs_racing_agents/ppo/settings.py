@@ -182,6 +182,9 @@ class DriveSettings(Settings):
         What a crash by own fault costs, m.
     noise : float
         Standard deviation with which actions (before their ``tanh``) are explored at first.
+    noise_steps : int
+        Steps for which exploration goes in one direction, as a function of the situation (gSDE, Raffin et al. 2021); 0
+        draws independent noise in each step.
     """
 
     level: str = "drive"
@@ -194,6 +197,7 @@ class DriveSettings(Settings):
     leading: float = 2.0
     crash_penalty: float = 10.0
     noise: float = 0.5
+    noise_steps: int = 0
     discount: float = 0.998
     reward_scale: float = 0.1
     steps: int = 5_000_000
@@ -203,7 +207,7 @@ class DriveSettings(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_texts(self, "races")
-        check_wholes(self, hold=(2, 100))
+        check_wholes(self, hold=(2, 100), noise_steps=(0, 10_000))
         if self.hold % 2:
             raise ConfigError(f"hold is {self.hold}; it must be even: drivers are asked every second simulation step")
         check_numbers(

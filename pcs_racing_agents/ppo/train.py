@@ -6,66 +6,26 @@ seconds. A training that was stopped therefore ends with the same weights, to th
 machine and versions; torch promises no more).
 """
 
-import logging
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
-
-from pcs_racing.errors import InputError
-from pcs_racing_agents.chunk_files import Arrays, fingerprint, read_chunk, write_chunk
+from pcs_racing.files import write_atomically
+from pcs_racing_agents.chunk_files import fingerprint
 from pcs_racing_agents.configuration import plain_settings
-from pcs_racing_agents.jobs import JobError, Progress, open_job
+from pcs_racing_agents.jobs import Progress, open_job
 from pcs_racing_agents.ppo.curves import Curve, write_curve
 from pcs_racing_agents.ppo.layers import Layers
-from pcs_racing_agents.ppo.learner import (
-    FIGURES,
-    Learner,
-    actor_layers,
-    check_packages,
-    learn_once,
-    make_learner,
-    own_randomness,
-    restore_learner,
-    store_learner,
-)
-from pcs_racing_agents.ppo.parts import Part
+from pcs_racing_agents.ppo.learner import FIGURES, check_packages, own_randomness
+from pcs_racing_agents.ppo.level import Level, make_level
 from pcs_racing_agents.ppo.scores import Cell, Score, total
-from pcs_racing_agents.ppo.settings import DuelSettings, Settings, load_ppo_settings
+from pcs_racing_agents.ppo.seed_run import SeedRun, train_seed
+from pcs_racing_agents.ppo.settings import Settings, load_ppo_settings
 
-__all__ = ["Level", "Trained", "make_level", "train_ppo"]
+__all__ = ["Trained", "train_ppo"]
 
 CHECKPOINT_SECONDS = 20.0
-
-_log = logging.getLogger("pcs_racing_agents")
-
-
-class Level(Protocol):
-    """What there is to learn: :class:`pcs_racing_agents.ppo.duels.DuelLevel` or its sibling for driving."""
-
-    activation: str
-    limit: float
-    unit: str
-
-    @property
-    def default_name(self) -> str:
-        """Name under which the result is looked for."""
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """What the results depend on beside the settings."""
-
-    def parts(self) -> Sequence[Part]:
-        """Make the environments to learn from."""
-
-    def judge(self, layers: Layers) -> dict[Cell, Score]:
-        """Race without exploring, and count what comes of it."""
-
-    def save(self, layers: Layers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
-        """Write a policy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,23 +61,6 @@ class Trained:
     scores: Mapping[Cell, Score]
     seconds: float
     folder: Path
-
-
-def make_level(settings: Settings) -> Level:
-    """Load circuits, archive and opponents, and check that they fit together.
-
-    Raises
-    ------
-    InputError
-        If one of them is unknown, or they do not fit.
-    """
-    if isinstance(settings, DuelSettings):
-        from pcs_racing_agents.ppo.duels import duel_level
-
-        return duel_level(settings)
-    from pcs_racing_agents.ppo.drives import drive_level
-
-    return drive_level(settings)  # type: ignore[arg-type]
 
 
 def train_ppo(
@@ -168,7 +111,7 @@ def train_ppo(
         runs = []
         for number, seed in enumerate(settings.seeds):
             path = job.folder / f"seed-{seed}.npz"
-            run = _train_seed(
+            run = train_seed(
                 level, settings, seed, path, fingerprint(identity, seed), checkpoint_seconds, progress, number
             )
             runs.append(run)
@@ -191,145 +134,10 @@ def train_ppo(
     return trained
 
 
-# One seed
-
-
-@dataclass
-class _Run:
-    """A training under way; all of it is in the checkpoint."""
-
-    seed: int
-    learner: Learner
-    weights: Mapping[str, int]
-    steps: list[int] = field(default_factory=list)
-    scores: list[dict[Cell, Score]] = field(default_factory=list)
-    updates: list[tuple[float, ...]] = field(default_factory=list)
-    best_at: int = 0
-    best: Layers = field(default_factory=lambda: Layers((), ()))
-    seconds: float = 0.0
-    finished: bool = False
-
-    @property
-    def curve(self) -> Curve:
-        return Curve(self.seed, tuple(self.steps), tuple(self.scores))
-
-    @property
-    def best_worth(self) -> float:
-        return total(self.scores[self.best_at], self.weights).worth
-
-    def judge(self, level: Level) -> None:
-        """Add an evaluation, and keep the weights if none was better."""
-        layers = actor_layers(self.learner)
-        self.steps.append(self.learner.model.num_timesteps)
-        self.scores.append(level.judge(layers))
-        worth = total(self.scores[-1], self.weights).worth
-        if len(self.scores) == 1 or worth > self.best_worth:
-            self.best_at, self.best = len(self.scores) - 1, layers
-
-    def store(self) -> Arrays:
-        arrays = {
-            "curve.steps": np.array(self.steps, np.int64),
-            "curve.cells": np.array([list(cell) for cell in self.scores[0]], np.str_),
-            "curve.scores": np.array([[list(score) for score in scores.values()] for scores in self.scores]),
-            "updates": np.array(self.updates, np.float64),
-            "best_at": np.array(self.best_at),
-            "seconds": np.array(self.seconds),
-            "finished": np.array(self.finished),
-        }
-        for key, values in self.best._asdict().items():
-            arrays |= {f"best.{key}.{i}": value for i, value in enumerate(values)}
-        return arrays | {f"learner.{key}": value for key, value in store_learner(self.learner).items()}
-
-    def restore(self, arrays: Arrays) -> None:
-        cells = [Cell(*(str(text) for text in row)) for row in arrays["curve.cells"]]
-        self.steps = arrays["curve.steps"].tolist()
-        self.scores = [
-            {cell: Score(int(row[0]), *row[1:].tolist()) for cell, row in zip(cells, rows, strict=True)}
-            for rows in arrays["curve.scores"]
-        ]
-        self.updates = [tuple(row) for row in arrays["updates"].tolist()]
-        self.best_at, self.seconds = int(arrays["best_at"]), float(arrays["seconds"])
-        self.finished = bool(arrays["finished"])
-        count = sum(key.startswith("best.weights.") for key in arrays)
-        self.best = Layers(*(tuple(arrays[f"best.{key}.{i}"] for i in range(count)) for key in Layers._fields))
-        prefix = "learner."
-        restore_learner(
-            self.learner, {key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)}
-        )
-
-
-def _train_seed(
-    level: Level,
-    settings: Settings,
-    seed: int,
-    path: Path,
-    mark: str,
-    checkpoint_seconds: float,
-    progress: Progress | None,
-    number: int,
-) -> _Run:
-    """Train with one seed, from the start or from its checkpoint."""
-    learner = make_learner(settings, level.parts(), seed, level.activation, level.limit)
-    run = _Run(seed, learner, settings.opponents)
-    arrays = _checkpoint(path, mark)
-    if arrays is not None:
-        run.restore(arrays)
-    begin, before = time.monotonic(), run.seconds
-    kept = begin
-    everything = settings.steps * len(settings.seeds)
-
-    def tell(what: str) -> None:
-        steps = settings.steps if run.finished else min(learner.model.num_timesteps, settings.steps)
-        if progress is not None:
-            progress(number * settings.steps + steps, everything, f"seed {seed}, {what}")
-
-    if not run.scores:
-        run.judge(level)
-    what = f"worth {total(run.scores[-1], run.weights).worth:.3f}"
-    tell(what)
-    while not run.finished:
-        figures = learn_once(learner)
-        steps = learner.model.num_timesteps
-        run.updates.append((float(steps), *figures.values()))
-        # An evaluation is due where a multiple of the interval was crossed, and at the end.
-        if steps // settings.evaluate_every > run.steps[-1] // settings.evaluate_every or steps >= settings.steps:
-            run.judge(level)
-            what = f"worth {total(run.scores[-1], run.weights).worth:.3f}"
-        since = len(run.scores) - 1 - run.best_at
-        run.finished = steps >= settings.steps or (0 < settings.patience <= since)
-        now = time.monotonic()
-        run.seconds = before + now - begin
-        if run.finished or now - kept >= checkpoint_seconds:
-            _write_checkpoint(path, run.store(), mark)
-            kept = now
-        tell(what)
-    return run
-
-
-def _checkpoint(path: Path, mark: str) -> Arrays | None:
-    """Read a checkpoint; None if there is none, or it is damaged, which is told."""
-    if not path.exists():
-        return None
-    try:
-        return read_chunk(path, mark)
-    except InputError as error:
-        _log.warning("%s; this seed begins again", error)
-        return None
-
-
-def _write_checkpoint(path: Path, arrays: Arrays, mark: str) -> None:
-    try:
-        write_chunk(path, arrays, mark)
-    except OSError as error:
-        raise JobError(f"can't write {path}: {error.strerror}; mend that and start the same again to go on") from None
-
-
 # What is told of it
 
 
-def _write_updates(runs: Sequence[_Run], file: Path) -> None:
-    from pcs_racing.files import write_atomically
-
+def _write_updates(runs: Sequence[SeedRun], file: Path) -> None:
     rows = [",".join(("seed", "steps", *FIGURES, "reward"))]
     rows += [
         f"{run.seed},{int(row[0])},{','.join(f'{value:.6g}' for value in row[1:])}"

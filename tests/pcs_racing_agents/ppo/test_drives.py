@@ -13,9 +13,9 @@ from pcs_racing_agents.ppo.driver import driver_planner, flat_weights, learning_
 from pcs_racing_agents.ppo.drives import Drives
 from pcs_racing_agents.ppo.layers import Layers
 from pcs_racing_agents.ppo.learner import actor_layers, make_learner, own_randomness
+from pcs_racing_agents.ppo.level import make_level
 from pcs_racing_agents.ppo.parts import part_seeds, split_envs
 from pcs_racing_agents.ppo.scores import total
-from pcs_racing_agents.ppo.train import make_level
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 from pcs_racing import InputError
 from pcs_racing.errors import ConfigError, UnknownNameError
 from pcs_racing_agents.configuration import shipped_configs
+from pcs_racing_agents.ppo.level import make_level
 from pcs_racing_agents.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
-from pcs_racing_agents.ppo.train import make_level
 
 
 def test_shipped_settings_are_those_of_the_two_levels():

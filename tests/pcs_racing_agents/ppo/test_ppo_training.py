@@ -72,9 +72,9 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained,
 
 
 def test_a_finished_training_is_only_read(settings, trained, monkeypatch):
-    import pcs_racing_agents.ppo.train as train
+    import pcs_racing_agents.ppo.seed_run as seed_run
 
-    monkeypatch.setattr(train, "learn_once", None)
+    monkeypatch.setattr(seed_run, "learn_once", None)
     again = train_ppo(settings["drive"], trained["drive"].folder.parent)
     assert again.curves == trained["drive"].curves
 

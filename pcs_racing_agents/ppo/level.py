@@ -1,0 +1,54 @@
+"""What there is to learn: the two levels behind one protocol."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from pcs_racing_agents.ppo.layers import Layers
+from pcs_racing_agents.ppo.parts import Part
+from pcs_racing_agents.ppo.scores import Cell, Score
+from pcs_racing_agents.ppo.settings import DuelSettings, Settings
+
+__all__ = ["Level", "make_level"]
+
+
+class Level(Protocol):
+    """What there is to learn: :class:`pcs_racing_agents.ppo.duels.DuelLevel` or its sibling for driving."""
+
+    activation: str
+    limit: float
+    unit: str
+
+    @property
+    def default_name(self) -> str:
+        """Name under which the result is looked for."""
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What the results depend on beside the settings."""
+
+    def parts(self) -> Sequence[Part]:
+        """Make the environments to learn from."""
+
+    def judge(self, layers: Layers) -> dict[Cell, Score]:
+        """Race without exploring, and count what comes of it."""
+
+    def save(self, layers: Layers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
+        """Write a policy."""
+
+
+def make_level(settings: Settings) -> Level:
+    """Load circuits, archive and opponents, and check that they fit together.
+
+    Raises
+    ------
+    InputError
+        If one of them is unknown, or they do not fit.
+    """
+    if isinstance(settings, DuelSettings):
+        from pcs_racing_agents.ppo.duels import duel_level
+
+        return duel_level(settings)
+    from pcs_racing_agents.ppo.drives import drive_level
+
+    return drive_level(settings)  # type: ignore[arg-type]
