@@ -48,7 +48,7 @@ DECISIONS = {
 
 NETWORK_TARGET = "static-q"
 NOISES = 4  # courses of the noise to imagine, where there is noise
-MAX_LEAVES = 400_000
+MAX_LEAVES = 100_000
 STATES = 20_000  # of games held in memory at a time, about 3 kB each
 
 

@@ -4,7 +4,7 @@ from zoo_games import untrained
 
 import pcs_racing_agents
 from pcs_racing import InputError, UnknownNameError, make_game
-from pcs_racing_agents.strategies import Agent, Driver, make, names, parse_agent, register_agent, zoo
+from pcs_racing_agents.strategies import Agent, Decider, Driver, make, names, parse_agent, register_agent, zoo
 from pcs_racing_agents.strategies.agents import always, random_moves
 from pcs_racing_agents.strategies.zoo import ZOO, build, entries, options
 
@@ -32,6 +32,9 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
         assert made.name == name
         if isinstance(made, Driver):
             assert name in ("random-policy", "lane-switcher", "gap-follower", "pure-pursuit")
+            continue
+        if name == "receding-horizon":
+            assert isinstance(made, Decider)
             continue
         assert isinstance(made, Agent)
         for rows in seen[:-1]:
