@@ -96,9 +96,7 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
     moves = {0: (0, 1), 1: (0, -1), 2: (1, 1), 3: (1, -1)}  # aggressiveness +, -, restraint +, -
     for step in range(5):
         if step > 0:
-            policy = np.array(
-                [archive.move(p, *moves[a], 0.5) for p, a in zip(policy, actions[step - 1], strict=True)]
-            )
+            policy = np.array([archive.move(p, *moves[a], 0.5) for p, a in zip(policy, actions[step - 1], strict=True)])
         before = race.copy()
         advance(setup, race, np.ascontiguousarray(archive.parameters[policy][None]), 800)
         seen = measure(Segment.between(before, race, 8.0), axes)[0]

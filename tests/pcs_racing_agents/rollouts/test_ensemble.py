@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ def network(seed: int, hidden: tuple[int, ...] = (5, 4), clipped: bool = False) 
         identity=GAME,
         target="advantage",
         clipped=clipped,
-        weights=tuple(rng.normal(size=(b, a)).astype(np.float32) for a, b in zip(sizes, sizes[1:], strict=False)),
+        weights=tuple(rng.normal(size=(b, a)).astype(np.float32) for a, b in pairwise(sizes)),
         biases=tuple(rng.normal(size=b).astype(np.float32) for b in sizes[1:]),
         mean=rng.normal(size=3).astype(np.float32),
         scale=rng.uniform(0.5, 2.0, 3).astype(np.float32),
