@@ -205,10 +205,11 @@ def test_the_shipped_archive_is_sound():
     default = load_archive("default")
     assert load_archive(default) is default
     assert load_archive(shipped_folder() / "default").name == default.name == "default"
-    assert len(default) >= 12
+    assert len(default) >= 40
     assert default.characteristics == AXES
     assert len(default.explored_parameters) > 100
-    assert "random search" in default.settings["method"]  # provisional, and says so
+    assert default.settings["method"] == "mo-cma-es"
+    assert {"default", "contest"} <= set(list_archives())
 
 
 @pytest.mark.parametrize(
