@@ -174,6 +174,23 @@ def test_noise_is_averaged_over(noisy, game, archive, setting):
     np.testing.assert_array_equal(once, twice)
 
 
+def test_of_races_won_alike_the_clearer_one(game, archive):
+    """Where only winning counts, the lead decides between equals, and never more."""
+    winning = replace(game, config=replace(game.config, utility="win"))
+    agent = receding_horizon(make_setting(archive, winning.config))
+    state = some_games(winning, moves=3)
+    values = agent.root_games(winning, state, 0)[0][:, :, 0]
+    guess = guess_games(winning, winning, state, 0, state.race.seed)
+    ends = [winning.step(guess, np.tile([move, STAY], (6, 1))) for move in range(5)]
+    won = np.stack([winning.utility(end)[:, 0] for end in ends], axis=1)
+    lead = np.stack([end.race.lead for end in ends], axis=1)
+    np.testing.assert_array_equal(np.round(values), won)
+    chosen = agent.decide(winning, state, 0)
+    for row in np.flatnonzero(~winning.done(state)):
+        assert won[row, chosen[row]] == won[row].max()
+        assert lead[row, chosen[row]] >= lead[row, won[row] == won[row].max()].max() - 1e-5
+
+
 def test_matches_with_agents_and_drivers(noisy, archive):
     """On both sides, against who moves and who brings another planner; and again to the same bits."""
     setting = make_setting(archive, NOISY)
