@@ -73,7 +73,7 @@ class Drives:
     rivalry : float
         Share of the opponent's progress that is taken off the own one.
     leading : float
-        What a second in front is worth, and one behind costs, m.
+        What a second in front is worth, m.
     crash_penalty : float
         What a crash by own fault costs, m.
     """
@@ -120,7 +120,7 @@ class Drives:
     def step(self, actions: NDArray[Any]) -> PartStep:
         """Drive every race one step on; ``actions`` has shape (n, 2)."""
         _, rewards, terminated, truncated = self.batch.step(np.tanh(actions.astype(np.float64)))
-        rewards += self._leading * np.sign(self.batch.state.lead)
+        rewards += self._leading * (self.batch.state.lead > 0.0)
         seen = self._observe(self._rows, np.empty((len(self), len(INPUTS)), np.float32))
         last = seen
         over = np.flatnonzero(terminated | truncated)

@@ -177,7 +177,7 @@ class DriveSettings(Settings):
         Share of the opponent's progress that is taken off the own one in the reward: 0 for a lap record, 1 for nothing
         but the lead.
     leading : float
-        What a second in front is worth in the reward, and one behind costs, m.
+        What a second in front is worth in the reward, m. (Were one behind to cost, a crash would be a way out.)
     crash_penalty : float
         What a crash by own fault costs, m.
     noise : float

@@ -113,7 +113,7 @@ def test_rewards_are_progress_less_a_share_of_the_opponents(track):
         going = ~(step.terminated | step.truncated)
         driven = part.batch.state.progress - before
         np.testing.assert_allclose(
-            step.rewards[going], driven[going] @ [1.0, -0.5] + 0.3 * np.sign(part.batch.state.lead[going]), atol=1e-12
+            step.rewards[going], driven[going] @ [1.0, -0.5] + 0.3 * (part.batch.state.lead[going] > 0.0), atol=1e-12
         )
         crashes += int(step.terminated.sum())
         assert (step.rewards[step.terminated] < -4.0).all()  # straight on into a wall: by own fault

@@ -1,5 +1,7 @@
 import pickle
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from pcs_racing_agents.strategies import Decider, make_setting, parse_agent
 from pcs_racing_agents.strategies.agent import competitor_hash
 from pcs_racing_agents.strategies.agents import never_switch, random_moves
 from pcs_racing_agents.strategies.lookahead import guess_games, look_ahead, merge_histories, root_games, search_game
-from pcs_racing_agents.strategies.receding_horizon import receding_horizon
+from pcs_racing_agents.strategies.receding_horizon import LEAVES, OPPONENTS, receding_horizon
 from pcs_racing_agents.strategies.zoo import build
 from pcs_racing_agents.tournament import play_games
 
@@ -271,3 +273,14 @@ def test_games_that_it_is_not_made_for(game, setting):
     state = outside.reset(games=2, opponents=driver)
     with pytest.raises(InputError, match="is to move car 1 of game 0, which is driven from outside the archive"):
         agent.decide(outside, state, 1)
+
+
+def test_the_page(tmp_path, monkeypatch):
+    page = (Path(__file__).resolve().parents[3] / "docs" / "receding_horizon.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, "docs/receding_horizon.md", "exec"), {"__name__": "snippet"})
+    for option in (*LEAVES, *OPPONENTS):
+        assert f'"{option}"' in page
