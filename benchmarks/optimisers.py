@@ -197,7 +197,7 @@ def draw(curves: dict[str, dict[str, Floats]], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def race(seeds: int, track: str) -> None:
+def race(seeds: int, track: str, generations: int) -> None:
     """Print the same comparison for policies of the lattice planner: aggressiveness and restraint."""
     from dataclasses import replace
 
@@ -205,7 +205,7 @@ def race(seeds: int, track: str) -> None:
     from pcs_racing.registry import get_planner
     from pcs_racing_agents.synthesis.evaluate import draw_scenarios, evaluate
 
-    population, generations, crashes = 25, 16, 0.1
+    population, crashes = 25, 0.1
     family = get_planner("lattice")
     config = replace(load_race_config("paper"), duration=16.0)
     axes = ("aggressiveness", "restraint")
@@ -261,12 +261,13 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, default=None)
     parser.add_argument("--race", action="store_true", help="compare on the race instead")
     parser.add_argument("--track", default="Vellindra", help="circuit of --race")
+    parser.add_argument("--generations", type=int, default=16, help="of 25 policies, in --race (default: 16)")
     parser.add_argument("--overhead", action="store_true", help="measure the methods' own time instead")
     arguments = parser.parse_args()
     if arguments.overhead:
         overhead()
     elif arguments.race:
-        race(arguments.seeds, arguments.track)
+        race(arguments.seeds, arguments.track, arguments.generations)
     else:
         functions(arguments.seeds, arguments.workers, arguments.picture)
 
