@@ -5,7 +5,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 
-.PHONY: help demo test lint types benchmarks clean
+.PHONY: help demo test lint types benchmarks docs release wheel-test clean
 
 help:
 	@echo "make demo        the paper's study in small: trees, networks, races, a report to look at (under 5 minutes)"
@@ -13,6 +13,9 @@ help:
 	@echo "make lint        style, and the format of the code"
 	@echo "make types       static types"
 	@echo "make benchmarks  every figure of the documentation, measured again"
+	@echo "make docs        the documentation's site, in out/docs; a warning is an error"
+	@echo "make release     sdist and wheel, in dist, built and checked"
+	@echo "make wheel-test  the wheel in a clean environment: base, extras, the quick study (some minutes)"
 	@echo "make clean       remove results and caches, but not $(VENV)"
 
 demo: $(VENV)/base.stamp
@@ -34,8 +37,20 @@ types: $(VENV)/test.stamp
 benchmarks: $(VENV)/test.stamp
 	@for script in benchmarks/*.py; do echo "== $$script"; $(RUN) "$$script" || exit 1; done
 
+docs: $(VENV)/docs.stamp
+	$(RUN) -m sphinx --fail-on-warning --keep-going --builder html --doctree-dir out/doctrees docs out/docs
+	@echo "out/docs/index.html"
+
+release: $(VENV)/release.stamp
+	rm -rf dist
+	$(RUN) -m build
+	$(RUN) -m twine check --strict dist/*
+
+wheel-test: release
+	$(RUN) tools/try_wheel.py dist/*.whl --demo
+
 clean:
-	rm -rf out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf out build dist docs/generated .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path "./$(VENV)/*" -prune -exec rm -rf {} +
 
 # The stamps keep pip from running again until pyproject.toml changes.
@@ -53,3 +68,11 @@ $(VENV)/test.stamp: pyproject.toml | $(RUN)
 	@echo "installing into $(VENV), PyTorch included (some minutes, once)"
 	$(PIP) --editable ".[test,lint]"
 	@touch $@ $(VENV)/base.stamp
+
+$(VENV)/docs.stamp: pyproject.toml | $(RUN)
+	$(PIP) --editable ".[docs]"
+	@touch $@
+
+$(VENV)/release.stamp: pyproject.toml | $(RUN)
+	$(PIP) --editable ".[release]"
+	@touch $@

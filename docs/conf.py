@@ -1,0 +1,50 @@
+"""Settings of the documentation's site: ``make docs`` builds it into ``out/docs``."""
+
+import os
+import sys
+import tomllib
+from importlib.util import find_spec
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+os.environ["NUMBA_DISABLE_JIT"] = "1"  # compiled functions are then functions, with their signatures
+
+import site_pages  # noqa: E402
+
+project = "pcs-racing"
+author = "the founders of pcs-racing"
+copyright = f"2026, {author}"  # noqa: A001
+release = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+version = release
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+exclude_patterns = ["_build", "images", "__pycache__"]
+myst_heading_anchors = 3
+myst_enable_extensions = ["colon_fence", "deflist"]
+suppress_warnings = ["myst.header"]  # a page's only heading may be any level
+
+autodoc_member_order = "bysource"
+autodoc_mock_imports = [name for name in ("stable_baselines3", "torch") if find_spec(name) is None]
+autodoc_typehints = "none"  # the docstrings say them, with shapes and units
+napoleon_google_docstring = False
+napoleon_use_param = False
+napoleon_use_rtype = False
+napoleon_custom_sections = [("Attributes", "params_style")]
+
+html_theme = "furo"
+html_title = f"pcs-racing {release}"
+html_static_path: list[str] = []
+html_copy_source = False
+html_theme_options = {"navigation_with_keys": True}
+copybutton_exclude = ".linenos, .gp, .go"
+pygments_style = "friendly"
+pygments_dark_style = "monokai"
+
+site_pages.write(HERE)
+
+
+def setup(app):
+    """Join what Sphinx does while it reads docstrings."""
+    app.connect("autodoc-process-docstring", site_pages.mend_docstring, priority=400)  # napoleon: 500
+    app.connect("autodoc-skip-member", site_pages.skip_member)

@@ -1,0 +1,240 @@
+"""Pages of the documentation that are made from something else, so that nothing is said twice.
+
+The environments' pages are the docstrings of their classes; changelog, contribution guide, circuits, archives and
+networks are files that live elsewhere in the repository; the reference is made of all public modules. All of them are
+written to ``docs/generated``, which git ignores, whenever the site is built.
+"""
+
+import ast
+import importlib
+import inspect
+import os
+import re
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+ENVIRONMENTS = {
+    "head_to_head": ("pcs_racing.envs.head_to_head", "HeadToHeadEnv", "Head to head: two agents"),
+    "duel": ("pcs_racing.envs.duel", "DuelEnv", "Duel: one agent's moves"),
+    "drive": ("pcs_racing.envs.drive", "DriveEnv", "Drive: steering and speed"),
+}
+NAMES = {
+    "head_to_head": '`pettingzoo.make("parallel", "pcs_racing/head_to_head-v0")`, or `"aec"`',
+    "duel": '`gym.make("pcs_racing/Duel-v0")`',
+    "drive": '`gym.make("pcs_racing/Drive-v0")`',
+}
+COPIES = {
+    "changelog": "CHANGELOG.md",
+    "contributing": "CONTRIBUTING.md",
+    "circuits": "maps/README.md",
+    "shipped_archives": "archives/README.md",
+    "shipped_networks": "networks/README.md",
+}
+REFERENCE = {
+    "pcs_racing": "The package itself",
+    "pcs_racing.envs": "Environments",
+    "pcs_racing.mapping": "Mapping tools",
+    "pcs_racing_agents": "The package itself",
+    "pcs_racing_agents.planners": "Planners",
+    "pcs_racing_agents.synthesis": "Synthesis",
+    "pcs_racing_agents.trees": "Game trees",
+    "pcs_racing_agents.solvers": "Solvers",
+    "pcs_racing_agents.approximator": "Regret approximator",
+    "pcs_racing_agents.rollouts": "Branched races",
+    "pcs_racing_agents.ppo": "PPO baselines",
+    "pcs_racing_agents.strategies": "Strategies",
+    "pcs_racing_agents.tournament": "Tournaments",
+    "pcs_racing_agents.tournament.statistics": "Statistics",
+    "pcs_racing_agents.explaining": "Explaining",
+    "pcs_racing_agents.study": "The study",
+}
+"""Packages with a page of the reference each: their own modules, not those of packages inside them."""
+
+
+def write(folder: Path) -> None:
+    """Write all pages below ``folder``/generated; a page that would not change is left alone."""
+    pages = {f"{name}.md": environment_page(name) for name in ENVIRONMENTS}
+    pages |= {f"{name}.md": copied_page(source) for name, source in COPIES.items()}
+    pages |= {f"api/{package}.rst": reference_page(package) for package in packages()}
+    pages["api/names.md"] = names_page()
+    made = folder / "generated"
+    for name, text in pages.items():
+        file = made / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if not file.is_file() or file.read_text(encoding="utf-8") != text:
+            file.write_text(text, encoding="utf-8")
+    for file in made.rglob("*.*"):
+        if file.relative_to(made).as_posix() not in pages:
+            file.unlink()
+
+
+# Environments
+
+
+def environment_page(name: str) -> str:
+    """Return the page of an environment, as Markdown: the docstring of its class."""
+    module, class_name, title = ENVIRONMENTS[name]
+    described = getattr(importlib.import_module(module), class_name)
+    text = inspect.getdoc(described) or ""
+    defaults = {
+        name: f", default `{parameter.default!r}`"
+        for name, parameter in inspect.signature(described).parameters.items()
+        if parameter.default is not parameter.empty
+    }
+    summary, _, rest = text.partition("\n")
+    head = f"# {title}\n\n{summary}\n\n{NAMES[name]}; the class is `{module}.{class_name}`.\n"
+    return head + _to_markdown(rest, defaults) + "\n"
+
+
+def _to_markdown(text: str, defaults: dict[str, str] | None = None) -> str:
+    """Turn what is reStructuredText in a docstring into Markdown; add the defaults of parameters."""
+    text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text)
+    text = text.replace("``", "`")
+    parts = re.split(r"^(Parameters|Raises|Examples|Returns)\n-+\n", text, flags=re.MULTILINE)
+    made = [parts[0]]
+    for heading, body in zip(parts[1::2], parts[2::2], strict=True):
+        numpydoc, mark, after = body.partition("\n## ")
+        made.append(_numpydoc_section(heading, numpydoc, defaults or {}) + mark + after)
+    return "".join(made)
+
+
+def _numpydoc_section(heading: str, body: str, defaults: dict[str, str]) -> str:
+    if heading == "Examples":
+        return f"## Examples\n\n```pycon\n{body.strip()}\n```\n"
+    items = [f"**{heading}**\n"]
+    for entry in re.split(r"\n(?=\S)", body.strip("\n")):
+        first, _, meaning = entry.partition("\n")
+        names, colon, kind = first.partition(" : ")
+        kind = kind.strip().removesuffix(", optional")
+        names = ", ".join(f"`{name}`" for name in names.split(", "))
+        told = names + (f" ({kind}{defaults.get(names.strip('`'), '')})" if colon else "")
+        meaning = " ".join(inspect.cleandoc(f"\n{meaning}").split()).replace("<", r"\<")
+        items.append(f"- {told}: {meaning}" if meaning else f"- {told}")
+    return "\n".join(["", *items, ""])
+
+
+# Files that live elsewhere
+
+
+def copied_page(source: str) -> str:
+    """Return a Markdown file of the repository, its links turned so that they hold in docs/generated."""
+    file = REPOSITORY / source
+    own_page = {REPOSITORY / path: f"{name}.md" for name, path in COPIES.items()}
+
+    def turned(match: re.Match[str]) -> str:
+        link, mark, anchor = match[2].partition("#")
+        if not link or "://" in link:
+            return match[0]
+        target = Path(os.path.normpath(file.parent / link))
+        if target in own_page:
+            return f"{match[1]}({own_page[target]}{mark}{anchor})"
+        return f"{match[1]}({os.path.relpath(target, REPOSITORY / 'docs' / 'generated')}{mark}{anchor})"
+
+    return re.sub(r"(\[[^\]]*\])\(([^)\s]+)\)", turned, file.read_text(encoding="utf-8"))
+
+
+# Reference
+
+
+def packages() -> list[str]:
+    """Names of the packages that have a page."""
+    found = [_dotted(file.parent) for root in ("pcs_racing", "pcs_racing_agents") for file in _initials(root)]
+    return [name for name in found if name in REFERENCE]
+
+
+def _initials(root: str) -> list[Path]:
+    return sorted((REPOSITORY / root).rglob("__init__.py"))
+
+
+def _dotted(path: Path) -> str:
+    return ".".join(path.relative_to(REPOSITORY).with_suffix("").parts)
+
+
+def public_modules(package: str) -> list[str]:
+    """Modules of a package that say what of theirs is public."""
+    files = sorted((REPOSITORY / package.replace(".", "/")).glob("*.py"))
+    return [_dotted(file) for file in files if file.stem != "__init__" and _public_names(file)]
+
+
+def _public_names(file: Path) -> list[str]:
+    for node in ast.parse(file.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and any(isinstance(to, ast.Name) and to.id == "__all__" for to in node.targets):
+            return list(ast.literal_eval(node.value))
+    return []
+
+
+def reference_page(package: str) -> str:
+    """Return the page of a package, as reStructuredText."""
+    title = package if REFERENCE[package] == "The package itself" else f"{REFERENCE[package]}: {package}"
+    text = [title, "=" * len(title), ""]
+    for module in public_modules(package):
+        name = module.removeprefix(f"{package}.")
+        text += [name, "-" * len(name), "", f".. automodule:: {module}", "   :members:"]
+        if again := _names_from_elsewhere(module):
+            text.append(f"   :exclude-members: {', '.join(again)}")
+        text.append("")
+    return "\n".join(text)
+
+
+def _names_from_elsewhere(module: str) -> list[str]:
+    """Return what a module offers but another one of ours defines."""
+    file = REPOSITORY / f"{module.replace('.', '/')}.py"
+    imported = {
+        alias.name
+        for node in ast.parse(file.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("pcs_racing")
+        for alias in node.names
+    }
+    return sorted(imported & set(_public_names(file)))
+
+
+def names_page() -> str:
+    """Return a table of what ``import pcs_racing`` offers, with links to where it is explained."""
+    import pcs_racing
+
+    lines = ["# What `pcs_racing` offers\n", "| name | what it is | defined in |", "|---|---|---|"]
+    for name in pcs_racing.__all__:
+        thing = getattr(pcs_racing, name)
+        explained = callable(thing) and str(getattr(thing, "__module__", "")).startswith("pcs_racing")
+        module = thing.__module__ if explained else _where(name)
+        meaning = (inspect.getdoc(thing) or "").partition("\n\n")[0] if explained else "A value."
+        lines.append(f"| {{py:obj}}`~{module}.{name}` | {_to_markdown(' '.join(meaning.split()))} | `{module}` |")
+    return "\n".join(lines) + "\n"
+
+
+def _where(name: str) -> str:
+    files = sorted((REPOSITORY / "pcs_racing").glob("*.py"))
+    return next(_dotted(file) for file in files if file.stem != "__init__" and name in _public_names(file))
+
+
+# What autodoc reads
+
+SOURCE = re.compile(r"^\.\. (\[\d+\])")
+CITED = re.compile(r"(\[\d+\])_")
+
+
+def mend_docstring(app, what, name, thing, options, lines) -> None:
+    """Make a docstring good for Sphinx, before napoleon reads it.
+
+    The environments' descriptions are Markdown, and pages of their own: the reference only links them. Bars stand for
+    absolute values, not for substitutions; the numbers of sources count within their module, not on the whole page.
+    """
+    del app, what, thing, options
+    for page, (module, class_name, _) in ENVIRONMENTS.items():
+        if name == f"{module}.{class_name}":
+            lines[:] = [lines[0], "", f"Its page is :doc:`/generated/{page}`.", ""]
+    for number, line in enumerate(lines):
+        if SOURCE.match(line):
+            for after in range(number + 1, len(lines)):
+                if not lines[after].strip():
+                    break
+                lines[after] = lines[after].strip()
+        literals = re.split(r"(``.*?``)", CITED.sub(r"\1", SOURCE.sub(r"\1", line)))
+        lines[number] = "".join(part if part.startswith("``") else part.replace("|", r"\|") for part in literals)
+
+
+def skip_member(app, what, name, thing, skip, options) -> bool | None:
+    """Skip the fields of named tuples, of which Python says nothing but their number; the class explains them."""
+    del app, what, name, options
+    return True if str(getattr(thing, "__doc__", "")).startswith("Alias for field number") else skip or None
