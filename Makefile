@@ -21,8 +21,7 @@ help:
 demo: $(VENV)/base.stamp
 	$(VENV)/bin/pcs-racing study quick --out out/demo
 
-# The kernels are compiled once before the tests begin: two processes that compile them at the same time may come to
-# machine code that differs in the last bit of its results.
+# The kernels are compiled once before the tests begin, rather than by every worker at the same time.
 test: $(VENV)/test.stamp
 	$(VENV)/bin/pcs-racing tournament --track Pipkin --agents random-moves lane-switcher --races 2
 	$(RUN) -m pytest -n 2 --dist worksteal
