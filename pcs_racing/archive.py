@@ -23,6 +23,7 @@ from pcs_racing.characteristics import get_characteristics
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
 from pcs_racing.planner import Planner, Policy
+from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited, unpack_arrays
 from pcs_racing.registry import get_planner
 
 if TYPE_CHECKING:
@@ -455,14 +456,13 @@ class PolicyArchive:
         folder = Path(folder)
         manifest = _read_manifest(folder / "manifest.yaml")
         file = folder / "archive.npz"
-        content = _read(file)
+        content = _read(file, MAX_BYTES)
         if hashlib.sha256(content).hexdigest() != manifest["arrays_sha256"]:
             raise InputError(f"{file} is not the file that {folder / 'manifest.yaml'} describes: its digest differs")
         try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-                arrays = {key: stored[key] for key in stored.files}
-        except Exception as error:  # zipfile and zlib raise their own kinds for damaged archives
-            raise InputError(f"{file} is no archive: {error}") from error
+            arrays = unpack_arrays(content)
+        except InputError as error:
+            raise InputError(f"{file} is no archive: {error}") from None
         if set(arrays) - set(_EXTRA_ARRAYS) != set(_ARRAYS):
             raise InputError(
                 f"{file} holds {', '.join(sorted(arrays))}; an archive holds {', '.join(_ARRAYS)} and perhaps "
@@ -544,11 +544,9 @@ def _whole(values: NDArray[Any], what: str, below: int) -> Indices:
     return values.astype(np.int64)
 
 
-def _read(file: Path) -> bytes:
+def _read(file: Path, limit: int) -> bytes:
     try:
-        if file.stat().st_size > MAX_BYTES:
-            raise InputError(f"{file} has more than {MAX_BYTES} bytes; that is no archive")
-        return file.read_bytes()
+        return read_limited(file, limit, "an archive")
     except OSError as error:
         raise InputError(
             f"can't read {file}: {error.strerror}; an archive is a folder that PolicyArchive.save wrote"
@@ -556,10 +554,11 @@ def _read(file: Path) -> bytes:
 
 
 def _read_manifest(file: Path) -> dict[str, Any]:
+    content = _read(file, MAX_YAML)
     try:
-        manifest = yaml.safe_load(_read(file).decode("utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{file} is not valid YAML: {error}") from error
+        manifest = plain_yaml(content)
+    except InputError as error:
+        raise InputError(f"{file} is not valid YAML: {error}") from None
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise InputError(f"{file} is no manifest of an archive: format must be {FORMAT!r}")
     if manifest.get("version") != VERSION:

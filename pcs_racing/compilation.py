@@ -70,7 +70,8 @@ def announce_compilation(dispatcher: Any, what: str, seconds: int) -> Iterator[N
     seconds : int
         About how long it takes.
     """
-    if what not in _announced and not dispatcher.signatures:
+    # Without compilation (NUMBA_DISABLE_JIT) it is an ordinary function.
+    if what not in _announced and hasattr(dispatcher, "signatures") and not dispatcher.signatures:
         _announced.add(what)
         name = f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__qualname__}-"
         cache = Path(dispatcher.stats.cache_path)

@@ -3,8 +3,17 @@
 __all__ = ["ConfigError", "InputError", "MapError", "UnknownNameError"]
 
 
+_LONGEST = 2000
+
+
 class InputError(ValueError):
-    """A value handed to the package is impossible; the message names it and says what would be right."""
+    """A value handed to the package is impossible; the message names it and says what would be right.
+
+    The middle of a message of more than 2000 characters is left out: the value may be anything.
+    """
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(_shortened(arg) if isinstance(arg, str) else arg for arg in args))
 
 
 class MapError(InputError):
@@ -21,3 +30,7 @@ class UnknownNameError(InputError, KeyError):
     def __str__(self) -> str:
         """Show the message itself (``KeyError`` would show its repr)."""
         return str(self.args[0]) if self.args else ""
+
+
+def _shortened(message: str) -> str:
+    return message if len(message) <= _LONGEST else f"{message[:1500]} ... {message[-400:]}"

@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
-from pcs_racing.race_state import RaceState, empty_state
+from pcs_racing.race_state import MAX_BYTES, RaceState, empty_state
 from pcs_racing.race_state import take as take_races
+from pcs_racing.reading import read_limited, unpack_arrays
 
 __all__ = ["GameState", "empty_game", "join_games", "load_game", "save_game", "take_games"]
 
@@ -111,10 +112,9 @@ def load_game(path: str | Path) -> GameState:
         If the file is no game state, or its arrays do not fit each other.
     """
     try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
-    except Exception as error:  # zipfile and zlib raise their own kinds for damaged archives
-        raise InputError(f"{path} is not a saved game state: {error}") from error
+        arrays = unpack_arrays(read_limited(path, MAX_BYTES, "a game state"))
+    except (OSError, InputError) as error:
+        raise InputError(f"{path} is not a saved game state: {error}") from None
     expected = set(_flatten(empty_game(0, 0, 0, 0, 0)))
     if set(arrays) != expected:
         raise InputError(f"{path} holds {sorted(arrays)}; a game state holds {sorted(expected)}")

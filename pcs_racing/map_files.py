@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcs_racing.errors import MapError
+from pcs_racing.errors import InputError, MapError
+from pcs_racing.reading import plain_yaml
 
 __all__ = [
     "CENTERLINE_COLUMNS",
@@ -53,9 +53,9 @@ INFO_KEYS = {
 def parse_yaml(file: Path, data: bytes) -> dict[Any, Any]:
     """Keys and values of a yaml file."""
     try:
-        values = yaml.safe_load(data.decode())
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise MapError(f"{file} is not valid yaml: {' '.join(str(error).split())[:200]}") from error
+        values = plain_yaml(data)
+    except InputError as error:
+        raise MapError(f"{file} is not valid yaml: {error}") from error
     if not isinstance(values, dict):
         raise MapError(f"{file} must hold keys and values, got {type(values).__name__}")
     return values

@@ -22,7 +22,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcs_racing.errors import MapError, UnknownNameError
+from pcs_racing.errors import InputError, MapError, UnknownNameError
 from pcs_racing.map_files import (
     CENTERLINE_COLUMNS,
     RACELINE_COLUMNS,
@@ -32,6 +32,7 @@ from pcs_racing.map_files import (
     parse_ros_yaml,
     parse_yaml,
 )
+from pcs_racing.reading import MAX_YAML, read_limited
 
 __all__ = [
     "MapFiles",
@@ -49,7 +50,7 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 MAX_BYTES = 256_000_000  # of a picture
-MAX_TEXT = 32_000_000  # of a csv or yaml file
+MAX_LINE = 8_000_000  # of a csv file
 
 
 class MapFiles(NamedTuple):
@@ -185,7 +186,8 @@ def read_map(path: str | os.PathLike[str]) -> MapFolder:
 def read_bytes(files: MapFiles) -> dict[str, bytes]:
     """Read the files of a map, its picture included, by their paths within the folder."""
     texts = [file for file in (files.yaml, files.centerline, files.raceline, files.info) if file is not None]
-    contents = {_label(files, file): _bytes(file, MAX_TEXT) for file in texts}
+    limits = {".csv": MAX_LINE}
+    contents = {_label(files, file): _bytes(file, limits.get(file.suffix, MAX_YAML)) for file in texts}
     picture = _picture(files, parse_ros_yaml(files.yaml, contents[files.yaml.name]))
     return contents | {_label(files, picture): _bytes(picture, MAX_BYTES)}
 
@@ -299,7 +301,7 @@ def _map_yaml(folder: Path) -> Path:
     found = [file for file in everything if file.stem.endswith("_map")]
     if not found:
         others = [file for file in everything if not file.stem.endswith("_track")]
-        found = [file for file in others if "image" in parse_yaml(file, _bytes(file, MAX_TEXT))]
+        found = [file for file in others if "image" in parse_yaml(file, _bytes(file, MAX_YAML))]
     if len(found) > 1:
         names = ", ".join(file.name for file in found)
         raise MapError(f"{folder} holds several maps ({names}): name one of these files instead of the folder")
@@ -329,9 +331,8 @@ def _label(files: MapFiles, file: Path) -> str:
 
 def _bytes(file: Path, limit: int) -> bytes:
     try:
-        size = file.stat().st_size
-        if size <= limit:
-            return file.read_bytes()
+        return read_limited(file, limit, "the file of a map")
     except OSError as error:
         raise MapError(f"can't read {file}: {error.strerror or error}") from error
-    raise MapError(f"{file} has {size} bytes: at most {limit} are read")
+    except InputError as error:
+        raise MapError(str(error)) from None

@@ -40,7 +40,7 @@ _VALUES[_CODES] = np.arange(64, dtype=np.uint8)
 _MOST_CHARACTERS = 10
 _MOST_DIFFERENCES = 8
 _LARGEST = 2.0**40
-_MOST_NUMBERS = 50_000_000
+_MOST_NUMBERS = 10_000_000
 
 
 def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
     Raises
     ------
     InputError
-        If it is not such an array, or larger than 50 million numbers.
+        If it is not such an array, or larger than 10 million numbers.
     """
     parts = _parts(packed, name, ("shape", "per_unit", "differences", "data"))
     shape, per_unit, differences, data = parts

@@ -4,9 +4,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
-
-from pcs_racing.errors import ConfigError, UnknownNameError
+from pcs_racing.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited
 
 __all__ = ["CONTEST", "PAPER", "PRESETS", "RaceConfig", "load_race_config"]
 
@@ -164,9 +163,13 @@ def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceCon
             f"race preset {str(source)!r} is unknown; use {', '.join(PRESETS)} or the path of a YAML file"
         )
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not valid YAML: {error}") from error
+        content = read_limited(path, MAX_YAML, "a file of race settings")
+    except OSError as error:
+        raise ConfigError(f"can't read {path}: {error.strerror or error}") from None
+    try:
+        values = plain_yaml(content)
+    except InputError as error:
+        raise ConfigError(f"{path} is not valid YAML: {error}") from None
     if not isinstance(values, dict):
         raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of race settings")
     values = dict(values)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing.planner import PATH_COLUMNS, PATH_POINTS
+from pcs_racing.reading import read_limited, unpack_arrays
 
 __all__ = ["SUMS", "RaceState", "concatenate", "empty_state", "load_state", "save_state", "take"]
 
@@ -21,6 +22,8 @@ SUMS: dict[str, str] = {
     "TIME": "time driven, s",
 }
 """What is summed up for each car while it drives, by name; characteristics are made of differences of these."""
+
+MAX_BYTES = 1_000_000_000  # of a file
 
 ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME = range(len(SUMS))
 
@@ -145,12 +148,9 @@ def load_state(path: str | Path) -> RaceState:
         If the file is no race state, or its arrays do not fit each other.
     """
     try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise InputError(f"{path} is not a saved race state: {error}") from error
-    except Exception as error:  # zipfile and zlib raise their own kinds for damaged archives
-        raise InputError(f"{path} is a damaged race state: {error}") from error
+        arrays = unpack_arrays(read_limited(path, MAX_BYTES, "a race state"))
+    except (OSError, InputError) as error:
+        raise InputError(f"{path} is not a saved race state: {error}") from None
     if set(arrays) != set(RaceState._fields):
         raise InputError(f"{path} holds {sorted(arrays)}; a race state holds {sorted(RaceState._fields)}")
     memory = arrays["memory"]

@@ -29,6 +29,7 @@ from pcs_racing.packing import (
     unpack_paths,
     unpack_segments,
 )
+from pcs_racing.reading import read_limited
 
 __all__ = ["Replay", "ReplayEvent", "read_replay", "replay_page", "save_replay", "write_html"]
 
@@ -38,7 +39,7 @@ LONGEST_ITTC = 60.0
 
 _LARGEST = 1e9
 _LONGEST_TEXT = 500
-_LARGEST_FILE = 500_000_000
+_LARGEST_FILE = 100_000_000
 _DATA = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.DOTALL)
 
 
@@ -304,9 +305,7 @@ def read_replay(path: str | os.PathLike[str]) -> Replay:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError(f"{path} is larger than {_LARGEST_FILE // 10**6} MB: not a replay")
-        text = path.read_text(encoding="utf-8")
+        text = read_limited(path, _LARGEST_FILE, "a replay").decode("utf-8")
     except OSError as error:
         raise InputError(f"can't read the replay {path}: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -16,7 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.errors import InputError
+from pcs_racing.reading import read_limited, unpack_arrays
+
 __all__ = ["cache_folder", "cache_key", "load_cached", "store"]
+
+MAX_BYTES = 256_000_000
 
 # Files whose code decides what is cached: a change in any of them makes all that is cached out of date.
 _CODE = (
@@ -71,9 +76,8 @@ def load_cached(key: str) -> dict[str, NDArray[Any]] | None:
     if folder is None:
         return None
     try:
-        with open(folder / f"track-{key[:40]}.npz", "rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
-    except Exception:  # a damaged file can fail in a dozen ways, and all of them mean the same
+        return unpack_arrays(read_limited(folder / f"track-{key[:40]}.npz", MAX_BYTES, "a track"), 4 * MAX_BYTES)
+    except (OSError, InputError):
         return None
 
 

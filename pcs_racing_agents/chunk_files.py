@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
+from pcs_racing.reading import read_limited, unpack_arrays
 
 __all__ = ["Arrays", "fingerprint", "read_chunk", "write_chunk"]
 
@@ -60,9 +61,7 @@ def read_chunk(path: Path, task: str | None = None) -> Arrays:
         If it is missing, damaged, or answers another task; the message begins with the path.
     """
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(f"{path} has more than {_MAX_BYTES} bytes; that is no chunk")
-        content = path.read_bytes()
+        content = read_limited(path, _MAX_BYTES, "a chunk")
     except OSError as error:
         raise InputError(f"{path} can't be read: {error.strerror}") from None
     body, comment = content[:-_COMMENT], content[-_COMMENT:]
@@ -71,8 +70,10 @@ def read_chunk(path: Path, task: str | None = None) -> Arrays:
         raise InputError(f"{path} is damaged: it is not what was written")
     if task is not None and written_for != task:
         raise InputError(f"{path} belongs to another task or another run")
-    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-        return {key: stored[key] for key in stored.files}
+    try:
+        return unpack_arrays(content, _MAX_BYTES)
+    except InputError as error:
+        raise InputError(f"{path} holds no arrays: {error}") from None
 
 
 def _digest(body: bytes, task: str) -> str:

@@ -5,15 +5,12 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
-
-from pcs_racing.errors import ConfigError, UnknownNameError
+from pcs_racing.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited
 
 __all__ = ["check_numbers", "check_wholes", "load_settings", "plain_settings", "shipped_configs"]
 
 T = TypeVar("T")
-
-MAX_BYTES = 1_000_000
 
 
 def shipped_configs(kind: str) -> dict[str, Path]:
@@ -66,13 +63,15 @@ def read_mapping(path: Path) -> dict[Any, Any]:
         If it is too large, no YAML, or no mapping.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ConfigError(f"{path} has more than {MAX_BYTES} bytes; that is no configuration")
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = read_limited(path, MAX_YAML, "a configuration")
     except OSError as error:
         raise ConfigError(f"can't read {path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"{path} is not valid YAML: {error}") from error
+    except InputError as error:
+        raise ConfigError(str(error)) from None
+    try:
+        values = plain_yaml(content)
+    except InputError as error:
+        raise ConfigError(f"{path} is not valid YAML: {error}") from None
     if not isinstance(values, dict):
         raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of settings")
     return values

@@ -14,6 +14,7 @@ import yaml
 
 from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
+from pcs_racing.reading import plain_yaml, read_limited
 
 __all__ = ["GO_ON", "JobError", "claim_folder", "package_version"]
 
@@ -93,8 +94,8 @@ def _check_same(folder: Path, manifest: Mapping[str, Any]) -> bool:
             raise InputError(f"{folder} holds {others[0]} but no job.yaml; choose a new or an empty folder")
         return False
     try:
-        found = yaml.safe_load(file.read_bytes()) if file.stat().st_size <= _MAX_BYTES else None
-    except (yaml.YAMLError, UnicodeDecodeError):
+        found = plain_yaml(read_limited(file, _MAX_BYTES, "a manifest of a job"))
+    except InputError:
         found = None
     if not isinstance(found, dict) or found.get("format") != FORMAT:
         raise InputError(f"{file} is no manifest of a job; choose a new or an empty folder")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.compilation import announce_compilation
 from pcs_racing.envs.drive_kernel import observe_races, restart, set_commands, step_races
 from pcs_racing.errors import InputError
-from pcs_racing.lidar import WORK_SHAPE, Beams, Lidar
+from pcs_racing.lidar import MOST_BEAMS, WORK_SHAPE, Beams, Lidar
 from pcs_racing.planner import COMMAND_SLOTS, Planner, Policy, hold_command, leave_path
 from pcs_racing.race import RaceSetup, Starts, advance, default_threads, pad_parameters, start_lines, start_races
 from pcs_racing.race_config import RaceConfig, load_race_config
@@ -31,6 +31,8 @@ Opponent = str | Policy | None | Sequence[str | Policy]
 
 CRASHES = np.array(["none", "wall", "car"])
 RACES_PER_THREAD = 16  # fewer are not worth handing over
+MOST_RACES = 100_000
+MOST_NUMBERS = 250_000_000  # of all observations together: 1 GB
 
 
 class Element(NamedTuple):
@@ -79,8 +81,9 @@ class DriveOptions:
         if abs(self.time_step / (CONTROL_EVERY * DT) - round(self.time_step / (CONTROL_EVERY * DT))) > 1e-9:
             raise InputError(f"time_step is {self.time_step!r} s; it must be a multiple of {CONTROL_EVERY * DT:g} s")
         _number("top_speed", self.top_speed, 0.1, F1TENTH.v_max)
-        if isinstance(self.beams, bool) or not isinstance(self.beams, int | np.integer) or self.beams < 0:
-            raise InputError(f"beams is {self.beams!r}; it must be a whole number from 0")
+        whole = isinstance(self.beams, int | np.integer) and not isinstance(self.beams, bool)
+        if not whole or not 0 <= self.beams <= MOST_BEAMS:
+            raise InputError(f"beams is {self.beams!r}; it must be a whole number from 0 to {MOST_BEAMS}")
         _number("lidar_noise", self.lidar_noise, 0.0, 10.0)
         distances = self.look_ahead if isinstance(self.look_ahead, Sequence) else ()
         if not distances or isinstance(distances, str) or len(distances) > 100:
@@ -193,8 +196,9 @@ class DriveBatch:
     """
 
     def __init__(self, races: int, options: DriveOptions, *, threads: int | None = None) -> None:
-        if isinstance(races, bool) or not isinstance(races, int | np.integer) or races < 1:
-            raise InputError(f"num_envs is {races!r}; it must be a whole number from 1")
+        whole = isinstance(races, int | np.integer) and not isinstance(races, bool)
+        if not whole or not 1 <= races <= MOST_RACES:
+            raise InputError(f"num_envs is {races!r}; it must be a whole number from 1 to {MOST_RACES}")
         if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
             raise InputError(f"threads is {threads!r}; it must be a whole number from 1, or None")
         self.races, self.options = int(races), options
@@ -208,6 +212,11 @@ class DriveBatch:
         planner = EXTERNAL if self.alone else self.opponents[0].planner
         self.setup = RaceSetup(self.track, config, (EXTERNAL, planner))
         self.elements = drive_elements(options)
+        if self.races * len(self.elements) > MOST_NUMBERS:
+            raise InputError(
+                f"{self.races} environments see {len(self.elements)} numbers each; take fewer environments or beams: "
+                f"{MOST_NUMBERS} numbers are the limit"
+            )
         self._prepare_observations(options)
         self._prepare_races(threads)
 

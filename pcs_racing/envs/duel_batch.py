@@ -22,6 +22,7 @@ from pcs_racing.track import Track
 __all__ = ["DuelBatch"]
 
 CRASHES = np.array(["", "wall", "car"])
+MOST_GAMES = 100_000
 
 
 class DuelBatch:
@@ -61,8 +62,9 @@ class DuelBatch:
         threads: int | None = None,
         **settings: Any,
     ) -> None:
-        if isinstance(games, bool) or not isinstance(games, int | np.integer) or games < 1:
-            raise InputError(f"num_envs is {games!r}; it must be a whole number from 1")
+        whole = isinstance(games, int | np.integer) and not isinstance(games, bool)
+        if not whole or not 1 <= games <= MOST_GAMES:
+            raise InputError(f"num_envs is {games!r}; it must be a whole number from 1 to {MOST_GAMES}")
         if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
             raise InputError(f"threads is {threads!r}; it must be a whole number from 1, or None")
         self.games = int(games)

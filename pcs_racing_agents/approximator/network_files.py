@@ -13,6 +13,7 @@ from safetensors.numpy import save as save_tensors
 
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
+from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited
 from pcs_racing_agents.approximator.identity import GameIdentity
 from pcs_racing_agents.approximator.network import MOST_LAYERS, RegretNetwork
 
@@ -21,7 +22,6 @@ __all__ = ["list_networks", "load_network", "read_network", "save_network", "shi
 FORMAT = "pcs-racing network"
 VERSION = 1
 MAX_BYTES = 32_000_000
-MAX_MANIFEST_BYTES = 1_000_000
 _OWN_KEYS = ("format", "version", "name", "target", "clipped", "hidden", "training", "weights_sha256")
 _KEYS = (*_OWN_KEYS, *GameIdentity._fields)
 
@@ -145,22 +145,19 @@ def _value(value: Any) -> Any:
 
 def _read(file: Path, limit: int) -> bytes:
     try:
-        with open(file, "rb") as stream:
-            content = stream.read(limit + 1)
+        return read_limited(file, limit, "a network")
     except OSError as error:
         raise InputError(
             f"can't read {file}: {error.strerror}; a network is a folder that RegretNetwork.save wrote"
         ) from None
-    if len(content) > limit:
-        raise InputError(f"{file} has more than {limit} bytes; that is no network")
-    return content
 
 
 def _read_manifest(file: Path) -> dict[str, Any]:
+    content = _read(file, MAX_YAML)
     try:
-        manifest = yaml.safe_load(_read(file, MAX_MANIFEST_BYTES).decode("utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{file} is not valid YAML: {error}") from error
+        manifest = plain_yaml(content)
+    except InputError as error:
+        raise InputError(f"{file} is not valid YAML: {error}") from None
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise InputError(f"{file} is no manifest of a network: format must be {FORMAT!r}")
     if manifest.get("version") != VERSION:

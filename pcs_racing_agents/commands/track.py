@@ -8,6 +8,7 @@ import yaml
 
 from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
+from pcs_racing.map_files import parse_info
 from pcs_racing.maps import list_tracks
 from pcs_racing.race_config import load_race_config
 from pcs_racing.track import Track, load_track
@@ -149,7 +150,7 @@ def _keep_speed_range(track: Track, preset: str, speed_range: tuple[float, float
     if track.folder is None:
         raise InputError(f"track {track.name!r} does not come from a folder: there is nowhere to write")
     path = track.folder / f"{track.name}_track.yaml"
-    info = yaml.safe_load(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    info = parse_info(path, path.read_bytes()) if path.is_file() else {}
     info["speed_range"] = {**info.get("speed_range", {}), preset: list(speed_range)}
     text = yaml.safe_dump(info, sort_keys=False, allow_unicode=True)
     write_atomically(path, lambda file: file.write(text.encode()))

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from pcs_racing.archive import load_archive
@@ -20,6 +19,7 @@ from pcs_racing.game import RaceGame
 from pcs_racing.game_config import GameConfig
 from pcs_racing.race import Starts
 from pcs_racing.race_config import RaceConfig
+from pcs_racing.reading import plain_yaml, read_limited
 from pcs_racing.track import load_track
 from pcs_racing_agents.strategies.agent import Competitor, competitor_hash
 from pcs_racing_agents.strategies.setting import make_setting
@@ -219,10 +219,10 @@ def _manifest(folder: Path) -> dict[str, Any] | None:
     """Return what a job's folder says about itself; None where there is no job."""
     file = folder / MANIFEST
     try:
-        found = yaml.safe_load(file.read_text(encoding="utf-8")) if file.stat().st_size <= LARGEST_MANIFEST else None
+        found = plain_yaml(read_limited(file, LARGEST_MANIFEST, "a manifest of a job"))
     except FileNotFoundError:
         return None
-    except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+    except (OSError, InputError) as error:
         raise InputError(f"{file} is damaged: {error}") from None
     if not isinstance(found, dict) or not isinstance(found.get("settings"), dict) or "kind" not in found:
         raise InputError(f"{file} is no manifest of a job")

@@ -23,6 +23,7 @@ from pcs_racing.compilation import compiled
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
 from pcs_racing.planner import COMMAND_SLOTS, STEER_MAX, TIME, Parameter, Planner
+from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited
 from pcs_racing_agents.approximator.network_files import shipped_folder
 from pcs_racing_agents.planners.network import (
     INPUTS,
@@ -208,7 +209,7 @@ def read_driver(folder: str | Path) -> tuple[Layers, dict[str, Any]]:
     folder = Path(folder)
     manifest = _read_manifest(folder / "driver.yaml")
     file = folder / "weights.safetensors"
-    content = _read(file)
+    content = _read(file, MAX_BYTES)
     if hashlib.sha256(content).hexdigest() != manifest["weights_sha256"]:
         raise InputError(f"{file} is not the file that {folder / 'driver.yaml'} describes: its digest differs")
     try:
@@ -257,22 +258,19 @@ def __getattr__(name: str) -> Any:
     return globals()[name]
 
 
-def _read(file: Path) -> bytes:
+def _read(file: Path, limit: int) -> bytes:
     try:
-        with open(file, "rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
+        return read_limited(file, limit, "a driver")
     except OSError as error:
         raise InputError(f"can't read {file}: {error.strerror}; a driver is a folder that save_driver wrote") from None
-    if len(content) > MAX_BYTES:
-        raise InputError(f"{file} has more than {MAX_BYTES} bytes; that is no driver")
-    return content
 
 
 def _read_manifest(file: Path) -> dict[str, Any]:
+    content = _read(file, MAX_YAML)
     try:
-        manifest = yaml.safe_load(_read(file).decode("utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{file} is not valid YAML: {error}") from error
+        manifest = plain_yaml(content)
+    except InputError as error:
+        raise InputError(f"{file} is not valid YAML: {error}") from None
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise InputError(f"{file} is no manifest of a driver: format must be {FORMAT!r}")
     if manifest.get("version") != VERSION:

@@ -12,6 +12,7 @@ import yaml
 
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
+from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited
 from pcs_racing_agents.strategies.setting import Setting
 
 __all__ = ["Fit", "find_fit", "load_fit", "save_fit", "shipped_fits"]
@@ -112,10 +113,12 @@ def load_fit(path: str | Path) -> Fit:
         If the file is missing, no fit, or damaged.
     """
     try:
-        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        content = read_limited(path, MAX_YAML, "a fit")
     except OSError as error:
         raise InputError(f"can't read {path}: {error.strerror}; a fit is a file that save_fit wrote") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    try:
+        values = plain_yaml(content)
+    except InputError as error:
         raise InputError(f"{path} is not valid YAML: {error}") from None
     if not isinstance(values, dict) or values.get("format") != FORMAT or values.get("version") != VERSION:
         raise InputError(f"{path} is no fit: format must be {FORMAT!r} and version {VERSION}")

@@ -15,12 +15,11 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-import yaml
-
 from pcs_racing.archive import PolicyArchive
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.game_config import GameConfig
 from pcs_racing.race_config import RaceConfig
+from pcs_racing.reading import plain_yaml
 from pcs_racing.registry import parse_policy, planner_names
 from pcs_racing_agents.strategies import agents, drivers
 from pcs_racing_agents.strategies.agent import Agent, Competitor, Driver, as_competitor
@@ -312,8 +311,8 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
         if not equals or key.strip() in given or key.strip() in ("name", "seed", "setting"):
             raise InputError(f"agent {text!r}: {part!r} is not of the form option=value, each option once")
         try:
-            given[key.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError:
+            given[key.strip()] = plain_yaml(value)
+        except InputError:
             raise InputError(f"agent {text!r}: {value!r} is no value; it must be a number or plain text") from None
     made = build(name, setting, seed=seed, **given)
     return as_competitor(made, str(text).strip())

@@ -20,6 +20,7 @@ from pcs_racing.archive import PolicyArchive, load_archive
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
 from pcs_racing.game import RaceGame, make_game
+from pcs_racing.reading import plain_yaml
 from pcs_racing.track import Track, load_track
 from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.job_folders import claim_folder
@@ -215,7 +216,7 @@ def stage_seconds(study: Study) -> dict[str, float]:
     for name in STAGES:
         file = study.folder / name / DONE
         if file.is_file():
-            seconds[name] = float(yaml.safe_load(file.read_text(encoding="utf-8"))["seconds"])
+            seconds[name] = float(plain_yaml(file.read_bytes())["seconds"])
     return seconds
 
 

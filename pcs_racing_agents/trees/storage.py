@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.archive import PolicyArchive
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
+from pcs_racing.reading import plain_yaml, read_limited
 from pcs_racing_agents.jobs import Progress, chunk_file, open_job, read_chunk
 from pcs_racing_agents.trees.build import build_tree, check_game
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
@@ -22,6 +22,7 @@ __all__ = ["StoredTrees", "build_trees", "game_settings", "load_trees", "read_se
 
 KIND = "game trees"
 NAME = "tree"
+MAX_MANIFEST = 10_000_000
 MAKE_AGAIN = "run the command that made the folder again, and it is made anew"
 
 
@@ -248,10 +249,10 @@ def read_settings(folder: str | Path, kind: str) -> dict[str, Any]:
     """
     file = Path(folder) / "job.yaml"
     try:
-        manifest = yaml.safe_load(file.read_bytes()) if file.stat().st_size < 100_000_000 else None
+        manifest = plain_yaml(read_limited(file, MAX_MANIFEST, "a manifest of a job"))
     except OSError as error:
         raise InputError(f"{folder} holds no {kind}: {file.name}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError):
+    except InputError:
         manifest = None
     if not isinstance(manifest, dict) or manifest.get("kind") != kind or not isinstance(manifest.get("settings"), dict):
         raise InputError(f"{file} is no manifest of {kind}; choose a folder that 'pcs-racing tree' wrote")

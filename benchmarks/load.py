@@ -1,0 +1,198 @@
+"""Memory and speed under load: many environments for many steps, and a tournament of many races.
+
+    python benchmarks/load.py drive [--envs 1000] [--steps 10000]
+    python benchmarks/load.py duel [--envs 100] [--steps 500]
+    python benchmarks/load.py tournament --out FOLDER [--races 1906] [--executor threads]
+
+The work is cut into slices. After each of them: the memory that the process holds (resident, MB), and the processor
+time that a unit of work took, which other processes disturb far less than the time on the clock. Environments get
+random actions, so cars crash and episodes begin anew all the time. In a tournament the pairs and circuits follow each
+other and are not equally much work; its speed is therefore read off a yardstick, the same 50 races after every slice.
+Growth and drift compare the last quarter of the slices with the second one; the first is left out, since memory is
+first filled there.
+"""
+
+import argparse
+import os
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+SLICES = 20
+TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim", "Pipkin", "Saltmere", "Larkmoor", "Quillburg")
+AGENTS = ("never-switch", "random-moves", "random-policy", "cfr-argmax", "lane-switcher", "pure-pursuit")
+
+
+class Slice(NamedTuple):
+    """Where the work stands after a slice."""
+
+    done: int
+    clock: float
+    processor: float
+    unit_microseconds: float
+    megabytes: float
+
+
+def resident_megabytes() -> float:
+    """Memory that the process holds now; where that can't be asked for, the most that it ever held."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except (OSError, ValueError):
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def run_steps(step: Callable[[], object], envs: int, steps: int) -> list[Slice]:
+    """Call ``step`` again and again, in slices."""
+    rows: list[Slice] = []
+    size = max(steps // SLICES, 1)
+    clock, processor = time.monotonic(), time.process_time()
+    before = processor
+    for number in range(1, steps + 1):
+        step()
+        if number % size == 0:
+            now = time.process_time()
+            unit = 1e6 * (now - before) / (size * envs)
+            rows.append(Slice(number * envs, time.monotonic() - clock, now - processor, unit, resident_megabytes()))
+            tell(rows[-1], "steps")
+            before = time.process_time()
+    return rows
+
+
+def drive(envs: int, steps: int, threads: int) -> list[Slice]:
+    """Control-level environments with an opponent on the lattice."""
+    from pcs_racing.envs.drive_vector import DriveVectorEnv
+
+    env = DriveVectorEnv(envs, threads=threads)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    episodes = 0
+
+    def step() -> None:
+        nonlocal episodes
+        _, _, terminated, truncated, _ = env.step(rng.uniform(-1.0, 1.0, (envs, 2)).astype(np.float32))
+        episodes += int((terminated | truncated).sum())
+
+    step()  # compiled, or read from the disk
+    rows = run_steps(step, envs, steps)
+    env.close()
+    print(f"{episodes} episodes ended")
+    return rows
+
+
+def duel(envs: int, steps: int, threads: int) -> list[Slice]:
+    """Games against random moves."""
+    from pcs_racing.envs.duel_vector import DuelVectorEnv
+
+    env = DuelVectorEnv(envs, threads=threads)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    moves = int(env.single_action_space.n)  # type: ignore[attr-defined]
+    step = lambda: env.step(rng.integers(0, moves, envs))  # noqa: E731
+    step()
+    rows = run_steps(step, envs, steps)
+    env.close()
+    return rows
+
+
+def tournament(folder: Path, races: int, executor: str) -> list[Slice]:
+    """All against all through a job with chunks, as the command does it, and the file of results."""
+    from pcs_racing import load_track
+    from pcs_racing_agents.jobs import make_executor, open_job
+    from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
+
+    plan = plan_tournament([load_track(name) for name in TRACKS], list(AGENTS), races_per_pair=races)
+    measure = yardstick()
+    rows: list[Slice] = []
+    clock, processor, apart = time.monotonic(), time.process_time(), 0.0
+
+    def progress(done: int, total: int, what: str) -> None:
+        nonlocal apart
+        if done < total * (len(rows) + 1) // SLICES:
+            return
+        unit, spent = measure()
+        apart += spent
+        used = time.process_time() - processor - apart
+        rows.append(Slice(done, time.monotonic() - clock, used, unit, resident_megabytes()))
+        tell(rows[-1], "races")
+
+    measure()
+    apart = 0.0
+    clock, processor = time.monotonic(), time.process_time()
+    with make_executor(executor) as workers, open_job(folder, "tournament", tournament_settings(plan)) as job:
+        played = play_plan(plan, job=job, executor=workers, progress=progress)
+        used = time.process_time() - processor - apart
+        print(
+            f"{len(played.rows)} races: {used:.0f} s of processor time, {1e3 * used / len(played.rows):.2f} ms a race"
+        )
+        print(f"with a line for every race: {resident_megabytes():.0f} MB")
+        write_results(played, folder / "results.csv")
+        print(f"after writing them: {resident_megabytes():.0f} MB")
+    return rows
+
+
+def yardstick() -> Callable[[], tuple[float, float]]:
+    """Return a function that drives the same races, and says how many microseconds of processor each took, and all."""
+    from pcs_racing import PAPER, draw_starts, load_track, parse_policy, run_races
+
+    track, car = load_track("Tarnfjord"), parse_policy("lattice")
+    starts = draw_starts(track, PAPER, 50, 1)
+
+    def measure() -> tuple[float, float]:
+        begin, best = time.thread_time(), np.inf
+        for _ in range(3):
+            start = time.thread_time()
+            run_races(track, car, car, PAPER, seed=1, starts=starts, threads=1)
+            best = min(best, time.thread_time() - start)
+        return 1e6 * best / 50, time.thread_time() - begin
+
+    return measure
+
+
+def tell(row: Slice, unit: str) -> None:
+    print(
+        f"{row.done:10d} {unit}  {row.clock:7.0f} s on the clock  {row.processor:7.0f} s of processor  "
+        f"{row.unit_microseconds:9.2f} us  {row.megabytes:7.0f} MB",
+        flush=True,
+    )
+
+
+def judge(rows: list[Slice]) -> None:
+    """Compare the last quarter of the slices with the second."""
+    quarter = max(len(rows) // 4, 1)
+    early, late = rows[quarter : 2 * quarter], rows[-quarter:]
+    memory = np.mean([row.megabytes for row in late]) - np.mean([row.megabytes for row in early])
+    speed = np.median([row.unit_microseconds for row in late]) / np.median([row.unit_microseconds for row in early])
+    work = np.mean([row.done for row in late]) - np.mean([row.done for row in early])
+    print(f"memory: {memory:+.1f} MB, {1e6 * memory / work:+.1f} bytes for each further one of {work:.0f}")
+    print(f"time of a unit: {100.0 * (speed - 1.0):+.1f} %")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("drive", "duel", "tournament"), nargs="?", default="duel")
+    parser.add_argument("--envs", type=int)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--races", type=int, default=1906, help="of each pair on each circuit")
+    parser.add_argument("--executor", default="threads")
+    parser.add_argument("--out", type=Path, help="folder of the tournament")
+    given = parser.parse_args()
+    if given.what == "tournament":
+        if given.out is None:
+            parser.error("a tournament needs --out FOLDER")
+        rows = tournament(given.out, given.races, given.executor)
+    else:
+        function, envs, steps = (drive, 1000, 10_000) if given.what == "drive" else (duel, 100, 500)
+        rows = function(given.envs or envs, given.steps or steps, given.threads)
+    judge(rows)
+
+
+if __name__ == "__main__":
+    main()
