@@ -5,6 +5,7 @@ import time
 from collections import deque
 from pathlib import Path
 
+from pcs_racing.mapping.optional import require
 from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command
 from pcs_racing_agents.jobs import add_executor_options, executor_from, show_line
 from pcs_racing_agents.synthesis.archive_run import News, Told, make_archive
@@ -46,6 +47,7 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.config is None:
         changes.setdefault("name", arguments.out.resolve().name)
     config = load_archive_config(arguments.config, **changes)
+    require("moocore", *(("cma",) if config.method == "mo-cma-es" else ()), extra="synthesis")  # before hours of work
     with executor_from(arguments) as executor:
         archive = make_archive(config, arguments.out, executor=executor, told=show_news())
     print(archive)

@@ -151,6 +151,7 @@ def register_tree(name: str, tree: GameTree, observations: Tensors | None = None
 @functools.cache
 def register_game() -> None:
     """Make the game known to OpenSpiel as :data:`GAME_NAME`; without parameters it is a small example."""
+    _pyspiel()
     from pcs_racing_agents.solvers.openspiel_game import register
 
     rng = np.random.default_rng(EXAMPLE_SEED)

@@ -1,0 +1,163 @@
+"""The base installation works without any extra; and the wheel holds what must ship."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+
+# Makes Python find none of the libraries that only extras bring, wherever it looks for them.
+WITHOUT_EXTRAS = """
+import sys
+from importlib.machinery import PathFinder
+
+MISSING = set(
+    "torch stable_baselines3 sb3_contrib tensorboard matplotlib scipy skimage clarabel cma moocore pandas pygame "
+    "sklearn pymoo comocma ribs cocoex pyspiel open_spiel networkx pygambit dask distributed cvxpy".split()
+)
+find = PathFinder.find_spec
+PathFinder.find_spec = classmethod(
+    lambda cls, name, path=None, target=None: None if name.partition(".")[0] in MISSING else find(name, path, target)
+)
+"""
+
+
+def without_extras(code: str, folder: Path) -> str:
+    """Output of code that finds no library of any extra."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", WITHOUT_EXTRAS + code],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_libraries_are_hidden(tmp_path):
+    code = (
+        "import importlib.util\nprint(importlib.util.find_spec('scipy'), importlib.util.find_spec('yaml') is not None)"
+    )
+    assert without_extras(code, tmp_path) == "None True\n"
+
+
+def test_races_tournaments_and_agents_need_no_extra(tmp_path):
+    code = """
+import gymnasium as gym
+import pcs_racing, pcs_racing_agents
+from pcs_racing_agents.cli import main
+
+track = pcs_racing.load_track("Pipkin")
+lattice, other = pcs_racing.parse_policy("lattice"), pcs_racing.parse_policy("lane-switcher:3")
+replay = pcs_racing.record_race(track, lattice, other, pcs_racing.PAPER, seed=1)
+pcs_racing.save_replay(replay, "race.html")
+
+agents = ("cfr-argmax", "never-switch", "lane-switcher")
+assert main(["tournament", "--track", "Pipkin", "--agents", *agents, "--races", "2", "--out", "zoo"]) == 0
+assert main(["race", "--track", "Pipkin", "--ego", "lattice", "--opponent", "gap-follower"]) == 0
+
+agent = pcs_racing_agents.make("cfr-argmax")
+duel = gym.make("pcs_racing/Duel-v0", opponent=pcs_racing_agents.make("response"))
+seen, _ = duel.reset(seed=1)
+move, _ = agent.predict(seen)
+duel.step(int(move))
+print("none of", len(MISSING), "was imported:", not MISSING & {name.partition(".")[0] for name in sys.modules})
+"""
+    assert without_extras(code, tmp_path).endswith("was imported: True\n")
+    assert (tmp_path / "race.html").is_file()
+    assert (tmp_path / "zoo" / "results.csv").is_file()
+
+
+# Who needs an extra, how it is asked for something, and the extra.
+NEEDS = {
+    "Stable-Baselines3's environments": ("import pcs_racing.envs.sb3", "learning"),
+    "the command ppo": ('main(["ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo"])', "learning"),
+    "training": ("from pcs_racing_agents.approximator.training import fit; fit(None, None)", "learning"),
+    "a picture of a circuit": ('main(["track", "show", "Pipkin", "--out", "out.png"])', "plots"),
+    "a picture": ("from pcs_racing_agents.picture_style import picture; picture(print)()", "plots"),
+    "the command synthesize": ('main(["synthesize", "--out", "archive"])', "synthesis"),
+    "a new circuit": ('main(["track", "generate", "--seed", "7", "--out", "circuit"])', "mapping"),
+    "a map without lines": ("pcs_racing.load_track('map')", "mapping"),
+    "a data frame": ("pcs_racing.load_archive('default').to_dataframe()", "tables"),
+    "OpenSpiel": ("from pcs_racing_agents.solvers.openspiel import register_game; register_game()", "games"),
+    "a cluster": (
+        'main(["tree", "--archive", "default", "--track", "Pipkin", "--out", "trees", "--executor", "dask"])',
+        "cluster",
+    ),
+    "a window": ("gym.make('pcs_racing/Duel-v0', render_mode='human').reset(seed=1)", "window"),
+}
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """What each of them is told."""
+    folder = tmp_path_factory.mktemp("bare")
+    shutil.copytree(REPOSITORY / "maps" / "Pipkin", folder / "map", ignore=shutil.ignore_patterns("*.csv"))
+    code = f"""
+import contextlib, io, json
+import gymnasium as gym
+import pcs_racing
+from pcs_racing_agents.cli import main
+
+told = {{}}
+for who, (code, _) in {NEEDS!r}.items():
+    error = io.StringIO()
+    with contextlib.redirect_stderr(error):
+        try:
+            exec(code)
+        except ImportError as missing:
+            print(missing, file=error)
+    told[who] = error.getvalue()
+print(json.dumps(told))
+"""
+    told = json.loads(without_extras(code, folder).splitlines()[-1])
+    told["begun"] = sorted(path.name for path in folder.iterdir())
+    return told
+
+
+@pytest.mark.parametrize("who", NEEDS)
+def test_whoever_needs_an_extra_is_told_which(who, told):
+    assert f'pip install "pcs-racing[{NEEDS[who][1]}]"' in told[who]
+
+
+def test_nothing_was_begun_before_that(told):
+    assert told["begun"] == ["map"]
+
+
+def test_every_extra_that_is_named_exists():
+    named = set()
+    for package in ("pcs_racing", "pcs_racing_agents"):
+        for file in (REPOSITORY / package).rglob("*.py"):
+            text = file.read_text(encoding="utf-8")
+            named |= {name for found in re.findall(r"pcs-racing\[([a-z,]+)\]", text) for name in found.split(",")}
+            named |= set(re.findall(r'extra="([a-z]+)"', text))
+    assert len(named) >= 6
+    assert named <= set(PROJECT["project"]["optional-dependencies"])
+
+
+def test_the_wheel_holds_all_folders_with_data():
+    included = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    assert set(included) == {"maps", "archives", "networks"}
+    for folder in ("maps", "archives", "networks"):
+        assert any((REPOSITORY / folder).iterdir())
+
+
+def test_the_sdist_names_what_there_is():
+    for name in PROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]:
+        assert (REPOSITORY / name).exists(), name
+
+
+def test_the_citation_is_of_this_version():
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == PROJECT["project"]["version"]
+    assert citation["license"] == PROJECT["project"]["license"]
+    assert {"title", "message", "authors", "cff-version", "preferred-citation"} <= set(citation)
