@@ -1,7 +1,7 @@
 """The level of strategy: games of moves against a mixture of opponents, to learn from and to judge by."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +92,8 @@ class DuelLevel:
         The opponents, those apart that drive with different planners.
     cells : mapping of Cell to DuelBatch
         Games to judge by.
+    given : mapping
+        Rules that were given beside the settings, as plain values by name.
     """
 
     settings: DuelSettings
@@ -100,6 +102,7 @@ class DuelLevel:
     game: RaceGame
     mixtures: tuple[tuple[tuple[int, str], ...], ...]
     cells: Mapping[Cell, DuelBatch] = field(repr=False)
+    given: Mapping[str, Any] = field(default_factory=dict)
 
     activation = "relu"
     limit = 1e6
@@ -109,7 +112,7 @@ class DuelLevel:
     def identity(self) -> dict[str, Any]:
         """What the results depend on beside the settings."""
         tracks = {track.name: track.content_hash for track in self.tracks}
-        return {"archive_sha256": self.archive.content_hash, "tracks_sha256": tracks}
+        return {"archive_sha256": self.archive.content_hash, "tracks_sha256": tracks, **self.given}
 
     def parts(self) -> list[Duels]:
         """Make the environments to learn from."""
@@ -154,17 +157,28 @@ class DuelLevel:
         return f"{self.archive.name}-{self.game.config.race.name}-ppo"
 
 
-def duel_level(settings: DuelSettings) -> DuelLevel:
+def duel_level(
+    settings: DuelSettings, archive: PolicyArchive | None = None, rules: GameConfig | None = None
+) -> DuelLevel:
     """Load what settings name, and check that it fits together.
+
+    Parameters
+    ----------
+    settings : DuelSettings
+    archive : PolicyArchive, optional
+        In place of the one that the settings name.
+    rules : GameConfig, optional
+        In place of the race and the size of moves that the settings name.
 
     Raises
     ------
     InputError
         If a circuit, the archive, the rules or an opponent is unknown, or they do not fit.
     """
-    archive = load_archive(settings.archive)
+    given = {} if rules is None else {"game": asdict(rules)}
+    archive = load_archive(settings.archive) if archive is None else archive
     tracks = tuple(load_track(name) for name in settings.tracks)
-    rules = load_game_config(settings.race, epsilon=settings.epsilon)
+    rules = load_game_config(settings.race, epsilon=settings.epsilon) if rules is None else rules
     games = [make_game(track, archive, rules) for track in tracks]
     by_planner: dict[str, list[tuple[int, str]]] = {}
     for name, weight in settings.opponents.items():
@@ -180,7 +194,7 @@ def duel_level(settings: DuelSettings) -> DuelLevel:
         for name in settings.opponents
     }
     mixtures = tuple(tuple(mixture) for mixture in by_planner.values())
-    return DuelLevel(settings, archive, tracks, games[0], mixtures, cells)
+    return DuelLevel(settings, archive, tracks, games[0], mixtures, cells, given)
 
 
 def play_duels(batch: DuelBatch, network: RegretNetwork, seed: int) -> Score:

@@ -4,6 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from pcs_racing.archive import PolicyArchive
+from pcs_racing.errors import InputError
+from pcs_racing.game_config import GameConfig
 from pcs_racing_agents.ppo.layers import Layers
 from pcs_racing_agents.ppo.parts import Part
 from pcs_racing_agents.ppo.scores import Cell, Score
@@ -37,18 +40,26 @@ class Level(Protocol):
         """Write a policy."""
 
 
-def make_level(settings: Settings) -> Level:
+def make_level(settings: Settings, *, archive: PolicyArchive | None = None, rules: GameConfig | None = None) -> Level:
     """Load circuits, archive and opponents, and check that they fit together.
+
+    Parameters
+    ----------
+    settings : Settings
+    archive, rules : optional
+        Those of the game, in place of what the settings of a duel name.
 
     Raises
     ------
     InputError
-        If one of them is unknown, or they do not fit.
+        If one of them is unknown, or they do not fit, or a drive is given an archive or the rules of a game.
     """
     if isinstance(settings, DuelSettings):
         from pcs_racing_agents.ppo.duels import duel_level
 
-        return duel_level(settings)
+        return duel_level(settings, archive, rules)
+    if archive is not None or rules is not None:
+        raise InputError("settings of level drive know no archive and no game; give settings of level duel")
     from pcs_racing_agents.ppo.drives import drive_level
 
     return drive_level(settings)  # type: ignore[arg-type]

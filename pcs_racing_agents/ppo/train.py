@@ -7,11 +7,13 @@ machine and versions; torch promises no more).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pcs_racing.archive import PolicyArchive
 from pcs_racing.files import write_atomically
+from pcs_racing.game_config import GameConfig
 from pcs_racing_agents.chunk_files import fingerprint
 from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.jobs import Progress, open_job
@@ -21,7 +23,7 @@ from pcs_racing_agents.ppo.learner import FIGURES, check_packages, own_randomnes
 from pcs_racing_agents.ppo.level import Level, make_level
 from pcs_racing_agents.ppo.scores import Cell, Score, total
 from pcs_racing_agents.ppo.seed_run import SeedRun, train_seed
-from pcs_racing_agents.ppo.settings import Settings, load_ppo_settings
+from pcs_racing_agents.ppo.settings import DuelSettings, Settings, load_ppo_settings
 
 __all__ = ["Trained", "train_ppo"]
 
@@ -70,6 +72,8 @@ def train_ppo(
     name: str | None = None,
     progress: Progress | None = None,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
+    archive: PolicyArchive | None = None,
+    rules: GameConfig | None = None,
     **changes: Any,
 ) -> Trained:
     """Train by PPO, or go on with a training that was stopped.
@@ -87,6 +91,10 @@ def train_ppo(
         Called after every update as ``progress(steps, of all seeds, what)``.
     checkpoint_seconds : float
         Time between two checkpoints; it has no influence on the result.
+    archive : PolicyArchive, optional
+        Of the game, in place of the one that the settings of a duel name: one that has just been made, for instance.
+    rules : GameConfig, optional
+        Of the game, in place of the race and the size of moves that the settings of a duel name.
     **changes
         Settings that are to be others.
 
@@ -104,8 +112,14 @@ def train_ppo(
         If Stable-Baselines3 is not installed.
     """
     settings = load_ppo_settings(config, **changes)
+    if isinstance(settings, DuelSettings):  # what is written of them is what they were
+        if archive is not None:
+            settings = replace(settings, archive=archive.name)
+        if rules is not None:
+            epsilon = rules.epsilon if isinstance(rules.epsilon, float) else settings.epsilon
+            settings = replace(settings, race=rules.race.name, epsilon=epsilon)
     check_packages()
-    level = make_level(settings)
+    level = make_level(settings, archive=archive, rules=rules)
     identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **level.identity}
     with open_job(folder, "ppo", identity) as job, own_randomness():
         runs = []

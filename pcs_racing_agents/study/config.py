@@ -10,6 +10,7 @@ from pcs_racing.game_config import GameConfig, load_game_config
 from pcs_racing.race_config import load_race_config
 from pcs_racing_agents.approximator.targets import get_target
 from pcs_racing_agents.configuration import check_wholes, load_settings
+from pcs_racing_agents.ppo.settings import load_ppo_settings
 from pcs_racing_agents.rollouts.learner import load_response_settings
 from pcs_racing_agents.synthesis.config import load_archive_config
 
@@ -69,7 +70,8 @@ class StudyConfig:
     further_lines : int
         Start lines of its cells; 0 for no second table.
     ppo : str or None
-        Settings of a PPO baseline that is trained along the way; None for none.
+        Settings, of level duel, of a PPO baseline that is trained along the way on the study's circuits, with its
+        archive and by its rules; None for none. Without it the agent "ppo" is the shipped one.
     rivals : tuple of str
         Agents that play all against all for the ratings.
     rival_races : int
@@ -131,6 +133,8 @@ class StudyConfig:
             raise ConfigError(
                 f"archive is {self.archive!r}; it must be a folder or one of {', '.join(list_archives())}"
             )
+        if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
+            raise ConfigError(f"ppo is {self.ppo!r}; these are no settings of level duel")
         if self.best not in self.arms:
             raise ConfigError(f"best is {self.best!r}; it must be one of the arms, {', '.join(self.arms)}")
         check_wholes(

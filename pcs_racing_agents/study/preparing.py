@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from pcs_racing.errors import InputError
+from pcs_racing_agents.approximator.network_files import load_network
 from pcs_racing_agents.approximator.settings import load_train_settings
 from pcs_racing_agents.jobs import open_job
 from pcs_racing_agents.rollouts.learner import learn_response, load_response_settings
@@ -26,6 +26,7 @@ __all__ = [
 TREE_SEED = 1_000_000  # added to the study's seed: other starts than those of any race of the table
 FITTING_SEED = 2_000_000
 RESPONSE_SEED = 3_000_000
+PPO_SEEDS = 2**31  # torch takes no larger ones
 
 
 def make_the_archive(study: Study) -> None:
@@ -138,7 +139,26 @@ def learn_responses(study: Study) -> None:
 
 
 def train_ppo_baseline(study: Study) -> None:
-    """Train PPO on the game; nothing to do without settings for it."""
-    if study.config.ppo is None:
+    """Train PPO on the game that is studied; nothing to do without settings for it.
+
+    Circuits, archive and rules are those of the study; the settings say all the rest.
+    """
+    config = study.config
+    if config.ppo is None:
         return
-    raise InputError("the PPO stage is not wired up yet")
+    from pcs_racing_agents.ppo.curves import write_curve
+    from pcs_racing_agents.ppo.settings import load_ppo_settings
+    from pcs_racing_agents.ppo.train import train_ppo
+
+    settings = load_ppo_settings(config.ppo, tracks=config.circuits)
+    trained = train_ppo(
+        settings,
+        study.folder / "ppo" / "training",
+        name="ppo",
+        progress=study.progress("steps (ppo)"),
+        archive=study.archive,
+        rules=config.game,
+        seeds=tuple((config.seed + seed) % PPO_SEEDS for seed in settings.seeds),
+    )
+    load_network(trained.folder).save(study.network("ppo"))
+    write_curve(trained.curves, study.network("ppo") / "curve.csv")

@@ -25,6 +25,7 @@ from pcs_racing.track import Track, load_track
 from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.job_folders import claim_folder
 from pcs_racing_agents.jobs import Progress, show_progress
+from pcs_racing_agents.ppo.learner import check_packages
 from pcs_racing_agents.strategies.agent import Agent, Competitor
 from pcs_racing_agents.strategies.setting import Setting, make_setting
 from pcs_racing_agents.strategies.zoo import build
@@ -203,6 +204,8 @@ def run_study(
     study = Study(config, Path(folder), executor, quiet)
     for name in config.every_track:
         study.track(name)  # an unknown circuit is an error now, not in an hour
+    if config.ppo is not None and "ppo" in chosen and not (study.folder / "ppo" / DONE).is_file():
+        check_packages()  # likewise
     with claim_folder(study.folder, "study", plain_settings(config)):
         for stage in _stages():
             if stage.name in chosen:

@@ -24,7 +24,8 @@ __all__ = ["main", "ship"]
 def ship(study: Study, checkout: Path) -> list[Path]:
     """Copy a study's networks and choices to where the zoo looks for them; return what was written.
 
-    The first response is what the agent "adaptive" asks: its network is called ``gain`` there.
+    The first response is what the agent "adaptive" asks: its network is called ``gain`` there. The study's PPO baseline
+    stays in the study: the shipped one learned longer (``pcs-racing ppo --config duel-paper``).
     """
     setting = study.setting
     stem = f"{setting.archive.name}-{setting.race}"

@@ -1,13 +1,19 @@
 """A whole study, from trees to the report, in a game of two moves of two seconds."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+from pcs_racing import load_archive
 from pcs_racing.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing_agents.approximator import load_network
+from pcs_racing_agents.approximator.network import game_identity
 from pcs_racing_agents.jobs import make_executor
-from pcs_racing_agents.study import STAGES, load_study_config, run_study
-from pcs_racing_agents.study.run import stage_seconds
+from pcs_racing_agents.ppo.curves import read_curve
+from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
+from pcs_racing_agents.study.run import Study, stage_seconds
 from pcs_racing_agents.study.ship import main as ship
 
 TINY = load_study_config(
@@ -27,7 +33,9 @@ TINY = load_study_config(
     lines=1,
     further_lines=1,
     further_opponents=("random-moves",),
-    rivals=("never-switch", "cfr-argmax", "lane-switcher"),
+    further_arms=("ppo",),
+    ppo=str(Path(__file__).with_name("ppo_tiny.yaml")),
+    rivals=("never-switch", "cfr-argmax", "ppo", "lane-switcher"),
     rival_races=2,
 )
 
@@ -40,7 +48,7 @@ def finished(tmp_path_factory):
 
 def test_a_study_leaves_its_results(finished):
     lines = (finished.folder / "results.csv").read_text(encoding="utf-8").splitlines()
-    main, further = 2 * 4 * 8, 3 * 4 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
+    main, further = 2 * 4 * 8, 3 * 5 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
     assert len(lines) == 1 + main + further
     assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
     page = (finished.folder / "report.html").read_text(encoding="utf-8")
@@ -63,11 +71,31 @@ def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
         run_study(TINY, other, only=STAGES[: STAGES.index("races")], executor=executor, quiet=True)
         for file in sorted(other.rglob("*.npz"))[::3]:
             file.unlink()  # as if the run had been killed before they were there
-        for stage in ("trees", "networks", "responses"):
+        for stage in ("trees", "networks", "responses", "ppo"):
             (other / stage / "done.yaml").unlink()
         run_study(TINY, other, executor=executor, quiet=True)
     assert (other / "results.csv").read_bytes() == (finished.folder / "results.csv").read_bytes()
     assert (other / "table.csv").read_bytes() == (finished.folder / "table.csv").read_bytes()
+
+
+def test_ppo_learns_the_game_that_is_studied(finished):
+    network = load_network(finished.network("ppo"))
+    assert network.training["setting_tracks"] == "Pipkin"
+    assert network.training["setting_opponents"] == "1 never-switch, 1 lane-switcher:1"
+    assert network.identity == game_identity(finished.game("Pipkin"))  # two moves, not the four of the settings
+    assert len(read_curve(finished.network("ppo") / "curve.csv")[0].steps) == 3
+    ppo = finished.agent("ppo")
+    seen = np.random.default_rng(1).random((50, len(network.identity.elements)), np.float32)
+    np.testing.assert_array_equal(ppo.predict(seen)[0], network.choose(seen))
+
+
+def test_an_archive_that_was_made_is_the_one_that_ppo_learns_with(tmp_path):
+    archive = replace(load_archive("default"), name="mine")
+    archive.save(tmp_path / "study" / "archive")
+    study = Study(replace(TINY, synthesis="default"), tmp_path / "study", quiet=True)
+    preparing.train_ppo_baseline(study)
+    assert load_network(study.network("ppo")).identity.archive == "mine"
+    assert load_network(study.network("ppo")).training["setting_archive"] == "mine"
 
 
 def test_what_was_found_can_be_shipped(finished, tmp_path, capsys):
@@ -103,6 +131,8 @@ def test_stages_come_in_order(tmp_path):
         ({"archive": "nowhere"}, "archive is 'nowhere'; it must be a folder or one of contest, default"),
         ({"targets": ("fame",)}, "fame"),
         ({"tracks": ("Pipkin", "Pipkin")}, "name each once"),
+        ({"ppo": "drive"}, "ppo is 'drive'; these are no settings of level duel"),
+        ({"ppo": "nowhere"}, "ppo settings 'nowhere' are unknown"),
         ({"lunch": 1}, "unknown study setting 'lunch'"),
     ],
 )
