@@ -4,12 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pcs_racing.errors import InputError
 from pcs_racing_agents.picture_style import (
     COLOURS,
-    EDGE,
     INK,
     SOFT,
     new_figure,
@@ -21,7 +19,7 @@ from pcs_racing_agents.picture_style import (
 )
 from pcs_racing_agents.study.report_inputs import Curve, Place
 from pcs_racing_agents.study.table import StudyTable, TableRow
-from pcs_racing_agents.tournament.ratings import Ratings
+from pcs_racing_agents.tournament.pictures import payoffs_picture, ratings_picture
 
 __all__ = [
     "adaptivity_picture",
@@ -56,9 +54,8 @@ def scores_picture(table: StudyTable) -> Any:
                 shown.append((row.paper.gt, places["cfr-argmax"]))
             for value, place in shown:
                 axes.plot(value, place, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4)
-    _finish(
-        figure, panels, names, "score: races won, ties half; lines: 95 % intervals; diamonds: the paper's win rates"
-    )
+    told = "; diamonds: the paper's win rates" if _has_paper(table) else ""
+    _finish(figure, panels, names, f"score: races won, ties half; lines: 95 % intervals{told}")
     return figure
 
 
@@ -75,7 +72,8 @@ def differences_picture(table: StudyTable) -> Any:
             place = -names.index("cfr-argmax")
             axes.plot(row.paper.difference, place, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4)
     told = f"difference of score from {short(table.base)}, 95 % intervals"
-    _finish(figure, panels, names, f"{told}; hollow: p (Holm) not below 0.05; diamonds: the paper's")
+    told += "; hollow: p (Holm) not below 0.05" + ("; diamonds: the paper's" if _has_paper(table) else "")
+    _finish(figure, panels, names, told)
     return figure
 
 
@@ -188,63 +186,6 @@ def exploitability_picture(places: Sequence[Place], *, unit: str = "utility") ->
     return figure
 
 
-@picture
-def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
-    """Draw who scores how much against whom; purple above one half, orange below.
-
-    Parameters
-    ----------
-    names : sequence of str
-        N agents.
-    payoffs : array_like, shape (N, N)
-        Score of the row's agent against the column's; NaN where they did not meet.
-
-    Raises
-    ------
-    InputError
-        If names and payoffs do not fit each other.
-    """
-    matrix = np.asarray(payoffs, np.float64)
-    if matrix.shape != (len(names), len(names)) or len(names) == 0:
-        raise InputError(f"payoffs have shape {matrix.shape}; {len(names)} agents need ({len(names)}, {len(names)})")
-    shown = [short(name) for name in names]
-    size = 0.58 * len(names)
-    figure = new_figure(size + 2.0, size + 1.4)
-    axes = figure.subplots()
-    image = axes.imshow(matrix, cmap="PuOr", vmin=-0.15, vmax=1.15)
-    axes.set_xticks(range(len(names)), shown, rotation=40, ha="left", rotation_mode="anchor")
-    axes.xaxis.tick_top()
-    axes.set_yticks(range(len(names)), shown)
-    for (i, j), value in np.ndenumerate(matrix):
-        if not np.isnan(value):
-            dark = image.cmap(image.norm(value))[:3] @ np.array([0.299, 0.587, 0.114]) < 0.5
-            axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color="white" if dark else INK)
-    axes.tick_params(length=0)
-    axes.spines[:].set_visible(False)
-    axes.set_xlabel("score of the row's agent against the column's")
-    return figure
-
-
-@picture
-def ratings_picture(ratings: Ratings) -> Any:
-    """Draw the ratings with their intervals, best on top, on the scale of chess."""
-    order = np.argsort(-ratings.strength, kind="stable")
-    scale = float(ratings.elo[order[0]] / ratings.strength[order[0]]) if ratings.strength[order[0]] else 1.0
-    figure = new_figure(7.2, 0.9 + 0.3 * len(order))
-    axes = figure.subplots()
-    axes.axvline(0.0, color=EDGE, lw=1.0)
-    for place, i in enumerate(order):
-        if np.isfinite(ratings.low[i]):
-            ends = [scale * ratings.low[i], scale * ratings.high[i]]
-            axes.plot(ends, [-place] * 2, color=COLOURS[0], lw=2.0, solid_capstyle="butt")
-        axes.plot(ratings.elo[i], -place, "o", color=COLOURS[0], ms=6)
-    axes.set_yticks([-place for place in range(len(order))], [short(ratings.names[i]) for i in order])
-    axes.set_ylim(-len(order) + 0.4, 0.6)
-    axes.set_xlabel("rating (Bradley-Terry; 400 are odds of ten to one; mean 0)")
-    tidy(axes, "x")
-    return figure
-
-
 def _grid(table: StudyTable) -> tuple[Any, list[tuple[TableRow, Any]]]:
     """Return a figure with a panel for each row: circuits below each other, opponents side by side."""
     tracks = list(dict.fromkeys(row.track for row in table.rows))
@@ -272,6 +213,10 @@ def _finish(figure: Any, panels: list[tuple[TableRow, Any]], names: Sequence[str
         axes.locator_params(axis="x", nbins=5)
         tidy(axes, "x")
     figure.supxlabel(told, fontsize=8.5, color=SOFT)
+
+
+def _has_paper(table: StudyTable) -> bool:
+    return any(row.paper is not None for row in table.rows)
 
 
 def _arm_colour(table: StudyTable, arm: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from typing import Any
 
-from pcs_racing_agents.study.table import Difference, StudyTable
+from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
 
 __all__ = ["drawn", "facts", "image", "overview", "table_of"]
 
@@ -15,24 +15,30 @@ __all__ = ["drawn", "facts", "image", "overview", "table_of"]
 def overview(table: StudyTable) -> str:
     """Return the short table: a line for each row, a column for each agent, differences with their intervals."""
     others = [arm for arm in table.arms if arm != table.base]
-    head = ["circuit", "opponent", "paper", f"{table.base}: score", *others]
+    papers = any(row.paper is not None for row in table.rows)
+    head = ["circuit", "opponent", *(["paper"] if papers else []), f"{table.base}: score", *others]
     lines = [f"<tr>{''.join(_cell('th', cell, i < 2) for i, cell in enumerate(head))}</tr>"]
     for row in table.rows:
         found = {one.arm: one for one in row.differences}
         cells = [
             f'<th class="name">{html.escape(row.track)}{"" if row.seen else "<br><small>unseen</small>"}</th>',
             f'<td class="word">{html.escape(row.opponent)}</td>',
-            f'<td class="paper">{"" if row.paper is None else f"{row.paper.difference:+.3f}"}</td>',
+            *([f'<td class="paper">{_paper(row)}</td>'] if papers else []),
             f"<td>{row.arms[0].score:.3f}</td>",
             *(_difference(found.get(arm)) for arm in others),
         ]
         lines.append(f"<tr>{''.join(cells)}</tr>")
     told = (
         f"Score of {table.base}, then what each agent scores more than it; small: half of the 95 % interval; bold: p "
-        "(Holm) below 0.05; paper: what its game-theoretic agent won more than its other one."
+        "(Holm) below 0.05"
     )
+    told += "; paper: what its game-theoretic agent won more than its other one." if papers else "."
     page = f'<div class="scroll"><table class="short">{"".join(lines)}</table></div>'
     return f'{page}<p class="note">{html.escape(told)}</p>'
+
+
+def _paper(row: TableRow) -> str:
+    return "" if row.paper is None else f"{row.paper.difference:+.3f}"
 
 
 def _difference(one: Difference | None) -> str:
@@ -83,11 +89,12 @@ def drawn(name: str, caption: str, *arguments: Any, **options: Any) -> Iterator[
     if find_spec("matplotlib") is None:
         yield f'<p class="note">{html.escape(caption)} Not drawn: matplotlib is not installed.</p>'
         return
-    from pcs_racing_agents.explaining import pcs_picture
+    from pcs_racing_agents.explaining import pcs_picture, situations
     from pcs_racing_agents.picture_style import picture_bytes
     from pcs_racing_agents.study import figures
 
-    draw = getattr(pcs_picture if name == "archive_picture" else figures, name)
+    place = {"archive_picture": pcs_picture, "situations_picture": situations}.get(name, figures)
+    draw = getattr(place, name)
     yield image(picture_bytes(draw(*arguments, **options)), caption)
 
 

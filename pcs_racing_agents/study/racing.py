@@ -7,16 +7,21 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcs_racing.files import write_atomically
+from pcs_racing.game import RaceGame
+from pcs_racing.race import Starts
 from pcs_racing_agents.approximator.metrics import Play, TreeScore, score_trees
 from pcs_racing_agents.jobs import open_job
 from pcs_racing_agents.strategies.agent import Agent
 from pcs_racing_agents.strategies.fits import save_fit
 from pcs_racing_agents.study.preparing import stored_trees
 from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.tournament.best_reply import best_reply
 from pcs_racing_agents.tournament.cells import Cell, play_cell
 from pcs_racing_agents.trees.storage import StoredTrees, build_trees
+from pcs_racing_agents.trees.tree import RaceTree
 
 __all__ = ["StudyCell", "cells", "judge_on_trees", "race_cells", "race_rivals"]
 
@@ -135,9 +140,25 @@ def judge_on_trees(study: Study) -> None:
         plays = {agent.name: _play(agent) for agent in judged}
         for name, scores in score_trees(plays, (trees[i] for i in range(len(trees)))).items():
             rows += [(track, name, i, *(f"{value:.6g}" for value in score)) for i, score in enumerate(scores)]
+        game = study.tree_game(track)
+        for agent in agents:
+            if agent.name not in plays and _certain(agent, trees):
+                rows += [(track, agent.name, i, *_by_replies(game, agent, tree)) for i, tree in enumerate(trees)]
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     write_atomically(study.folder / "exploitability.csv", lambda file: file.write(text.getvalue().encode()))
+
+
+def _by_replies(game: RaceGame, agent: Agent, tree: RaceTree) -> tuple[str, ...]:
+    """Judge an agent that stays where it is, at the root of a tree; what only the tree could tell is left open."""
+    start = Starts(np.array([tree.start_s]), np.array([tree.side]))
+    found = [
+        best_reply(game, agent, policies=tree.policies, start=start, seeds=tree.seeds, car=car) for car in range(2)
+    ]
+    # The value of the game is what one role wins and the other loses: it is not in the mean of both.
+    lost, random = -0.5 * (found[0].best + found[1].best), 0.5 * (found[0].random + found[1].random)
+    values = {"lost_to_best_response": lost, "against_random": random}
+    return tuple(f"{values[name]:.6g}" if name in values else "" for name in TreeScore._fields)
 
 
 def _play(agent: Agent) -> Play:
@@ -148,9 +169,17 @@ def _play(agent: Agent) -> Play:
 def _in_trees(agent: Agent, trees: StoredTrees) -> bool:
     """Whether an agent makes only moves that the trees know."""
     play = _play(agent)
+    return all(np.allclose(play(seen).sum(axis=1), 1.0) for seen in _seen_in(trees))
+
+
+def _certain(agent: Agent, trees: StoredTrees) -> bool:
+    """Whether an agent draws nothing."""
+    return all(np.allclose(agent.probabilities(seen).max(axis=1), 1.0) for seen in _seen_in(trees))
+
+
+def _seen_in(trees: StoredTrees) -> Iterator[NDArray[np.float32]]:
+    """All observations in trees, level by level."""
     for tree in trees:
         for k in range(tree.game_tree().depth):
             seen = tree.observations(k)
-            if not np.allclose(play(seen.reshape(-1, seen.shape[-1])).sum(axis=1), 1.0):
-                return False
-    return True
+            yield seen.reshape(-1, seen.shape[-1])

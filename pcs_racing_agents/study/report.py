@@ -10,19 +10,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.archive import PolicyArchive
 from pcs_racing.files import write_atomically
 from pcs_racing.replay import replay_page
+from pcs_racing_agents.explaining.situations import Situations, situations_text
 from pcs_racing_agents.study.highlights import Watched
 from pcs_racing_agents.study.markup import drawn, facts, image, overview, table_of
-from pcs_racing_agents.study.report_inputs import Curve, TreeLoss, places_of
+from pcs_racing_agents.study.report_inputs import Curve, TreeLoss, mean_losses, mean_scores, places_of
 from pcs_racing_agents.study.table import StudyTable, TableRow
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
-from pcs_racing_agents.tournament.ratings import Ratings
+from pcs_racing_agents.tournament.round_robin import RoundRobin
 
-__all__ = ["Payoffs", "Picture", "ReportContent", "Sheet", "report_page", "write_page"]
+__all__ = ["Picture", "ReportContent", "Sheet", "report_page", "write_page"]
 
 
 class Sheet(NamedTuple):
@@ -59,21 +59,6 @@ class Picture(NamedTuple):
     content: bytes
 
 
-class Payoffs(NamedTuple):
-    """Who scores how much against whom.
-
-    Attributes
-    ----------
-    names : tuple of str
-        N agents.
-    scores : ndarray, shape (N, N)
-        Of the row's agent against the column's; NaN where they did not meet.
-    """
-
-    names: tuple[str, ...]
-    scores: NDArray[np.float64]
-
-
 @dataclass(frozen=True, eq=False)
 class ReportContent:
     """What a report tells; whatever is left out is not in it.
@@ -97,8 +82,12 @@ class ReportContent:
         What agents lose on trees that no network has seen.
     loss_unit : str
         What that is counted in.
-    ratings : Ratings, optional
-    payoffs : Payoffs, optional
+    judged : StudyTable, optional
+        The table whose scores stand beside what the agents lose on trees; by default ``table``.
+    rivals : RoundRobin, optional
+        Races of all against all.
+    situations : sequence of Situations
+        Which move in which situation, agent by agent.
     ablations : sequence of Sheet
     sheets : sequence of Sheet
         Other tables.
@@ -120,8 +109,9 @@ class ReportContent:
     reward_curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)
     losses: Sequence[TreeLoss] = ()
     loss_unit: str = "utility"
-    ratings: Ratings | None = None
-    payoffs: Payoffs | None = None
+    judged: StudyTable | None = None
+    rivals: RoundRobin | None = None
+    situations: Sequence[Situations] = ()
     ablations: Sequence[Sheet] = ()
     sheets: Sequence[Sheet] = ()
     pictures: Sequence[Picture] = ()
@@ -252,23 +242,49 @@ def _learning(content: ReportContent) -> Iterator[str]:
         yield from drawn("curves_picture", "Reinforcement learning, by steps.", content.reward_curves, **options)
 
 
+def _situations(content: ReportContent) -> Iterator[str]:
+    if content.situations:
+        yield (
+            "<p>Situations are told by step, by thirds of the leads, and by thirds of the opponent's pace as it was "
+            "measured in the step before; the thirds are those of what occurred before that move.</p>"
+        )
+    for found in content.situations:
+        yield f"<h3>{html.escape(found.agent)}</h3>"
+        races = int(found.counts[0].sum())
+        caption = f"Which move in which situation, in % of the races that came there; {races:,} races."
+        yield from drawn("situations_picture", caption, found)
+        yield f"<details><summary>in words</summary><pre>{html.escape(situations_text(found))}</pre></details>"
+
+
 def _exploitability(content: ReportContent) -> Iterator[str]:
     if not content.losses:
         return
     yield (
         "<p>What each agent loses on trees that no network has seen, in "
-        f"{html.escape(content.loss_unit)}, mean of both roles (standard error over trees): to an opponent that knows "
-        "it (half its NashConv), to one that plays its equilibrium; and what it gets from one that moves at random.</p>"
+        f"{html.escape(content.loss_unit)}, mean of both roles and of the circuits (standard error over trees): to an "
+        "opponent that knows it (half its NashConv), to one that plays its equilibrium; and what it gets from one that "
+        "moves at random. Beside it its score in the races of the table, mean over the rows, and its rating.</p>"
     )
-    head = ("agent", "circuit", "trees", "lost to best response", "lost to equilibrium", "against random")
+    scores = mean_scores(content.judged or content.table)
+    columns = ("lost to best response", "lost to equilibrium", "against random")
     yield table_of(
-        head,
+        ("agent", "score", "rating", "trees", *columns),
         [
-            (loss.agent, loss.track, str(loss.trees), *(f"{m:.3f} ({e:.3f})" for m, e in loss.columns))
-            for loss in content.losses
+            (
+                agent,
+                f"{scores[agent]:.3f}" if agent in scores else "",
+                "" if content.rivals is None else _finite(content.rivals.rating(agent)[0], "+.0f"),
+                str(loss.trees),
+                *_loss_cells(loss),
+            )
+            for agent, loss in mean_losses(content.losses).items()
         ],
     )
-    places = places_of(content.table, content.losses)
+    yield "<details><summary>circuit by circuit</summary>"
+    rows = [(loss.agent, loss.track, str(loss.trees), *_loss_cells(loss)) for loss in content.losses]
+    yield table_of(("agent", "circuit", "trees", *columns), rows)
+    yield "</details>"
+    places = places_of(content.judged or content.table, content.losses)
     if places:
         caption = (
             "Strong and safe: the score is the mean over the rows of the table; lines: standard errors over trees."
@@ -276,20 +292,47 @@ def _exploitability(content: ReportContent) -> Iterator[str]:
         yield from drawn("exploitability_picture", caption, places, unit=content.loss_unit)
 
 
+def _loss_cells(loss: TreeLoss) -> Iterator[str]:
+    for mean, error in loss.columns:
+        yield "" if np.isnan(mean) else f"{mean:.3f}" if np.isnan(error) else f"{mean:.3f} ({error:.3f})"
+
+
+def _finite(value: float, form: str) -> str:
+    return "" if np.isnan(value) else f"{value:{form}}"
+
+
 def _ratings(content: ReportContent) -> Iterator[str]:
-    ratings = content.ratings
+    rivals = content.rivals
+    if rivals is None:
+        return
+    ratings = rivals.ratings
     if ratings is not None:
         order = np.argsort(-ratings.strength, kind="stable")
-        rows = [
-            (ratings.names[i], f"{ratings.elo[i]:+.0f}", str(ratings.races[i]), str(ratings.left_out[i])) for i in order
-        ]
-        yield table_of(("agent", "rating", "races", "races that paid nobody"), rows)
+        head = ("agent", "rating", "95 % interval", "races", "races that paid nobody", "equilibrium", "alpha-rank")
+        rows = []
+        for i in order:
+            name = ratings.names[i]
+            rating, low, high = rivals.rating(name)
+            meta = [
+                "" if shares is None else f"{shares[rivals.names.index(name)]:.2f}"
+                for shares in (rivals.equilibrium, rivals.alpha_rank)
+            ]
+            interval = "" if np.isnan(low) else f"[{low:+.0f}, {high:+.0f}]"
+            rows.append((name, f"{rating:+.0f}", interval, str(ratings.races[i]), str(ratings.left_out[i]), *meta))
+        yield table_of(head, rows)
+        notes = ["Rating: Bradley-Terry with ties, from all against all; 400 are odds of ten to one."]
+        if rivals.equilibrium is not None:
+            notes.append("Equilibrium: how often to send whom, if the other side chooses its agent as cleverly.")
+        if rivals.alpha_rank is not None:
+            notes.append(
+                "Alpha-rank: the share of the time that evolution spends at an agent; scores against each other that "
+                f"differ by up to {rivals.alike:.3f}, which is within the noise, count as alike."
+            )
+        yield f'<p class="note">{html.escape(" ".join(notes))}</p>'
         yield from drawn(
             "ratings_picture", "Ratings from races of all against all; lines: bootstrap intervals.", ratings
         )
-    if content.payoffs is not None:
-        payoffs = content.payoffs
-        yield from drawn("payoffs_picture", "Who scores how much against whom.", payoffs.names, payoffs.scores)
+    yield from drawn("payoffs_picture", "Who scores how much against whom.", rivals.names, rivals.scores)
 
 
 def _more(content: ReportContent) -> Iterator[str]:
@@ -302,14 +345,14 @@ def _more(content: ReportContent) -> Iterator[str]:
 
 def _how(content: ReportContent) -> Iterator[str]:
     blocks = [
-        ("Settings", content.settings),
+        ("Time, s", {name: f"{value:.1f}" for name, value in content.seconds.items()}),
         ("Versions", content.versions),
         ("Seeds", content.seeds),
-        ("Time, s", {name: f"{value:.1f}" for name, value in content.seconds.items()}),
+        ("Settings", content.settings),
     ]
     if content.seconds:
         total = sum(content.seconds.values())
-        blocks[-1] = ("Time, s", {**blocks[-1][1], "all": f"{total:.1f} ({total / 60.0:.1f} min)"})
+        blocks[0] = ("Time, s", {**blocks[0][1], "all": f"{total:.1f} ({total / 60.0:.1f} min)"})
     shown = [(title, values) for title, values in blocks if values]
     if shown:
         parts = [f"<div><h3>{title}</h3>{facts(values)}</div>" for title, values in shown]
@@ -322,6 +365,7 @@ _SECTIONS: tuple[tuple[str, Callable[[ReportContent], Iterator[str]]], ...] = (
     ("Adaptivity gain", _adaptivity),
     ("Ablations", _ablations),
     ("Races to watch", _races),
+    ("Which move in which situation", _situations),
     ("Policies", _archive),
     ("Learning", _learning),
     ("Exploitability", _exploitability),

@@ -14,7 +14,17 @@ from pcs_racing.errors import InputError
 from pcs_racing_agents.job_folders import package_version
 from pcs_racing_agents.study.table import StudyTable
 
-__all__ = ["Curve", "Place", "TreeLoss", "places_of", "read_curves", "read_losses", "software"]
+__all__ = [
+    "Curve",
+    "Place",
+    "TreeLoss",
+    "mean_losses",
+    "mean_scores",
+    "places_of",
+    "read_curves",
+    "read_losses",
+    "software",
+]
 
 Floats = NDArray[np.float64]
 
@@ -63,7 +73,7 @@ class TreeLoss(NamedTuple):
     trees : int
     columns : tuple of (mean, standard error)
         Lost to its best response, lost to the equilibrium, and what it gets from random moves; the errors are NaN for
-        a single tree.
+        a single tree, and so is what was not found out.
     """
 
     track: str
@@ -112,19 +122,34 @@ def read_curves(path: str | Path, *columns: str, x: str = "epoch") -> list[Curve
     ]
 
 
+def mean_losses(losses: Sequence[TreeLoss]) -> dict[str, TreeLoss]:
+    """Return what each agent loses, mean over circuits with equal weight; errors are those of the mean."""
+    found = {}
+    for agent in dict.fromkeys(loss.agent for loss in losses):
+        own = [loss for loss in losses if loss.agent == agent]
+        values = np.array([loss.columns for loss in own], np.float64)  # circuits, columns, (mean, error)
+        errors = np.sqrt((values[:, :, 1] ** 2).sum(axis=0)) / len(own)
+        columns = tuple(zip(values[:, :, 0].mean(axis=0).tolist(), errors.tolist(), strict=True))
+        found[agent] = TreeLoss(", ".join(loss.track for loss in own), agent, sum(loss.trees for loss in own), columns)
+    return found
+
+
+def mean_scores(table: StudyTable | None) -> dict[str, float]:
+    """Return each agent's score, mean over the rows of a table; without those that did not race in all of them."""
+    if table is None:
+        return {}
+    rows = [{result.arm: result.score for result in row.arms} for row in table.rows]
+    return {arm: float(np.mean([row[arm] for row in rows])) for arm in table.arms if all(arm in row for row in rows)}
+
+
 def places_of(table: StudyTable | None, losses: Sequence[TreeLoss]) -> list[Place]:
     """Return where agents stand whose score and whose exploitability are known, means over rows and circuits."""
-    if table is None:
-        return []
-    places = []
-    for arm in table.arms:
-        scores = [result.score for row in table.rows for result in row.arms if result.arm == arm]
-        known = [loss.columns[0] for loss in losses if loss.agent == arm]
-        if known:
-            mean, errors = np.array(known).T
-            error = float(np.sqrt(np.sum(np.nan_to_num(errors) ** 2)) / len(known))
-            places.append(Place(arm, float(np.mean(scores)), 0.0, float(mean.mean()), error))
-    return places
+    scores = mean_scores(table)
+    return [
+        Place(agent, scores[agent], 0.0, loss.columns[0][0], float(np.nan_to_num(loss.columns[0][1])))
+        for agent, loss in mean_losses(losses).items()
+        if agent in scores
+    ]
 
 
 def software() -> dict[str, str]:

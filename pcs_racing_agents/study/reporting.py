@@ -5,8 +5,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from pcs_racing.files import write_atomically
 from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.strategies.agent import Agent
@@ -14,13 +12,15 @@ from pcs_racing_agents.strategies.blind import Blend, Schedule, Walk
 from pcs_racing_agents.strategies.fits import load_fit
 from pcs_racing_agents.study.cell_races import cell_races
 from pcs_racing_agents.study.highlights import telling_races, watch_race
-from pcs_racing_agents.study.racing import StudyCell, cells
-from pcs_racing_agents.study.report import Payoffs, ReportContent, Sheet, Watched, write_page
-from pcs_racing_agents.study.report_inputs import TreeLoss, read_curves, read_losses, software
+from pcs_racing_agents.study.moves_made import moves_in_situations
+from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
+from pcs_racing_agents.study.racing import CELL_SEED, HELD_OUT_SEED, MIXING_SEED, RIVAL_SEED, StudyCell, cells
+from pcs_racing_agents.study.report import ReportContent, Sheet, Watched, write_page
+from pcs_racing_agents.study.report_inputs import Curve, TreeLoss, read_curves, read_losses, software
 from pcs_racing_agents.study.run import Study, stage_seconds
 from pcs_racing_agents.study.table import StudyTable, make_table
 from pcs_racing_agents.study.table_text import difference_text, overview_rows, table_markdown, table_text, write_table
-from pcs_racing_agents.tournament.ratings import Ratings, rate
+from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
 from pcs_racing_agents.tournament.table import write_rows
 
 __all__ = ["best_blind", "study_table", "write_report"]
@@ -74,10 +74,9 @@ def _is_blind(agent: object) -> bool:
 
 def _content(study: Study, played: Sequence[StudyCell], main: StudyTable) -> ReportContent:
     config = study.config
-    ratings, payoffs = _rivals(study)
-    sheets = []
+    sheets, judged = [], main
     if config.further_lines:
-        further = study_table(study, played, "further")
+        further = judged = study_table(study, played, "further")
         head, *rows = overview_rows(further, difference_text)
         note = f"{config.further_lines * config.egos * config.variants * 2} races for each cell."
         sheets.append(Sheet("More opponents, circuits and agents", head, tuple(rows), note))
@@ -91,15 +90,17 @@ def _content(study: Study, played: Sequence[StudyCell], main: StudyTable) -> Rep
         table=main,
         archive=study.archive,
         epsilon=config.epsilon,
-        curves={file.parent.name: read_curves(file) for file in study.folder.glob("networks/*/learning_curves.csv")},
+        curves=_curves(study),
         losses=_losses(study),
-        ratings=ratings,
-        payoffs=payoffs,
+        loss_unit="m of lead" if config.game.utility == "lead" else "utility (a win 1, a loss -1)",
+        judged=judged,
+        rivals=_rivals(study),
+        situations=moves_in_situations(study, played),
         sheets=sheets,
         races=list(_watched(study, played)),
         settings=plain_settings(config),
         versions=software(),
-        seeds={"study": config.seed},
+        seeds=_seeds(study),
         seconds=stage_seconds(study),
     )
 
@@ -122,41 +123,48 @@ def _findings(table: StudyTable) -> Iterator[str]:
         )
 
 
+def _curves(study: Study) -> dict[str, list[Curve]]:
+    """Learning curves of the networks, in the order of the configuration."""
+    files = {name: study.network(name) / "learning_curves.csv" for name in study.config.targets}
+    return {name: read_curves(file) for name, file in files.items() if file.is_file()}
+
+
 def _losses(study: Study) -> list[TreeLoss]:
     file = study.folder / "exploitability.csv"
     return read_losses(file) if file.is_file() else []
 
 
-def _rivals(study: Study) -> tuple[Ratings | None, Payoffs | None]:
+def _rivals(study: Study) -> RoundRobin | None:
     """Ratings and payoffs of the races all against all."""
     file = study.folder / "rivals.csv"
     if not file.is_file():
-        return None, None
+        return None
     with open(file, newline="", encoding="utf-8") as lines:
         rows = list(csv.DictReader(lines))
-    crash = np.array([row["crash"] != "" for row in rows])
-    result = np.array([{"ego": 1, "opponent": -1}.get(row["winner"], 0) for row in rows])
-    nobody = crash & (result == 0)
-    names = tuple(study.config.rivals)
-    place = {name: i for i, name in enumerate(names)}
-    total, races = np.zeros((len(names), len(names))), np.zeros((len(names), len(names)))
-    for row, won, unpaid in zip(rows, result, nobody, strict=True):
-        i, j = place[row["ego"]], place[row["opponent"]]
-        total[i, j] += 0.0 if unpaid else 0.5 + 0.5 * won
-        total[j, i] += 0.0 if unpaid else 0.5 - 0.5 * won
-        races[i, j] += 1.0
-        races[j, i] += 1.0
-    scores = np.divide(total, races, out=np.full_like(total, np.nan), where=races > 0.0)
-    unit = np.array([f"{row['track']} {row['race']}" for row in rows])
-    ratings = rate(
+    return round_robin(
+        study.config.rivals,
         [row["ego"] for row in rows],
         [row["opponent"] for row in rows],
-        result,
-        nobody=nobody,
-        unit=unit,
-        rng=np.random.default_rng(np.random.SeedSequence(study.config.seed, spawn_key=(6_000_000,))),
+        [row["winner"] for row in rows],
+        [row["crash"] != "" for row in rows],
+        [f"{row['track']} {int(row['race']) // 2}" for row in rows],  # races 2j and 2j + 1 have the same line
+        seed=study.config.seed,
     )
-    return ratings, Payoffs(names, scores)
+
+
+def _seeds(study: Study) -> dict[str, int]:
+    """Where the random numbers of each stage begin."""
+    config = study.config
+    found = {"study": config.seed}
+    if config.pairs:
+        found |= {"trees": config.seed + TREE_SEED, "trees held out": config.seed + HELD_OUT_SEED}
+    found["training races"] = config.seed + FITTING_SEED
+    if config.responses:
+        found["answers"] = config.seed + RESPONSE_SEED
+    found["races of the table"] = config.seed + CELL_SEED
+    if config.rivals:
+        found |= {"all against all": config.seed + RIVAL_SEED, "their mixture": config.seed + MIXING_SEED}
+    return found
 
 
 def _watched(study: Study, played: Sequence[StudyCell]) -> Iterator[Watched]:

@@ -55,14 +55,16 @@ def overview_rows(table: StudyTable, show: Callable[[Difference], str] = differe
     """Return the short table, its head first: a line for each row, a column for each agent's difference."""
     others = [arm for arm in table.arms if arm != table.base]
     gain = [] if table.best is None or table.blind is None else [f"{table.best} - {table.blind}"]
-    lines: list[tuple[str, ...]] = [("circuit", "opponent", "paper: GT", table.base, *others, *gain)]
+    papers = any(row.paper is not None for row in table.rows)
+    told = ["paper: GT"] if papers else []
+    lines: list[tuple[str, ...]] = [("circuit", "opponent", *told, table.base, *others, *gain)]
     for row in table.rows:
         found = {one.arm: show(one) for one in row.differences}
         lines.append(
             (
                 f"{row.track} ({'seen' if row.seen else 'unseen'})",
                 row.opponent,
-                "" if row.paper is None else f"{row.paper.difference:+.3f}",
+                *(["" if row.paper is None else f"{row.paper.difference:+.3f}"] if papers else []),
                 f"{row.arms[0].score:.3f}",
                 *(found.get(arm, "") for arm in others),
                 *(["" if row.gain is None else show(row.gain)] if gain else []),

@@ -54,7 +54,12 @@ class Ratings:
     @property
     def elo(self) -> Floats:
         """Strengths on the scale of chess ratings (400 points are odds of ten to one), mean 0, shape (N,)."""
-        return ELO * self.strength
+        return self.to_elo(self.strength)
+
+    @staticmethod
+    def to_elo(strength: ArrayLike) -> Floats:
+        """Return natural log-odds on the scale of chess ratings."""
+        return ELO * np.asarray(strength, np.float64)
 
     def chances(self, first: str, second: str) -> tuple[float, float, float]:
         """Return the chances that the first of two agents wins, ties and loses.

@@ -4,21 +4,32 @@ import csv
 import io
 import os
 from collections.abc import Iterable
+from functools import lru_cache
+from itertools import compress
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing_agents.tournament.play import Tournament
-from pcs_racing_agents.tournament.ratings import rate
+from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
 from pcs_racing_agents.tournament.rows import RaceRow
 
-__all__ = ["Standing", "payoff_matrix", "payoff_picture", "standings", "tournament_text", "write_results", "write_rows"]
+__all__ = [
+    "Standing",
+    "payoff_matrix",
+    "payoff_picture",
+    "standings",
+    "sum_up",
+    "tournament_text",
+    "write_results",
+    "write_rows",
+]
 
-COLUMNS = ("agent", "races", "score", "rating", "win", "tie", "loss", "crash: own", "other's", "overtakes")
+COLUMNS = ("agent", "races", "score", "rating", "95 %", "win", "tie", "loss", "crash: own", "other's", "overtakes")
+META = ("equilibrium", "alpha-rank")
 
 
 class Standing(NamedTuple):
@@ -31,14 +42,18 @@ class Standing(NamedTuple):
     score : float
         Share of races that the rules count as won, plus half of the ties. After a crash nobody wins under the crash
         rule ``nobody``; under ``fault-loses`` the car that is not to blame does.
-    rating : float
-        Bradley-Terry strength on the scale of chess ratings, mean 0; NaN where the races do not tell.
+    rating, rating_low, rating_high : float
+        Bradley-Terry strength on the scale of chess ratings, mean 0, and its 95 % interval; NaN where the races do not
+        tell.
     win, tie, loss : float
         Races without a crash.
     own_crash, other_crash : float
         Races that ended in a crash that this one is (also) to blame for, or the other alone.
     overtakes : float
         Mean number of times that it passed the other car.
+    equilibrium, alpha_rank : float
+        How often it is sent in an equilibrium of choosing an agent, and the share of the time that evolution spends at
+        it (:class:`pcs_racing_agents.tournament.round_robin.RoundRobin`); NaN where that is not known.
     """
 
     name: str
@@ -51,13 +66,17 @@ class Standing(NamedTuple):
     own_crash: float
     other_crash: float
     overtakes: float
+    rating_low: float = np.nan
+    rating_high: float = np.nan
+    equilibrium: float = np.nan
+    alpha_rank: float = np.nan
 
 
 def standings(tournament: Tournament) -> list[Standing]:
     """Return the table of a tournament, highest score first."""
     table = []
-    ratings = _ratings(tournament)
-    for name in tournament.plan.names:
+    together = sum_up(tournament)
+    for k, name in enumerate(tournament.plan.names):
         own = [(row, row.ego == name) for row in tournament.rows if name in (row.ego, row.opponent)]
         share = 1.0 / len(own)
         won = [row.winner == ("ego" if ego else "opponent") for row, ego in own]
@@ -65,47 +84,46 @@ def standings(tournament: Tournament) -> list[Standing]:
         blamed = [row.fault in ("ego" if ego else "opponent", "both") for row, ego in own]
         tied = [not crash and row.winner == "" for (row, _), crash in zip(own, crashed, strict=True)]
         clean = [win and not crash for win, crash in zip(won, crashed, strict=True)]
+        rating, low, high = together.rating(name)
         table.append(
             Standing(
                 name=name,
                 races=len(own),
                 score=share * (sum(won) + 0.5 * sum(tied)),
-                rating=ratings.get(name, np.nan),
+                rating=rating,
                 win=share * sum(clean),
                 tie=share * sum(tied),
                 loss=share * (len(own) - sum(clean) - sum(tied) - sum(crashed)),
                 own_crash=share * sum(blamed),
                 other_crash=share * (sum(crashed) - sum(blamed)),
                 overtakes=share * sum(row.ego_overtakes if ego else row.opponent_overtakes for row, ego in own),
+                rating_low=low,
+                rating_high=high,
+                equilibrium=np.nan if together.equilibrium is None else float(together.equilibrium[k]),
+                alpha_rank=np.nan if together.alpha_rank is None else float(together.alpha_rank[k]),
             )
         )
     return sorted(table, key=lambda standing: -standing.score)
 
 
-def _ratings(tournament: Tournament) -> dict[str, float]:
+@lru_cache(maxsize=8)
+def sum_up(tournament: Tournament) -> RoundRobin:
+    """Return scores against each other, ratings, and what the game of choosing an agent says, in the plan's order."""
     rows = tournament.rows
-    crashed_for_nobody = [row.winner == "" and row.crash != "" for row in rows]
-    result = [{"ego": 1.0, "opponent": -1.0, "": 0.0}[row.winner] for row in rows]
-    try:
-        found = rate([row.ego for row in rows], [row.opponent for row in rows], result, nobody=crashed_for_nobody)
-    except InputError:  # too few races that somebody won: there is nothing to rate
-        return {}
-    return dict(zip(found.names, found.elo.tolist(), strict=True))
+    return round_robin(
+        tournament.plan.names,
+        [row.ego for row in rows],
+        [row.opponent for row in rows],
+        [row.winner for row in rows],
+        [row.crash != "" for row in rows],
+        [f"{row.track} {row.race // 2}" for row in rows],  # races 2j and 2j + 1 have the same line
+        seed=tournament.plan.seed,
+    )
 
 
 def payoff_matrix(tournament: Tournament) -> NDArray[np.float64]:
     """Return each competitor's score against each other one, shape (N, N), in the order of the plan; else NaN."""
-    place = {name: i for i, name in enumerate(tournament.plan.names)}
-    total = np.zeros((len(place), len(place)))
-    races = np.zeros_like(total)
-    for row in tournament.rows:
-        i, j = place[row.ego], place[row.opponent]
-        tie = 0.5 if row.winner == "" and row.crash == "" else 0.0
-        total[i, j] += (row.winner == "ego") + tie
-        total[j, i] += (row.winner == "opponent") + tie
-        races[i, j] += 1.0
-        races[j, i] += 1.0
-    return np.divide(total, races, out=np.full_like(total, np.nan), where=races > 0.0)
+    return sum_up(tournament).scores
 
 
 def tournament_text(tournament: Tournament) -> str:
@@ -120,11 +138,14 @@ def tournament_text(tournament: Tournament) -> str:
         f"{', '.join(track.name for track in plan.tracks)}; seed {plan.seed}\n"
         f"{1.0 - crashes / races:.0%} finished, {passed / races:.0%} with an overtake\n"
     )
-    rows: list[tuple[str, ...]] = [COLUMNS]
+    known = [not all(np.isnan(getattr(s, name)) for s in table) for name in ("equilibrium", "alpha_rank")]
+    rows: list[tuple[str, ...]] = [(*COLUMNS, *compress(META, known))]
     for s in table:
         shares = (f"{share:.1%}" for share in (s.win, s.tie, s.loss, s.own_crash, s.other_crash))
+        meta = compress((f"{s.equilibrium:.2f}", f"{s.alpha_rank:.2f}"), known)
         rating = "-" if np.isnan(s.rating) else f"{s.rating:+.0f}"
-        rows.append((s.name, str(s.races), f"{s.score:.3f}", rating, *shares, f"{s.overtakes:.2f}"))
+        interval = "-" if np.isnan(s.rating_low) else f"[{s.rating_low:+.0f}, {s.rating_high:+.0f}]"
+        rows.append((s.name, str(s.races), f"{s.score:.3f}", rating, interval, *shares, f"{s.overtakes:.2f}", *meta))
     payoffs = payoff_matrix(tournament)
     order = [plan.names.index(standing.name) for standing in table]
     matrix: list[tuple[str, ...]] = [("score against", *(f"({k + 1})" for k in range(len(order))))]
@@ -133,7 +154,17 @@ def tournament_text(tournament: Tournament) -> str:
         for k, i in enumerate(order)
     ]
     paid = "the car not to blame" if plan.config.crash_rule == "fault-loses" else "nobody"
-    note = f"score: races won, a tie counting half; a crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10"
+    note = (
+        f"score: races won, a tie counting half; a crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10, "
+        "start lines drawn again for the interval"
+    )
+    if known[0]:
+        note += "\nequilibrium: how often to send whom, if the other side chooses as cleverly"
+    if known[1]:
+        note += (
+            "\nalpha-rank: share of the time that evolution spends at it; scores against each other that differ by up "
+            f"to {sum_up(tournament).alike:.3f} count as alike"
+        )
     return "\n".join([head, *_aligned(rows), "", *_aligned(matrix), "", note])
 
 
@@ -147,27 +178,12 @@ def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path
     ModuleNotFoundError
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError('a picture needs matplotlib: pip install "pcs-racing[plots]"') from None
+    from pcs_racing_agents.picture_style import save_picture
+    from pcs_racing_agents.tournament.pictures import payoffs_picture
+
     names = [standing.name for standing in standings(tournament)]
     order = [tournament.plan.names.index(name) for name in names]
-    payoffs = payoff_matrix(tournament)[np.ix_(order, order)]
-    size = 2.2 + 0.55 * len(names)
-    figure = Figure(figsize=(size + 0.8, size), layout="constrained")
-    axes = figure.add_subplot()
-    image = axes.imshow(payoffs, cmap="RdYlGn", vmin=0.0, vmax=1.0)
-    axes.set_xticks(range(len(names)), names, rotation=90)
-    axes.set_yticks(range(len(names)), names)
-    for (row, column), value in np.ndenumerate(payoffs):
-        if not np.isnan(value):
-            axes.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=8)
-    figure.colorbar(image, label="score of the row against the column", shrink=0.8)
-    content = io.BytesIO()
-    figure.savefig(content, format=Path(path).suffix.lstrip(".") or "png", dpi=120)
-    write_atomically(Path(path), lambda file: file.write(content.getvalue()))
-    return Path(path)
+    return save_picture(payoffs_picture(names, payoff_matrix(tournament)[np.ix_(order, order)]), path)
 
 
 def write_results(tournament: Tournament, path: str | os.PathLike[str]) -> Path:

@@ -14,15 +14,25 @@ from toy_cells import toy_cells
 
 from pcs_racing import InputError, make_game
 from pcs_racing.replay import read_replay
+from pcs_racing_agents.explaining.situations import Situations
 from pcs_racing_agents.strategies import make_setting
 from pcs_racing_agents.strategies.zoo import build
 from pcs_racing_agents.study import report
 from pcs_racing_agents.study.highlights import Watched, telling_races, watch_race
-from pcs_racing_agents.study.report import Payoffs, Picture, ReportContent, Sheet, report_page, write_page
-from pcs_racing_agents.study.report_inputs import TreeLoss, places_of, read_curves, read_losses, software
+from pcs_racing_agents.study.report import Picture, ReportContent, Sheet, report_page, write_page
+from pcs_racing_agents.study.report_inputs import (
+    TreeLoss,
+    mean_losses,
+    mean_scores,
+    places_of,
+    read_curves,
+    read_losses,
+    software,
+)
 from pcs_racing_agents.study.table import make_table
+from pcs_racing_agents.study.table_text import overview_rows
 from pcs_racing_agents.tournament.cells import play_cell
-from pcs_racing_agents.tournament.ratings import rate
+from pcs_racing_agents.tournament.round_robin import round_robin
 
 NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 VOID = {"meta", "img", "br"}
@@ -61,8 +71,10 @@ def content(archive, watched) -> ReportContent:
         table=table,
         archive=replace(archive, name=NASTY),
         losses=losses,
-        ratings=rate(["a", "b", "a"], ["b", NASTY, NASTY], [1, 1, 1]),
-        payoffs=Payoffs(("a", NASTY), np.array([[np.nan, 0.7], [0.3, np.nan]])),
+        rivals=round_robin(("a", NASTY), "aaaa", [NASTY] * 4, ["ego", "ego", "", "opponent"], [False] * 4, "1122"),
+        situations=[
+            Situations(NASTY, ("stay", NASTY), "pace", np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 3, 3, 2), int))
+        ],
         ablations=[Sheet("Ablation", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
         sheets=[Sheet("Sheet", ("what",), ((NASTY,),))],
         pictures=[Picture(NASTY, NASTY, b"\x89PNG\r\n")],
@@ -122,8 +134,8 @@ def test_the_page_loads_nothing(page):
 def test_every_section_is_there_and_linked(parsed):
     assert parsed.links == [f"#{name}" for name in parsed.ids]
     assert parsed.ids == [
-        *("findings", "results", "adaptivity-gain", "ablations", "races-to-watch", "policies", "exploitability"),
-        *("ratings", "more", "how-it-was-made"),
+        *("findings", "results", "adaptivity-gain", "ablations", "races-to-watch", "which-move-in-which-situation"),
+        *("policies", "exploitability", "ratings", "more", "how-it-was-made"),
     ]
 
 
@@ -146,7 +158,7 @@ def test_the_numbers_of_the_table_are_in_it(content, parsed):
 
 def test_pictures_can_be_read(parsed):
     drawn = [image["src"].split(",")[1] for image in parsed.images if "svg" in image["src"]]
-    assert len(drawn) == 7 + 2
+    assert len(drawn) == 8 + 2
     for data in drawn:
         assert ET.fromstring(base64.b64decode(data)).tag.endswith("svg")
     assert all(image["alt"] for image in parsed.images)
@@ -160,6 +172,26 @@ def test_races_can_be_read_back(tmp_path, parsed, watched):
     assert np.abs(back.progress - watched.replay.progress).max() < 0.001
     assert any(event.kind == "move" for event in back.events)
     assert {"sandbox", "srcdoc", "title"} == set(parsed.frames[0])
+
+
+def test_strong_and_safe_stand_beside_each_other(content, parsed):
+    """The table of exploitability tells the score in races, too."""
+    judged = replace(content.table, rows=content.table.rows[:1])
+    page = report_page(ReportContent("", losses=content.losses, judged=judged, rivals=content.rivals))
+    (score,) = [arm.score for arm in judged.rows[0].arms if arm.arm == "our-best"]
+    assert f'<th class="name">our-best</th><td>{score:.3f}</td>' in page
+    unknown = [content.losses[0]._replace(columns=((0.2, np.nan), (np.nan, np.nan), (0.3, 0.02)))]
+    assert '<td>0.200</td><td class="word"></td><td>0.300 (0.020)</td>' in report_page(
+        ReportContent("", losses=unknown)
+    )
+
+
+def test_without_rows_of_the_paper_nothing_is_said_of_it(content):
+    table = replace(content.table, rows=tuple(replace(row, paper=None) for row in content.table.rows))
+    page = report_page(ReportContent("", table=table))
+    assert "paper" not in re.sub(r"base64,[^\"]*|the paper&#x27;s test|<style>.*?</style>", "", page, flags=re.DOTALL)
+    assert "paper" not in overview_rows(table)[0]
+    assert len({len(row) for row in overview_rows(table)}) == 1
 
 
 def test_sections_without_content_are_left_out():
@@ -189,9 +221,9 @@ def test_every_field_is_told(content):
     """What is given changes the page."""
     for name in ReportContent.__dataclass_fields__:
         empty = ReportContent("")
-        if name not in ("epsilon", "loss_unit", "curves", "reward_curves", "title"):
+        if name not in ("epsilon", "loss_unit", "judged", "curves", "reward_curves", "title"):
             assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(empty), name
-    assert len(report._SECTIONS) == 11
+    assert len(report._SECTIONS) == 12
 
 
 # Races to watch
@@ -238,6 +270,16 @@ def test_losses_are_means_over_trees(tmp_path):
     assert (place.name, place.loss, place.loss_error) == ("a", 2.0, 1.0)
     assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))
     assert places_of(None, [first]) == []
+    assert mean_scores(table)["c"] == pytest.approx(np.mean([row.arms[1].score for row in table.rows]))
+    assert mean_scores(
+        replace(table, rows=(*table.rows, replace(table.rows[0], arms=table.rows[0].arms[:1])))
+    ).keys() == {"a"}
+    both = mean_losses(
+        [first, second, first._replace(track="Elsewhere", columns=((4.0, 0.0), (np.nan, np.nan), (3.0, 1.0)))]
+    )
+    assert both["a"].columns[0] == (3.0, 0.5)
+    assert np.isnan(both["a"].columns[1][0])
+    assert (both["a"].trees, both["a"].track) == (4, "Oval, Elsewhere")
     path.write_text(head.replace("agent", "name"))
     with pytest.raises(InputError, match="no column 'agent'"):
         read_losses(path)
@@ -287,8 +329,8 @@ def test_the_page_works_in_a_browser(tmp_path, content):
     )
     seen = json.loads(html.unescape(re.search(r'data-seen="([^"]*)"', done.stdout).group(1)))
     assert seen["title"] == content.title
-    assert seen["links"] == 10
-    assert len(seen["images"]) == 7 + 1
+    assert seen["links"] == 11
+    assert len(seen["images"]) == 8 + 1
     assert min(seen["images"]) > 100
     assert seen["wide"] <= 1200
     told = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
