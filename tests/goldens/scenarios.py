@@ -1,0 +1,171 @@
+"""Races and episodes whose results belong to a version: `tools/make_goldens.py` keeps them, `test_goldens.py` compares.
+
+Whatever they depend on beside the code is made here (policies, actions, seeds) or named by its hash (the circuit).
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pettingzoo
+
+import pcs_racing
+from pcs_racing import PolicyArchive, get_planner, load_race_config, load_track, parse_policy
+from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_ID
+from pcs_racing.race import RaceSetup, advance, draw_starts, pad_parameters, race_seeds, start_races
+
+__all__ = ["RACES_ID", "SCENARIOS", "TRACK", "file_name", "track_hash"]
+
+TRACK = "Pipkin"
+RACES_ID = "pcs_racing/Races-v0"
+"""The races below the environments, which have no id of their own; its number goes up with theirs."""
+
+PRESETS = ("paper", "contest")
+RIVALS = ("lattice:pace=0.7", "lane-switcher:3", "pure-pursuit", "gap-follower")
+SHORT_TICKS, SHORT_SECONDS, LONG_SECONDS, LONG_RACES = 20, 2.0, 40.0, 8
+
+Values = dict[str, np.ndarray]
+
+
+def track_hash() -> str:
+    return load_track(TRACK).content_hash
+
+
+def archive() -> PolicyArchive:
+    """Six policies from slow to fast, with coordinates that were made up."""
+    pace = np.linspace(0.3, 0.9, 6)
+    lattice = get_planner("lattice")
+    parameters = np.array([lattice.policy({"pace": value}).parameters for value in pace])
+    coordinates = np.column_stack([20.0 * pace - 10.0, [4.0, 3.0, 3.5, 2.0, 2.5, 1.0]])
+    return PolicyArchive(
+        "golden", "lattice", lattice.parameter_names, parameters, ("aggressiveness", "restraint"), coordinates
+    )
+
+
+def races() -> Values:
+    """A short race of each planner under each preset, and the ends of long ones."""
+    track, ego = load_track(TRACK), parse_policy("lattice")
+    out: Values = {}
+    for preset in PRESETS:
+        for text in RIVALS:
+            rival = parse_policy(text)
+            setup = RaceSetup(
+                track, load_race_config(preset, duration=SHORT_SECONDS, start_lines=2), (ego.planner, rival.planner)
+            )
+            state = start_races(setup, draw_starts(track, setup.config, 2, 0), race_seeds(0, 2))
+            theta = np.broadcast_to(pad_parameters([ego, rival], setup.theta_size), (2, 2, setup.theta_size)).copy()
+            seen = []
+            for _ in range(round(SHORT_SECONDS * 100) // SHORT_TICKS):
+                advance(setup, state, theta, SHORT_TICKS, threads=1)
+                seen.append(np.concatenate([state.cars.reshape(2, -1), state.progress], axis=1))
+            out[f"values {preset} {text}"] = np.array(seen)
+            out[f"values {preset} {text} sums"] = state.sums.copy()
+        config = load_race_config(preset, duration=LONG_SECONDS, start_lines=4)
+        starts = draw_starts(track, config, LONG_RACES, 1)
+        for text in RIVALS[:2]:
+            ended = pcs_racing.run_races(track, ego, parse_policy(text), config, seed=1, starts=starts, threads=1)
+            out[f"ends {preset} {text}"] = np.column_stack([ended.lead, ended.time, ended.winner, ended.crashed])
+    return out
+
+
+def actions(count: int, width: int) -> np.ndarray:
+    """Smooth steering and speeds, the same on every machine."""
+    time = np.arange(count)[:, None]
+    number = np.arange(width)[None]
+    steering = np.round(0.3 * np.sin(0.3 * time + number), 3)
+    speed = np.round(-0.2 + 0.3 * np.cos(0.17 * time + 2.0 * number), 3)
+    return np.stack([steering, speed], axis=-1).astype(np.float32)
+
+
+def drive(name: str) -> Values:
+    """Two seconds in three races at once, with and without a lidar."""
+    out: Values = {}
+    for what, options in {
+        "paper": {},
+        "contest": {"race": "contest", "opponent": "lane-switcher:3", "beams": 16},
+        "alone": {"opponent": None, "normalize": True},
+    }.items():
+        env = gymnasium.make_vec(name, num_envs=3, track=TRACK, threads=1, **options)
+        first, _ = env.reset(seed=5)
+        seen, rewards, over = [first], [], []
+        for action in actions(20, 3):
+            observation, reward, terminated, truncated, _ = env.step(action)
+            seen.append(observation)
+            rewards.append(reward)
+            over.append(np.stack([terminated, truncated]))
+        out[f"values {what} observations"] = np.array(seen)
+        out[f"values {what} rewards"] = np.array(rewards)
+        out[f"values {what} ends"] = np.array(over)
+        out[f"values {what} elements"] = np.array([element.name for element in env.unwrapped.elements])
+        env.close()
+    return out
+
+
+def duel(name: str) -> Values:
+    """Three games at once, of short steps to their ends."""
+    out: Values = {}
+    for race in PRESETS:
+        env = gymnasium.make_vec(
+            name,
+            num_envs=3,
+            track=TRACK,
+            archive=archive(),
+            race=race,
+            opponent="random-moves",
+            step_seconds=0.6,
+            threads=1,
+        )
+        first, _ = env.reset(seed=7)
+        seen, rewards, over = [first], [], []
+        for step in range(6):
+            observation, reward, terminated, _, _ = env.step((np.arange(3) + step) % 4)
+            seen.append(observation)
+            rewards.append(reward)
+            over.append(terminated)
+        out[f"values {race} observations"] = np.array(seen)
+        out[f"values {race} rewards"] = np.array(rewards)
+        out[f"values {race} ends"] = np.array(over)
+        out[f"values {race} elements"] = np.array([element.name for element in env.unwrapped.game.observation_elements])
+        out[f"values {race} moves"] = np.array(env.unwrapped.game.move_names)
+        env.close()
+    return out
+
+
+def head_to_head(name: str) -> Values:
+    """One game of two agents, of short steps to its end."""
+    out: Values = {}
+    for race in PRESETS:
+        options: dict[str, Any] = {"track": TRACK, "archive": archive(), "race": race, "step_seconds": 0.6}
+        made = getattr(pettingzoo, "make", None)
+        env = made("parallel", name, **options) if made is not None else pcs_racing.parallel_env(**options)
+        first, _ = env.reset(seed=3)
+        seen, rewards = [[first[agent] for agent in env.possible_agents]], []
+        for step in range(4):
+            moves = {agent: (step + car) % 4 for car, agent in enumerate(env.possible_agents)}
+            observation, reward, _, _, _ = env.step(moves)
+            if not observation:
+                break
+            seen.append([observation[agent] for agent in env.possible_agents])
+            rewards.append([reward[agent] for agent in env.possible_agents])
+        out[f"values {race} observations"] = np.array(seen)
+        out[f"values {race} rewards"] = np.array(rewards)
+    return out
+
+
+_BY_NAME: dict[str, Callable[[str], Values]] = {"Drive": drive, "Duel": duel, "head_to_head": head_to_head}
+
+
+def _scenario(name: str) -> Callable[[], Values]:
+    return lambda: _BY_NAME[name.partition("/")[2].rpartition("-v")[0]](name)
+
+
+SCENARIOS: dict[str, Callable[[], Values]] = {
+    RACES_ID: races,
+    **{name: _scenario(name) for name in (*GYMNASIUM_IDS, PETTINGZOO_ID)},
+}
+"""What is kept of every id; a new environment needs a scenario here."""
+
+
+def file_name(name: str) -> str:
+    return f"{name.partition('/')[2]}.npz"

@@ -1,0 +1,700 @@
+"""What is fuzzed: every loader and every input of the environments, each as a function of bytes.
+
+A target takes any bytes, and either accepts them or raises an error of :mod:`pcs_racing.errors`. Loaders of files get
+the bytes as the file's content; where a file carries a digest of another, the digest is made to fit, or nothing but the
+digest would be tested. What takes values (options, actions, seeds) gets values that are drawn from the bytes.
+"""
+
+import hashlib
+import io
+import json
+import struct
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from PIL import Image
+
+from pcs_racing import RaceGame, load_game_config, load_race_config, load_state, load_track, parse_policy, read_replay
+from pcs_racing.archive import PolicyArchive, load_archive
+from pcs_racing.archive import shipped_folder as archives_folder
+from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.envs.drive_batch import DriveOptions
+from pcs_racing.envs.drive_vector import DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv
+from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.opponents import parse_opponents
+from pcs_racing.game_state import load_game, save_game
+from pcs_racing.map_files import CENTERLINE_COLUMNS, RACELINE_COLUMNS, parse_csv, parse_grid, parse_info, parse_ros_yaml
+from pcs_racing.maps import find_map, read_map, shipped_folder
+from pcs_racing.race_state import empty_state, save_state
+from pcs_racing.reading import plain_yaml, unpack_arrays
+from pcs_racing.recording import record_race
+from pcs_racing.replay import save_replay
+from pcs_racing_agents.approximator.network_files import read_network
+from pcs_racing_agents.approximator.network_files import shipped_folder as networks_folder
+from pcs_racing_agents.approximator.settings import load_train_settings
+from pcs_racing_agents.chunk_files import fingerprint, read_chunk, write_chunk
+from pcs_racing_agents.configuration import shipped_configs
+from pcs_racing_agents.explaining.contests import open_results
+from pcs_racing_agents.jobs import chunk_file, open_job
+from pcs_racing_agents.ppo.curves import COLUMNS, read_curve
+from pcs_racing_agents.ppo.driver import read_driver, save_driver
+from pcs_racing_agents.ppo.layers import Layers
+from pcs_racing_agents.ppo.settings import load_ppo_settings
+from pcs_racing_agents.rollouts.learner import load_response_settings
+from pcs_racing_agents.strategies.fits import load_fit, shipped_fits
+from pcs_racing_agents.strategies.setting import Setting, make_setting
+from pcs_racing_agents.strategies.zoo import parse_agent
+from pcs_racing_agents.study.cell_races import read_races
+from pcs_racing_agents.study.config import load_study_config
+from pcs_racing_agents.study.report_inputs import read_curves, read_losses
+from pcs_racing_agents.synthesis.config import load_archive_config
+from pcs_racing_agents.trees import build_trees, load_trees
+
+__all__ = ["TARGETS", "Target"]
+
+MAP = Path("fuzzed")
+ROS = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25}
+
+
+@dataclass(frozen=True)
+class Target:
+    """Something that must stand any bytes.
+
+    Attributes
+    ----------
+    run : callable
+        ``run(data)`` returns if they are accepted.
+    seeds : callable
+        Returns valid inputs, which mutations begin with.
+    kind : {"text", "yaml", "json", "csv", "binary", "npz", "values"}
+        What mutations make sense.
+    words : tuple of str
+        Names and values to put in.
+    most : int
+        Inputs of a campaign at most, for slow ones.
+    """
+
+    run: Callable[[bytes], object]
+    seeds: Callable[[], list[bytes]]
+    kind: str
+    words: tuple[str, ...] = ()
+    most: int = 1_000_000
+
+
+@cache
+def scratch() -> Path:
+    """A folder for files, in memory where there is such a place."""
+    memory = Path("/dev/shm")
+    return Path(tempfile.mkdtemp(prefix="pcs-fuzz-", dir=memory if memory.is_dir() else None))
+
+
+def as_file(read: Callable[[Path], object], name: str) -> Callable[[bytes], object]:
+    """Give bytes to a loader as a file."""
+
+    def run(data: bytes) -> object:
+        path = scratch() / name
+        path.write_bytes(data)
+        return read(path)
+
+    return run
+
+
+def files(pattern: str, folder: Path) -> Callable[[], list[bytes]]:
+    return lambda: [path.read_bytes() for path in sorted(folder.glob(pattern))[:6]]
+
+
+# Folders whose manifest carries a digest of the other file
+
+
+def manifest_of(folder: Callable[[], Path], name: str, read: Callable[[Path], object]) -> Callable[[bytes], object]:
+    """Fuzz the manifest of a folder whose other files are sound."""
+
+    def run(data: bytes) -> object:
+        place = _copied(folder(), f"{name}-of")
+        (place / name).write_bytes(data)
+        return read(place)
+
+    return run
+
+
+def content_of(
+    folder: Callable[[], Path], manifest: str, name: str, key: str, read: Callable[[Path], object]
+) -> Callable[[bytes], object]:
+    """Fuzz the file whose digest stands in a manifest; the digest is made to fit."""
+
+    def run(data: bytes) -> object:
+        place = _copied(folder(), f"{name}-in")
+        (place / name).write_bytes(data)
+        text, old = _manifest_text(folder() / manifest, key)
+        (place / manifest).write_text(text.replace(old, hashlib.sha256(data).hexdigest()), encoding="utf-8")
+        return read(place)
+
+    return run
+
+
+@cache
+def _manifest_text(path: Path, key: str) -> tuple[str, str]:
+    text = path.read_text(encoding="utf-8")
+    return text, yaml.safe_load(text)[key]
+
+
+@cache
+def _copied(folder: Path, name: str) -> Path:
+    place = scratch() / f"{folder.name}-{name}"
+    place.mkdir(exist_ok=True)
+    for file in folder.iterdir():
+        if file.is_file():
+            (place / file.name).write_bytes(file.read_bytes())
+    return place
+
+
+def default_archive() -> Path:
+    return archives_folder() / "default"
+
+
+def some_network() -> Path:
+    return sorted(networks_folder().glob("*/manifest.yaml"))[0].parent
+
+
+@cache
+def some_driver() -> Path:
+    rng = np.random.default_rng(0)
+    from pcs_racing_agents.ppo.driver import INPUTS
+
+    sizes = (len(INPUTS), 4, 2)
+    layers = Layers(
+        tuple(rng.normal(size=(sizes[i + 1], sizes[i])).astype(np.float32) for i in range(2)),
+        tuple(np.zeros(sizes[i + 1], np.float32) for i in range(2)),
+    )
+    return save_driver(scratch() / "driver", layers, name="fuzzed", hold=4, training={"steps": 1})
+
+
+# Chunks and trees
+
+
+def damaged_chunk(data: bytes) -> object:
+    return as_file(read_chunk, "chunk.npz")(data)
+
+
+def signed_chunk(data: bytes) -> object:
+    """A chunk whose digests fit whatever it holds."""
+    return _read_signed(data, scratch() / "signed.npz", read_chunk)
+
+
+def _read_signed(data: bytes, path: Path, read: Callable[[Path], object]) -> object:
+    body, task = data, "0" * 64
+    mark = b"pcs-racing chunk "
+    digest = hashlib.sha256(body + task.encode()).hexdigest()
+    path.write_bytes(body + mark + task.encode() + digest.encode())
+    return read(path)
+
+
+def _unsigned(path: Path) -> bytes:
+    return path.read_bytes()[: -len(b"pcs-racing chunk ") - 128]
+
+
+@cache
+def small_game() -> RaceGame:
+    return RaceGame(
+        load_track("Tarnfjord"), load_archive("default"), load_game_config("paper", moves=1, step_seconds=0.5)
+    )
+
+
+@cache
+def some_trees() -> Path:
+    folder = scratch() / "trees"
+    build_trees(small_game(), folder, pairs=1, seed=0)
+    return folder
+
+
+def tree_manifest(data: bytes) -> object:
+    (some_trees() / "job.yaml").write_bytes(data)
+    trees = load_trees(some_trees())
+    return trees[0], trees.check(small_game())
+
+
+@cache
+def _tree_manifest() -> bytes:
+    return (some_trees() / "job.yaml").read_bytes()
+
+
+def tree_chunk(data: bytes) -> object:
+    (some_trees() / "job.yaml").write_bytes(_tree_manifest())
+    tree = _read_signed(data, chunk_file(some_trees(), "tree", 0), lambda path: load_trees(some_trees())[0])
+    return tree.observations(0), tree.game_tree(), tree.statistics  # type: ignore[attr-defined]
+
+
+def _tree_chunk() -> bytes:
+    _tree_manifest()
+    return _unsigned(chunk_file(some_trees(), "tree", 0))
+
+
+def _chunk() -> bytes:
+    path = scratch() / "seed.npz"
+    write_chunk(path, {"lead": np.arange(6.0).reshape(2, 3), "names": np.array(["a", "bc"])}, fingerprint(1))
+    return _unsigned(path)
+
+
+def job_folder(data: bytes) -> object:
+    folder = scratch() / "job"
+    folder.mkdir(exist_ok=True)
+    (folder / "job.yaml").write_bytes(data)
+    with open_job(folder, "fuzzed", {"seed": 1, "names": ["a", "b"], "rules": {"moves": 4}}) as job:
+        return job
+
+
+def _job() -> bytes:
+    folder = scratch() / "job-seed"
+    with open_job(folder, "fuzzed", {"seed": 1, "names": ["a", "b"], "rules": {"moves": 4}}):
+        return (folder / "job.yaml").read_bytes()
+
+
+# Maps
+
+
+@cache
+def small_map() -> Path:
+    """A ring of 60 x 60 cells as a map folder."""
+    folder = scratch() / "Ring"
+    folder.mkdir(exist_ok=True)
+    y, x = np.meshgrid(*(2 * [0.2 * (np.arange(60) + 0.5) - 6.0]), indexing="ij")
+    away = np.hypot(x, y)
+    Image.fromarray(np.where((away > 2.2) & (away < 5.0), 255, 0).astype(np.uint8)).save(folder / "Ring_map.png")
+    ros = "image: Ring_map.png\nresolution: 0.2\norigin: [-6.0, -6.0, 0.0]\nnegate: 0\n"
+    (folder / "Ring_map.yaml").write_text(ros + "occupied_thresh: 0.45\nfree_thresh: 0.196\n")
+    turn = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    rows = np.column_stack([3.6 * np.cos(turn), 3.6 * np.sin(turn), np.full((60, 2), 1.3)])
+    np.savetxt(folder / "Ring_centerline.csv", rows, "%.4f", ", ")
+    turn = np.append(turn, 2.0 * np.pi)
+    zero = np.zeros(61)
+    line = [3.6 * turn, 3.6 * np.cos(turn), 3.6 * np.sin(turn), turn + np.pi / 2, zero + 1 / 3.6, zero + 5, zero]
+    np.savetxt(folder / "Ring_raceline.csv", np.column_stack(line), "%.4f", "; ")
+    (folder / "Ring_track.yaml").write_text("description: a ring\nspeed_range:\n  paper: [0.5, 1.0]\n")
+    return folder
+
+
+def map_file(name: str, build: bool) -> Callable[[bytes], object]:
+    """Fuzz one file of a map; with ``build``, the track is built of it."""
+
+    def run(data: bytes) -> object:
+        place = _copied(small_map(), name)
+        (place / name).write_bytes(data)
+        if not build:
+            return read_map(place / "Ring_map.yaml")
+        return load_track(find_map(place / "Ring_map.yaml").yaml)
+
+    return run
+
+
+def map_seed(name: str) -> Callable[[], list[bytes]]:
+    return lambda: [(small_map() / name).read_bytes()]
+
+
+def pictures() -> list[bytes]:
+    grey = Image.fromarray((np.arange(144).reshape(12, 12) % 256).astype(np.uint8))
+    found = []
+    for kind, mode in (
+        ("PNG", "L"),
+        ("PNG", "1"),
+        ("PNG", "RGB"),
+        ("PNG", "P"),
+        ("PNG", "LA"),
+        ("BMP", "L"),
+        ("PPM", "L"),
+    ):
+        buffer = io.BytesIO()
+        grey.convert(mode).save(buffer, kind)
+        found.append(buffer.getvalue())
+    return found
+
+
+# States and replays
+
+
+def _saved(save: Callable[[Path], object], name: str) -> Callable[[], list[bytes]]:
+    def seeds() -> list[bytes]:
+        save(scratch() / name)
+        return [(scratch() / name).read_bytes()]
+
+    return seeds
+
+
+@cache
+def some_replay() -> Any:
+    car = parse_policy("lattice")
+    return record_race(load_track("Tarnfjord"), car, car, load_race_config("paper", duration=0.3))
+
+
+def replay_json(data: bytes) -> object:
+    return as_file(read_replay, "race.json")(data)
+
+
+# Values drawn from bytes
+
+
+class Draw:
+    """Values out of bytes; when they are used up it goes on with zeros."""
+
+    ODD: tuple[Any, ...] = (
+        None, True, False, 0, 1, -1, 2, 3, 255, 10**9, -(10**9), 2**31, 2**63, 2**64, -(2**63) - 1, 10**30,
+        0.0, 0.5, 1.0, -0.0, 1e-300, 1e300, -1e300, float("nan"), float("inf"), -float("inf"), 0.1, 0.02, 2.5,
+        "", "a", "paper", "contest", "lattice", "nan", "0", "\x00", "\ud800", "../..", "/", "a" * 300, b"", b"abc",
+        [], {}, (), [1, 2], (0.5, 1.0), [[]], {"a": 1}, {1: 2}, [None], np.float32(0.5), np.int64(3), np.array(1.0),
+        np.array([1, 2]), np.array([], np.float32), np.array(["x"]), np.array([None], object), 1j, range(3), object,
+    )  # fmt: skip
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at = data, 0
+
+    def byte(self) -> int:
+        self.at += 1
+        return self.data[self.at - 1] if self.at <= len(self.data) else 0
+
+    def number(self) -> float:
+        self.at += 8
+        return float(struct.unpack("<d", self.data[self.at - 8 : self.at].ljust(8, b"\0"))[0])
+
+    def choice(self, values: Any) -> Any:
+        return values[(self.byte() + 256 * self.byte()) % len(values)]
+
+    def value(self, likely: tuple[Any, ...] = ()) -> Any:
+        kind = self.byte() % 8
+        if kind < 3 and likely:
+            return self.choice(likely)
+        if kind == 3:
+            return self.number()
+        if kind == 4:
+            return self.byte() - 128
+        if kind == 5:
+            return [self.choice(self.ODD) for _ in range(self.byte() % 4)]
+        if kind == 6:
+            return self.data[self.at : self.at + self.byte() % 20].decode("latin-1")
+        return self.choice(self.ODD)
+
+    def keywords(self, likely: dict[str, tuple[Any, ...]]) -> dict[str, Any]:
+        """Some of the arguments, and now and then one that does not exist."""
+        names = list(likely)
+        chosen = {self.choice(names) for _ in range(1 + self.byte() % 4)}
+        values = {name: self.value(likely[name]) for name in sorted(chosen)}
+        return values | ({"unknown": 1} if self.byte() == 255 else {})
+
+
+GAME = {
+    "race": ("paper", "contest"), "moves": (1, 4, 100, 101), "step_seconds": (0.1, 8.0, 0.15, 600), "epsilon": (0.5, [0.1, 0.5]),
+    "stay": (True, False), "utility": ("lead", "win", "lead-at-crash"), "fault_penalty": (0.0, 1.5), "discount": (1, 0.5),
+    "characteristics": (["restraint"], ("aggressiveness", "restraint"), "pace"), "mask_duplicates": (True,),
+}  # fmt: skip
+RACE = {
+    "name": ("mine",), "duration": (0.1, 40.0, 3600), "start": ("side-by-side", "staggered", "rolling"),
+    "start_gap": (0.8, 1.4), "start_spacing": (0.9, 0.4), "start_speed": (0, 15), "start_lines": (1, 1000),
+    "steering_noise": (0.01,), "noise_time": (0.28,), "speed_range": ([0.5, 1.0], (0.1, 3)), "stay_move": (True,),
+    "crash_rule": ("nobody", "fault-loses"), "aggressiveness": ("lead", "pace"), "ittc_horizon": (10.0,),
+}  # fmt: skip
+DRIVE = {
+    "track": ("Pipkin", "pipkin"), "opponent": (None, "lattice", "pure-pursuit", "lattice:pace=0.8", ["lattice", "lattice:pace=0.9"]),
+    "race": ("paper", "contest"), "duration": (1.0, 0.1, None), "time_step": (0.1, 0.02, 1.0), "top_speed": (8.0, 20),
+    "beams": (0, 1, 108, 100_000, 100_001), "fov": (4.7, 6.28), "max_range": (30.0, 0.1), "lidar_noise": (0.0, 0.1),
+    "look_ahead": ((0.0, 1.0), [2.0], ()), "normalize": (True, False), "progress_reward": (1.0,), "rivalry": (0.5,),
+    "crash_penalty": (10.0, 0), "start_lines": (1, 100, 1000),
+}  # fmt: skip
+
+
+def game_options(data: bytes) -> object:
+    return load_game_config(**{"source": "paper", **Draw(data).keywords(GAME)})
+
+
+def race_options(data: bytes) -> object:
+    return load_race_config("paper", **Draw(data).keywords(RACE))
+
+
+def drive_options(data: bytes) -> object:
+    try:
+        return DriveOptions(**Draw(data).keywords(DRIVE))
+    except TypeError as error:  # Python's own word for an argument that does not exist
+        if "unexpected keyword" not in str(error):
+            raise
+        return None
+
+
+def drive_envs(data: bytes) -> object:
+    """Environments made of odd arguments, and a first step in them."""
+    draw = Draw(data)
+    options = {"track": "Pipkin", "opponent": None, "num_envs": draw.value((1, 2, 3))} | draw.keywords(DRIVE)
+    if "unknown" not in options:
+        DriveOptions(**{key: value for key, value in options.items() if key != "num_envs"})
+    env = DriveVectorEnv(**options, threads=draw.value((None, 1, 2)))
+    env.reset(seed=1)
+    result = env.step(np.zeros((env.num_envs, 2), np.float32))
+    env.close()
+    return result
+
+
+@cache
+def driven() -> tuple[DriveEnv, DriveVectorEnv]:
+    return DriveEnv("Pipkin", "pure-pursuit"), DriveVectorEnv(3, track="Pipkin", opponent=None, threads=1)
+
+
+def drive_inputs(data: bytes) -> object:
+    """Actions, seeds and options of the control level."""
+    draw = Draw(data)
+    env, envs = driven()
+    what = draw.byte() % 8
+    if what == 0:
+        return env.reset(seed=draw.value((0, 1, None)), options=draw.value((None, {})))
+    if what == 1:
+        return envs.reset(seed=draw.value((0, [1, 2, 3], [None, 1, 2], None)), options=draw.value((None, {})))
+    env.reset(seed=0)
+    if what < 4:
+        return env.step(draw.value(([0.0, 0.5], np.zeros(2, np.float32), [draw.number(), draw.number()])))
+    if what == 7:
+        return env.set_state(draw.value((env.get_state(),)))
+    envs.reset(seed=0)
+    numbers = [[draw.number(), draw.number()] for _ in range(3)]
+    return envs.step(draw.value((numbers, np.zeros((3, 2)), np.array(numbers, np.float32))))
+
+
+@cache
+def dueled() -> tuple[DuelEnv, DuelVectorEnv]:
+    settings = {"track": "Pipkin", "moves": 2, "step_seconds": 0.1}
+    return DuelEnv(**settings), DuelVectorEnv(2, threads=1, **settings)
+
+
+def duel_inputs(data: bytes) -> object:
+    """Moves and seeds of the strategy level."""
+    draw = Draw(data)
+    env, envs = dueled()
+    what = draw.byte() % 6
+    if what == 0:
+        return env.reset(seed=draw.value((0, 1, None)), options=draw.value((None, {})))
+    if what == 1:
+        return envs.reset(seed=draw.value((0, [1, 2], [None, 1], None)), options=draw.value((None, {})))
+    env.reset(seed=0)
+    if what < 4:
+        return env.step(draw.value((0, 3, 4, -1, np.int64(1), np.array(2), np.array([1]), 1.0)))
+    envs.reset(seed=0)
+    return envs.step(draw.value(([0, 1], np.array([3, 2]), [4, 0], [[1], [1]], [0.0, 1.0])))
+
+
+def opponents(data: bytes) -> object:
+    draw = Draw(data)
+    moves = small_game().move_names
+    names = ("never-switch", "random-moves", "always-restraint+", "lattice:pace=0.9", "lane-switcher:3")
+    return parse_opponents(draw.value((*names, [(1, names[0]), (draw.number(), names[1])], [draw.value(names)])), moves)
+
+
+# Texts
+
+
+@cache
+def setting() -> Setting:
+    return make_setting()
+
+
+def text_of(read: Callable[[str], object]) -> Callable[[bytes], object]:
+    return lambda data: read(data.decode("utf-8", "surrogateescape"))
+
+
+POLICIES = (
+    "lattice",
+    "lattice:pace=0.8",
+    "lattice:pace=0.8,side_margin=0.2",
+    "lane-switcher:3",
+    "pure-pursuit",
+    "gap-follower",
+)
+AGENTS = (
+    *POLICIES, "never-switch", "random-moves", "always-aggressiveness+", "best-fixed", "best-schedule:fit=x.yaml",
+    "cfr-argmax", "cfr-argmax:network=default-paper-regret", "receding-horizon:depth=2", "random-policy", "adaptive:margin=0.1",
+)  # fmt: skip
+
+
+def texts(*values: str) -> Callable[[], list[bytes]]:
+    return lambda: [value.encode() for value in values]
+
+
+# Tables
+
+RESULTS = (
+    "ego,opponent,track,race,start_s,side,seed,lead,winner,crash,fault,ego_overtakes,opponent_overtakes,duration,"
+    "ego_variant,opponent_variant,ego_path,opponent_path,ego_moves,opponent_moves\n"
+    "a,b,Pipkin,0,12.5,0,0,1.5,ego,,,1,0,40.0,3,4,3 5,4 4,restraint +,stay\n"
+    "a,b,Pipkin,1,12.5,1,0,-1.5,,wall,ego,1,0,12.0,3,4,3 5,4 4,restraint +,stay\n"
+)
+
+
+@cache
+def tournament_folder() -> Path:
+    folder = scratch() / "tournament"
+    folder.mkdir(exist_ok=True)
+    settings = {"seed": 0, "races_per_pair": 2, "tracks": {"Pipkin": "0"}, "agents": {"a": "0", "b": "0"}}
+    manifest = {"format": "pcs-racing job", "version": 1, "kind": "tournament", "package": "0", "settings": settings}
+    (folder / "job.yaml").write_text(yaml.safe_dump(manifest))
+    (folder / "results.csv").write_text(RESULTS)
+    return folder
+
+
+def results_manifest(data: bytes) -> object:
+    folder = _copied(tournament_folder(), "manifest")
+    (folder / "job.yaml").write_bytes(data)
+    return open_results(folder)
+
+
+def results_table(data: bytes) -> object:
+    folder = _copied(tournament_folder(), "table")
+    (folder / "results.csv").write_bytes(data)
+    return open_results(folder), read_races(folder / "results.csv")
+
+
+CURVE = (
+    ",".join(COLUMNS)
+    + "\n"
+    + ",".join(["0", "100", *("paper" for _ in range(2)), *("1" for _ in range(len(COLUMNS) - 4))])
+    + "\n"
+)
+
+
+def configs(kind: str) -> Callable[[], list[bytes]]:
+    return lambda: [path.read_bytes() for path in shipped_configs(kind).values()]
+
+
+TARGETS: dict[str, Target] = {
+    "map yaml": Target(lambda data: parse_ros_yaml(MAP, data), map_seed("Ring_map.yaml"), "yaml"),
+    "map info yaml": Target(lambda data: parse_info(MAP, data), files("*/*_track.yaml", shipped_folder()), "yaml"),
+    "map picture": Target(lambda data: parse_grid(MAP, data, ROS), pictures, "binary"),
+    "map centre line": Target(
+        lambda data: parse_csv(MAP, data, CENTERLINE_COLUMNS, ","), map_seed("Ring_centerline.csv"), "csv"
+    ),
+    "map race line": Target(
+        lambda data: parse_csv(MAP, data, RACELINE_COLUMNS, ";"), map_seed("Ring_raceline.csv"), "csv"
+    ),
+    "map folder": Target(
+        map_file("Ring_map.yaml", False), map_seed("Ring_map.yaml"), "yaml", ("../Ring_map.png", "/etc/passwd")
+    ),
+    "track of a yaml": Target(map_file("Ring_map.yaml", True), map_seed("Ring_map.yaml"), "yaml", most=3000),
+    "track of a centre line": Target(
+        map_file("Ring_centerline.csv", True), map_seed("Ring_centerline.csv"), "csv", most=3000
+    ),
+    "track of a race line": Target(
+        map_file("Ring_raceline.csv", True), map_seed("Ring_raceline.csv"), "csv", most=3000
+    ),
+    "track of a picture": Target(map_file("Ring_map.png", True), map_seed("Ring_map.png"), "binary", most=3000),
+    "track name": Target(text_of(load_track), texts("Pipkin", "tarnfjord", "./x", "maps/Pipkin"), "text"),
+    "yaml": Target(
+        plain_yaml,
+        files("*.yaml", shipped_fits()),
+        "yaml",
+        ("&a", "*a", "<<:", "!!int", "!!timestamp", "!!python/name:os"),
+    ),
+    "arrays": Target(unpack_arrays, lambda: [_chunk()], "npz"),
+    "archive manifest": Target(
+        manifest_of(default_archive, "manifest.yaml", PolicyArchive.load),
+        files("*/manifest.yaml", archives_folder()),
+        "yaml",
+    ),
+    "archive arrays": Target(
+        content_of(default_archive, "manifest.yaml", "archive.npz", "arrays_sha256", PolicyArchive.load),
+        files("default/archive.npz", archives_folder()),
+        "npz",
+    ),
+    "archive name": Target(text_of(load_archive), texts("default", "contest", "archives/default"), "text"),
+    "network manifest": Target(
+        manifest_of(some_network, "manifest.yaml", read_network),
+        lambda: [(some_network() / "manifest.yaml").read_bytes()],
+        "yaml",
+    ),
+    "network weights": Target(
+        content_of(some_network, "manifest.yaml", "weights.safetensors", "weights_sha256", read_network),
+        lambda: [(some_network() / "weights.safetensors").read_bytes()],
+        "binary",
+    ),
+    "driver manifest": Target(
+        manifest_of(some_driver, "driver.yaml", read_driver),
+        lambda: [(some_driver() / "driver.yaml").read_bytes()],
+        "yaml",
+    ),
+    "driver weights": Target(
+        content_of(some_driver, "driver.yaml", "weights.safetensors", "weights_sha256", read_driver),
+        lambda: [(some_driver() / "weights.safetensors").read_bytes()],
+        "binary",
+    ),
+    "chunk": Target(damaged_chunk, lambda: [_chunk()], "binary"),
+    "chunk, signed": Target(signed_chunk, lambda: [_chunk()], "npz"),
+    "tree manifest": Target(tree_manifest, lambda: [_tree_manifest()], "yaml"),
+    "tree chunk, signed": Target(tree_chunk, lambda: [_tree_chunk()], "npz"),
+    "job manifest": Target(job_folder, lambda: [_job()], "yaml"),
+    "race state": Target(
+        as_file(load_state, "race.npz"),
+        _saved(lambda path: save_state(empty_state(2, 3), path), "race-seed.npz"),
+        "npz",
+    ),
+    "game state": Target(
+        as_file(load_game, "game.npz"),
+        _saved(lambda path: save_game(small_game().reset(games=2), path), "game-seed.npz"),
+        "npz",
+    ),
+    "fit": Target(as_file(load_fit, "fit.yaml"), files("*.yaml", shipped_fits()), "yaml"),
+    "race config": Target(
+        as_file(load_race_config, "race.yaml"),
+        texts("preset: contest\nduration: 16.0\nspeed_range: [0.5, 0.9]\nstart: rolling\n"),
+        "yaml",
+    ),
+    "training config": Target(as_file(load_train_settings, "train.yaml"), configs("train"), "yaml"),
+    "archive config": Target(as_file(load_archive_config, "archive.yaml"), configs("archive"), "yaml"),
+    "study config": Target(as_file(load_study_config, "study.yaml"), configs("study"), "yaml"),
+    "ppo config": Target(as_file(load_ppo_settings, "ppo.yaml"), configs("ppo"), "yaml"),
+    "response config": Target(as_file(load_response_settings, "response.yaml"), configs("response"), "yaml"),
+    "results table": Target(results_table, texts(RESULTS), "csv"),
+    "results manifest": Target(results_manifest, lambda: [(tournament_folder() / "job.yaml").read_bytes()], "yaml"),
+    "exploitability table": Target(
+        as_file(read_losses, "losses.csv"),
+        texts(
+            "track,agent,lost_to_best_response,lost_to_equilibrium,against_random\nPipkin,a,1.5,2,1\nPipkin,a,,nan,2\n"
+        ),
+        "csv",
+    ),
+    "loss table": Target(
+        as_file(read_curves, "curve.csv"), texts("epoch,training_loss,validation_loss\n0,1.5,2\n1,1,2\n"), "csv"
+    ),
+    "ppo curve": Target(as_file(read_curve, "ppo.csv"), texts(CURVE), "csv"),
+    "replay json": Target(
+        replay_json, lambda: [_saved(lambda path: save_replay(some_replay(), path), "seed.json")()[0]], "json"
+    ),
+    "replay page": Target(
+        as_file(read_replay, "race.html"),
+        lambda: [_saved(lambda path: save_replay(some_replay(), path), "seed.html")()[0]],
+        "binary",
+    ),
+    "policy text": Target(
+        text_of(parse_policy), texts(*POLICIES), "text", ("pace=", "side_margin", "nan", "1e999", "=", ",", ":")
+    ),
+    "agent text": Target(
+        text_of(lambda text: parse_agent(text, setting())), texts(*AGENTS), "text", ("=", ",", ":", "[1]", "{a: 1}")
+    ),
+    "opponents": Target(opponents, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
+    "game options": Target(game_options, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
+    "race options": Target(race_options, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
+    "drive options": Target(drive_options, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
+    "drive environments": Target(drive_envs, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
+    "drive actions and seeds": Target(
+        drive_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
+    ),
+    "duel actions and seeds": Target(
+        duel_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
+    ),
+}
+
+
+def main() -> None:
+    """Print what there is."""
+    print(json.dumps({name: target.kind for name, target in TARGETS.items()}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
