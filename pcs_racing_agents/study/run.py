@@ -6,7 +6,6 @@ A stage that was finished left a file ``done.yaml``; a stage that was stopped go
 results are functions of the study's configuration alone.
 """
 
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -29,6 +28,7 @@ from pcs_racing_agents.ppo.learner import check_packages
 from pcs_racing_agents.strategies.agent import Agent, Competitor
 from pcs_racing_agents.strategies.setting import Setting, make_setting
 from pcs_racing_agents.strategies.zoo import build
+from pcs_racing_agents.study.clock import seconds_counted
 from pcs_racing_agents.study.config import StudyConfig
 
 __all__ = ["STAGES", "Stage", "Study", "run_study", "stage_seconds"]
@@ -214,7 +214,7 @@ def run_study(
 
 
 def stage_seconds(study: Study) -> dict[str, float]:
-    """Return how long each stage that is done took, s; work that was lost when it was stopped is not counted."""
+    """Return how long each stage that is done took, s; with the time before it was stopped, if it was."""
     seconds = {}
     for name in STAGES:
         file = study.folder / name / DONE
@@ -234,8 +234,8 @@ def _run_stage(study: Study, stage: Stage) -> None:
         return
     if not study.quiet:
         print(f"{stage.name}: {stage.does}", flush=True)
-    began = time.monotonic()
     folder.mkdir(exist_ok=True)
-    stage.run(study)
-    text = yaml.safe_dump({"stage": stage.name, "seconds": round(time.monotonic() - began, 1)})
-    write_atomically(file, lambda out: out.write(text.encode("utf-8")))
+    with seconds_counted(folder / "seconds.txt") as spent:
+        stage.run(study)
+        text = yaml.safe_dump({"stage": stage.name, "seconds": round(spent(), 1)})
+        write_atomically(file, lambda out: out.write(text.encode("utf-8")))
