@@ -528,7 +528,7 @@ def load_archive(source: str | os.PathLike[str] | PolicyArchive) -> PolicyArchiv
         raise InputError(f"archive {source!r} must be a name, a folder or a PolicyArchive")
     if source in list_archives():
         return PolicyArchive.load(shipped_folder() / str(source))
-    if not Path(source).is_dir():
+    if not os.path.isdir(source):
         known = ", ".join(list_archives()) or "none"
         raise UnknownNameError(f"unknown archive {str(source)!r}: neither a folder nor one of those shipped ({known})")
     return PolicyArchive.load(source)

@@ -9,7 +9,8 @@ _LONGEST = 2000
 class InputError(ValueError):
     """A value handed to the package is impossible; the message names it and says what would be right.
 
-    The middle of a message of more than 2000 characters is left out: the value may be anything.
+    The value may be anything: line breaks in a message are written out, and the middle of one of more than 2000
+    characters is left out.
     """
 
     def __init__(self, *args: object) -> None:
@@ -33,4 +34,5 @@ class UnknownNameError(InputError, KeyError):
 
 
 def _shortened(message: str) -> str:
-    return message if len(message) <= _LONGEST else f"{message[:1500]} ... {message[-400:]}"
+    line = "\\n".join(message.splitlines())
+    return line if len(line) <= _LONGEST else f"{line[:1500]} ... {line[-400:]}"

@@ -152,10 +152,11 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
         If the folder or the map's yaml file is not there, or several could be meant.
     """
     folder = Path(path)
-    if folder.is_file() and folder.suffix in (".yaml", ".yml"):
+    # The functions of os answer no where those of Path raise errors: for names that no file can have.
+    if os.path.isfile(folder) and folder.suffix in (".yaml", ".yml"):
         chosen = folder
         folder = folder.parent
-    elif folder.is_dir():
+    elif os.path.isdir(folder):
         chosen = _map_yaml(folder)
     else:
         raise MapError(f"no map folder at {folder}: it must be a folder that holds a *_map.yaml and its picture")

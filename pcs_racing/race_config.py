@@ -1,5 +1,6 @@
 """The rules of one race on the track: start, noise, durations and what a crash costs."""
 
+import os
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -158,7 +159,7 @@ def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceCon
     if isinstance(source, str) and source in PRESETS:
         return replace(PRESETS[source], **_known(changes, "the arguments"))
     path = Path(source)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise UnknownNameError(
             f"race preset {str(source)!r} is unknown; use {', '.join(PRESETS)} or the path of a YAML file"
         )

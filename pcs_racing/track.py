@@ -223,9 +223,9 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
         try:
             return find_shipped(name_or_path)
         except UnknownNameError:
-            if not path.exists():
+            if not os.path.exists(path):
                 raise
-    return path.resolve()
+    return path.resolve() if os.path.exists(path) else path
 
 
 def _stamp(paths: tuple[Path, ...]) -> tuple[tuple[int, int], ...] | None:

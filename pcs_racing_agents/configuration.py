@@ -1,5 +1,6 @@
 """Settings as data: a frozen dataclass of plain values, from YAML if need be, that refuses what it does not know."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -44,7 +45,7 @@ def load_settings(kind: str, default: T, source: Any = None, **changes: Any) -> 
         return replace(source or default, **_known(kind, cls, changes, "the arguments"))  # type: ignore[type-var]
     shipped = shipped_configs(kind)
     path = shipped[source] if isinstance(source, str) and source in shipped else Path(source)
-    if not path.is_file():
+    if not os.path.isfile(path):
         names = ", ".join(shipped) or "none"
         raise UnknownNameError(f"{kind} settings {str(source)!r} are unknown; use {names} or the path of a YAML file")
     values = {**_known(kind, cls, read_mapping(path), str(path)), **_known(kind, cls, changes, "the arguments")}

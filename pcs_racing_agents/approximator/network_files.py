@@ -129,7 +129,7 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
         raise InputError(f"network {source!r} must be a name, a folder or a RegretNetwork")
     if source in list_networks():
         return read_network(shipped_folder() / str(source))
-    if not Path(source).is_dir():
+    if not os.path.isdir(source):
         known = ", ".join(list_networks()) or "none"
         raise UnknownNameError(f"unknown network {str(source)!r}: neither a folder nor one of those shipped ({known})")
     return read_network(source)

@@ -6,6 +6,7 @@ trained driver are constants of its compiled code: it has no parameters, and the
 """
 
 import hashlib
+import os
 from collections.abc import Mapping
 from functools import cache
 from itertools import pairwise
@@ -36,7 +37,15 @@ from pcs_racing_agents.planners.network import (
 )
 from pcs_racing_agents.ppo.layers import Layers
 
-__all__ = ["driver_planner", "flat_weights", "learning_planner", "load_driver", "read_driver", "save_driver"]
+__all__ = [
+    "driver_folder",
+    "driver_planner",
+    "flat_weights",
+    "learning_planner",
+    "load_driver",
+    "read_driver",
+    "save_driver",
+]
 
 FORMAT = "pcs-racing driver"
 VERSION = 1
@@ -240,14 +249,25 @@ def load_driver(source: str | Path = NAME) -> Planner:
     InputError
         If the folder holds no sound driver.
     """
+    layers, manifest = read_driver(driver_folder(source))
+    return driver_planner(manifest["name"], layers, manifest["hold"])
+
+
+def driver_folder(source: str | Path = NAME) -> Path:
+    """Return the folder of a driver, from the name of a shipped one or as it is.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of that name and no such folder.
+    """
     known = sorted(path.parent.name for path in shipped_folder().glob("*/driver.yaml"))
     folder = shipped_folder() / str(source) if str(source) in known else Path(source)
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise UnknownNameError(
             f"unknown driver {str(source)!r}: neither a folder nor one of those shipped ({', '.join(known) or 'none'})"
         )
-    layers, manifest = read_driver(folder)
-    return driver_planner(manifest["name"], layers, manifest["hold"])
+    return folder
 
 
 def __getattr__(name: str) -> Any:

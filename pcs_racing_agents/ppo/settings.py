@@ -1,5 +1,6 @@
 """How a driver or a strategy is trained by PPO: dataclasses, from YAML if need be."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -237,7 +238,7 @@ def load_ppo_settings(source: str | Path | Settings, **changes: Any) -> Settings
         return load_settings("ppo", source, None, **changes)
     shipped = shipped_configs("ppo")
     path = shipped.get(str(source), Path(source))
-    if not path.is_file():
+    if not os.path.isfile(path):
         load_settings("ppo", LEVELS["duel"], source)  # says what there is
     level = read_mapping(path).get("level")
     if level not in LEVELS:

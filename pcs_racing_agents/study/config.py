@@ -1,5 +1,6 @@
 """What a study depends on, as data."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -129,7 +130,7 @@ class StudyConfig:
             load_response_settings(name)
         if self.synthesis is not None:
             load_archive_config(self.synthesis)
-        elif self.archive not in list_archives() and not Path(self.archive).is_dir():
+        elif self.archive not in list_archives() and not os.path.isdir(self.archive):
             raise ConfigError(
                 f"archive is {self.archive!r}; it must be a folder or one of {', '.join(list_archives())}"
             )

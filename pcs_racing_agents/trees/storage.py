@@ -202,10 +202,10 @@ class StoredTrees(Sequence[RaceTree]):
             If they were played with another archive, track, rules or encoding; the first difference is named.
         """
         for key, wanted in _plain(game_settings(game)).items():
-            found = self.settings[key]
+            found = self.settings.get(key)
             if found != wanted:
-                if isinstance(wanted, dict):
-                    part = next(k for k in {**found, **wanted} if found.get(k) != wanted.get(k))
+                if isinstance(wanted, dict) and isinstance(found, dict):
+                    part = next(k for k in {**found, **wanted} if found.get(k, self) != wanted.get(k, self))
                     key, found, wanted = f"{key} {part}", found.get(part), wanted.get(part)
                 raise InputError(f"the trees in {self.folder} are of another game: {key} is {found!r}, not {wanted!r}")
 
@@ -225,7 +225,7 @@ def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> Stor
     InputError
         If the folder holds no trees, or some are missing, or they are of another archive.
     """
-    trees = StoredTrees(Path(folder), read_settings(folder, KIND))
+    trees = StoredTrees(Path(folder), _checked(read_settings(folder, KIND), Path(folder) / "job.yaml"))
     found = trees.settings["archive"]
     if archive is not None and found["sha256"] != archive.content_hash:
         raise InputError(
@@ -257,6 +257,23 @@ def read_settings(folder: str | Path, kind: str) -> dict[str, Any]:
     if not isinstance(manifest, dict) or manifest.get("kind") != kind or not isinstance(manifest.get("settings"), dict):
         raise InputError(f"{file} is no manifest of {kind}; choose a folder that 'pcs-racing tree' wrote")
     settings: dict[str, Any] = manifest["settings"]
+    return settings
+
+
+def _checked(settings: dict[str, Any], file: Path) -> dict[str, Any]:
+    """Settings whose parts are what the rest takes them for, whatever they say."""
+    for key in ("archive", "track"):
+        part = settings.get(key)
+        if not isinstance(part, dict) or not all(isinstance(part.get(name), str) for name in ("name", "sha256")):
+            raise InputError(f"{file}: {key} is {part!r:.80}; it must have the texts name and sha256")
+    rules, pairs = settings.get("rules"), settings.get("pairs")
+    if not isinstance(rules, dict) or type(rules.get("moves")) is not int or not 1 <= rules["moves"] <= 100:
+        raise InputError(f"{file}: rules are {rules!r:.80}; they must have moves, a whole number from 1 to 100")
+    if not isinstance(pairs, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
+        raise InputError(f"{file}: pairs are {pairs!r:.80}; they must be a list of two policies each")
+    for key in ("encoding", "move_names"):
+        if not isinstance(settings.get(key), list) or not all(isinstance(name, str) for name in settings[key]):
+            raise InputError(f"{file}: {key} is {settings.get(key)!r:.80}; it must be a list of texts")
     return settings
 
 
