@@ -56,10 +56,17 @@ class Fit:
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
+        if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise UnknownNameError(f"fit of {self.kind!r} is unknown; there are fits of {', '.join(KINDS)}")
         if not isinstance(self.choice, KINDS[self.kind]) or isinstance(self.choice, bool):
             raise InputError(f"the choice of {self.kind} is {self.choice!r}; it must be {_wanted(self.kind)}")
+        for key in ("archive", "archive_sha256", "race"):
+            if not isinstance(getattr(self, key), str):
+                raise InputError(f"{key} is {getattr(self, key)!r}; it must be a text")
+        if not isinstance(self.epsilon, list) or not all(isinstance(step, float) for step in self.epsilon):
+            raise InputError(f"epsilon is {self.epsilon!r}; it must be a list of numbers")
+        if not isinstance(self.training, Mapping):
+            raise InputError(f"training is {self.training!r}; it must be a mapping")
 
     def check_fits(self, setting: Setting) -> None:
         """Check that a choice is valid for a game.

@@ -131,6 +131,8 @@ def _race(row: dict[str, str], path: str | Path, reader: "csv.DictReader[str]") 
     try:
         labels = [float(row[name]) for name in ("ego_variant", "opponent_variant", "start_s", "side")]
         seed = int(row["seed"])
+        if not all(abs(label) < 1e9 for label in labels):
+            raise ValueError
     except (TypeError, ValueError):
         raise InputError(f"{path}, line {reader.line_num} is no race: a number is missing") from None
     crash = row["crash"] != ""

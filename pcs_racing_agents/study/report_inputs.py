@@ -82,6 +82,7 @@ class TreeLoss(NamedTuple):
     columns: tuple[tuple[float, float], ...]
 
 
+LARGEST = 1e100
 LOSSES = ("lost_to_best_response", "lost_to_equilibrium", "against_random")
 
 
@@ -167,10 +168,10 @@ def _rows(path: str | Path, wanted: Sequence[str]) -> list[dict[str, str]]:
     try:
         with open(path, newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
-            rows = list(reader)
+            rows, known = list(reader), reader.fieldnames or ()
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"can't read {path}: {error}") from None
-    missing = [name for name in wanted if name not in (reader.fieldnames or ())]
+    missing = [name for name in wanted if name not in known]
     if missing:
         raise InputError(f"{path} has no column {missing[0]!r}")
     return rows
@@ -178,6 +179,9 @@ def _rows(path: str | Path, wanted: Sequence[str]) -> list[dict[str, str]]:
 
 def _number(text: str | None, path: str | Path) -> float:
     try:
-        return float(text) if text else np.nan
+        value = float(text) if text else np.nan
     except ValueError:
-        raise InputError(f"{path} holds {text!r} where a number should be") from None
+        value = np.inf
+    if np.isinf(value) or abs(value) > LARGEST:
+        raise InputError(f"{path} holds {text!r} where a number should be")
+    return value

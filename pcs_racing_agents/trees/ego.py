@@ -153,6 +153,8 @@ class EgoTrees:
         except (KeyError, IndexError) as error:
             raise InputError(f"{where} holds no ego trees: {error} is missing") from None
         for name, array in arrays.items():
+            if array.dtype.kind not in "biuf":
+                raise InputError(f"{where}: {name} is of type {array.dtype}; a tree holds numbers")
             if not np.isfinite(array).all():
                 raise InputError(f"{where}: {name} holds NaN or infinity; every number of a tree must be finite")
         return cls(**values)

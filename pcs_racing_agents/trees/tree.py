@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.errors import InputError
 from pcs_racing.game import encode_observation
-from pcs_racing_agents.trees.paths import PolicyPaths, own_histories, policy_paths
+from pcs_racing_agents.trees.paths import PolicyPaths, check_size, own_histories, policy_paths
 
 if TYPE_CHECKING:
     from pcs_racing_agents.solvers import GameTree
@@ -232,6 +232,31 @@ _PLAIN = ("policies", "start_s", "side", "seeds", "table", "points", "driven", "
 _LEVELS = ("leads", "estimates", "over")
 
 
+_KINDS = {"start_s": "f", "points": "f", "payoffs": "f", "leads": "f", "estimates": "f", "over": "b"}  # others: whole
+
+
+def _check_plain(arrays: Mapping[str, NDArray[Any]], wanted: list[str], moves: int, where: str) -> None:
+    """Check types, and the shapes from which all others follow."""
+    for name in wanted:
+        kind = _KINDS.get(name, _KINDS.get(name.rpartition("_")[0], "iu"))
+        if arrays[name].dtype.kind not in kind:
+            raise InputError(f"{where}: {name} is of type {arrays[name].dtype}; a tree has another one there")
+    seeds, table, points = (arrays[name].shape for name in ("seeds", "table", "points"))
+    if (
+        len(seeds) != 1
+        or len(table) != 2
+        or len(points) != 2
+        or 0 in (*seeds, *table, *points)
+        or table[0] != points[0]
+    ):
+        raise InputError(f"{where}: seeds, table and points have shapes {seeds}, {table} and {points}; they do not fit")
+    for name in ("start_s", "side", "driven", "live", "crashed"):
+        shape = () if name in ("start_s", "side") else seeds
+        if arrays[name].shape != shape:
+            raise InputError(f"{where}: {name} has shape {arrays[name].shape}; it must have {shape}")
+    check_size(table[1], moves)
+
+
 def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) -> RaceTree:
     """Make a tree of arrays that :meth:`RaceTree.arrays` returned.
 
@@ -252,6 +277,7 @@ def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str)
     missing = [name for name in wanted if name not in arrays]
     if missing:
         raise InputError(f"{where} is no tree of {moves} moves: it holds no {missing[0]}")
+    _check_plain(arrays, wanted, moves, where)
     levels: dict[str, Any] = {f"path_{name}": tuple(arrays[f"{name}_{k}"] for k in range(moves)) for name in _LEVELS}
     plain: dict[str, Any] = {name: arrays[name] for name in _PLAIN}
     plain.update(start_s=float(plain["start_s"]), side=int(plain["side"]))
