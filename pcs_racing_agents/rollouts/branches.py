@@ -33,11 +33,23 @@ class Branches(NamedTuple):
         What the game was worth to car 0 in the end after each move.
     game : ndarray, shape (R,), int64
         Which of the games it is; those that were over before the moment are absent.
+    behaviour : ndarray, shape (R,), int64
+        Index of the behaviour that played car 0 until then.
+    rival : ndarray, shape (R,), int64
+        Policy of car 1 at the moment, which car 0 can only guess; -1 for a driver.
+    leads : ndarray, shape (R, A)
+        Lead of car 0 when the race ended, m.
+    crashed : ndarray, shape (R, A), bool
+        Whether it ended in a crash.
     """
 
     observations: NDArray[np.float32]
     outcomes: NDArray[np.float64]
     game: NDArray[np.int64]
+    behaviour: NDArray[np.int64]
+    rival: NDArray[np.int64]
+    leads: NDArray[np.float64]
+    crashed: NDArray[np.bool_]
 
 
 def outcome(game: RaceGame, state: GameState, worth: str = "win") -> NDArray[np.float64]:
@@ -109,7 +121,7 @@ def branch_games(
     going = np.flatnonzero(~game.done(state))
     count = len(game.move_names) if count is None else count
     state = take_games(state, going)
-    seen = game.observation(state)[:, 0]
+    seen, rival = game.observation(state)[:, 0], state.policy[:, 1].copy()
     reply = _reply(opponent, game, state)
     tried = np.tile(np.arange(count), len(going))
     state = take_games(state, np.repeat(np.arange(len(going)), count))
@@ -117,7 +129,9 @@ def branch_games(
     while not game.done(state).all():
         moves = moves_of(continuation, game, state, 0)
         state = game.step(state, np.stack([moves, _reply(opponent, game, state)], axis=1))
-    return Branches(seen, outcome(game, state, worth).reshape(len(going), count), going)
+    ends = (outcome(game, state, worth), np.asarray(state.race.lead, np.float64), state.race.crashed)
+    outcomes, leads, crashed = (array.reshape(len(going), count) for array in ends)
+    return Branches(seen, outcomes, going, turn[going], rival, leads, crashed)
 
 
 def _reply(opponent: Competitor, game: RaceGame, state: GameState) -> NDArray[np.int64]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from pcs_racing_agents.approximator.network_files import load_network
 from pcs_racing_agents.approximator.settings import load_train_settings
+from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.jobs import open_job
 from pcs_racing_agents.rollouts.learner import learn_response, load_response_settings
 from pcs_racing_agents.strategies.fits import save_fit
@@ -124,7 +125,7 @@ def learn_responses(study: Study) -> None:
     for name in config.responses:
         settings = load_response_settings(name)
         seeded = load_response_settings(settings, seed=config.seed + RESPONSE_SEED + settings.seed)
-        with open_job(study.folder / "responses" / name, "response", {"name": name}) as job:
+        with open_job(study.folder / "responses" / name, "response", {"name": name, **plain_settings(seeded)}) as job:
             network = learn_response(
                 games,
                 pool,

@@ -62,3 +62,13 @@ def test_impossible_requests_are_refused(game, setting):
         branch_games(game, stay, race_seeds(0, 1), 2, [stay], stay)
     with pytest.raises(InputError, match="worth is 'glory'; it must be one of win, utility"):
         outcome(game, game.reset(games=1), "glory")
+
+
+def test_branches_tell_who_played_and_how_the_race_ended(game, setting):
+    pilots = [random_moves(setting), never_switch(setting)]
+    found = branch_games(game, always(setting, "restraint +"), race_seeds(5, 6), 1, pilots, pilots[1])
+    np.testing.assert_array_equal(found.behaviour, found.game % 2)
+    assert ((found.rival >= 0) & (found.rival < len(game.archive))).all()
+    won = np.where(found.leads > 0.0, 1.0, np.where(found.leads < 0.0, 0.0, 0.5))
+    assert (found.outcomes == won)[~found.crashed].all()
+    assert (found.outcomes == 0.0)[found.crashed].all()  # by the paper's rule a crash pays nobody

@@ -1,0 +1,421 @@
+"""What matters for an answer to opponents in the contest: the tables of "What mattered" in docs/study.md.
+
+    python benchmarks/response_ablation.py learners --starts 1536 --out out/ablation
+    python benchmarks/response_ablation.py games --games "8 s" "4 s" --starts 384 --races 1500 --out out/ablation
+    python benchmarks/response_ablation.py circuits --races 1000 --out out/ablation
+
+"learners" branches games, played on by the answer that is shipped, and lets learners learn from three quarters of them
+what to do in the last quarter, in turn: what their moves add to races won over the shipped answer's, and so what there
+is left to be learned. "games" learns an answer for every variant of the game and lets it race. "circuits" lets the
+shipped answer race on every circuit. Seeds are other ones than those of any study; a stopped run goes on.
+"""
+
+import argparse
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from math import erf
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing import RaceGame, list_tracks, make_game
+from pcs_racing.game_config import load_game_config
+from pcs_racing.race import draw_starts, race_seeds
+from pcs_racing_agents.approximator import RegretNetwork, Rows, load_network
+from pcs_racing_agents.approximator.settings import TrainSettings
+from pcs_racing_agents.approximator.training import fit
+from pcs_racing_agents.jobs import Arrays, Job, add_executor_options, executor_from, open_job, show_progress
+from pcs_racing_agents.rollouts import branch_games, learn_response, load_response_settings
+from pcs_racing_agents.strategies import Agent, Setting, make_setting
+from pcs_racing_agents.strategies.agents import always, best_schedule, never_switch, random_moves
+from pcs_racing_agents.strategies.network import FromNetwork
+from pcs_racing_agents.tournament import play_games
+from pcs_racing_agents.tournament.matches import game_between
+
+SEED = 9_000_000
+BLOCK = 256
+FOLDS = 4
+OPPONENTS = ("never-switch", "random-moves")
+CIRCUITS = ("Brackwater", "Kestrelheim", "Tarnfjord")
+GAMES: dict[str, dict[str, Any]] = {
+    "8 s": {},
+    "4 s": {"step_seconds": 4.0, "moves": 9},
+    "epsilon 0.8": {"epsilon": 0.8},
+}
+"""Variants of the game; the first is the study's."""
+
+Floats = NDArray[np.float64]
+
+
+class Options(NamedTuple):
+    """What the command line says."""
+
+    archive: str
+    starts: int
+    races: int
+    circuits: tuple[str, ...]
+    games: tuple[str, ...]
+    members: int
+    rounds: int
+
+
+def setting_of(archive: str, **changes: Any) -> Setting:
+    return make_setting(archive, load_game_config("contest", **{"epsilon": 0.5, **changes}))
+
+
+def game_on(circuit: str, setting: Setting) -> RaceGame:
+    return make_game(circuit, setting.archive, setting.config, threads=1)
+
+
+def opponent_of(name: str, setting: Setting) -> Agent:
+    return {"never-switch": never_switch, "random-moves": random_moves}[name](setting, seed=SEED)
+
+
+def follow(network: RegretNetwork, setting: Setting) -> Agent:
+    return Agent("response", FromNetwork(network, "argmax", len(setting.moves)), setting)
+
+
+# What is left to be learned
+
+
+@dataclass(frozen=True)
+class Data:
+    """Branched games of all circuits, opponents and steps, one row each."""
+
+    observations: NDArray[np.float32]
+    wins: Floats
+    leads: Floats
+    crashed: NDArray[np.bool_]
+    rival: Floats
+    played: NDArray[np.int64]
+    place: NDArray[np.int64]
+
+    def take(self, rows: NDArray[Any]) -> "Data":
+        """Return some rows."""
+        return Data(*(getattr(self, key)[rows] for key in self.__dataclass_fields__))
+
+    def columns(self, *keys: str) -> NDArray[np.int64]:
+        """Some of circuit, opponent, step and number of the game, as one number for each combination."""
+        names = ("circuit", "opponent", "step", "game")
+        picked = self.place[:, [names.index(key) for key in keys]]
+        return np.unique(picked, axis=0, return_inverse=True)[1].ravel()
+
+
+class BranchTask(NamedTuple):
+    """Games that are branched together."""
+
+    circuit: str
+    opponent: str
+    step: int
+    first: int
+    last: int
+
+
+def branch(setting: Setting, network: RegretNetwork, task: BranchTask) -> Arrays:
+    pilots = [random_moves(setting, seed=SEED), follow(network, setting)]
+    rival = opponent_of(task.opponent, setting)
+    arena = game_between(game_on(task.circuit, setting), pilots[0], rival)
+    key = (sum(task.circuit.encode()), OPPONENTS.index(task.opponent), task.step)
+    root = int(np.random.SeedSequence(SEED, spawn_key=key).generate_state(1, np.uint64)[0] >> np.uint64(1))
+    keys = race_seeds(root, task.last)[task.first :]
+    found = branch_games(arena, rival, keys, task.step, pilots, pilots[1])
+    return {**found._asdict(), "game": found.game + task.first}
+
+
+def branched(options: Options, job: Job, executor: Executor | None) -> tuple[Data, RegretNetwork]:
+    setting = setting_of(options.archive)
+    network = load_network(f"{options.archive}-contest-gain")
+    tasks = [
+        BranchTask(circuit, opponent, step, first, min(first + BLOCK, options.starts))
+        for circuit in options.circuits
+        for opponent in OPPONENTS
+        for step in range(setting.config.moves)
+        for first in range(0, options.starts, BLOCK)
+    ]
+    work = partial(branch, setting, network)
+    found = job.run("branches", work, tasks, executor=executor, progress=show_progress("branch tasks"))
+    points = setting.archive.normalised
+    parts = []
+    for arrays, task in zip(found, tasks, strict=True):
+        where = options.circuits.index(task.circuit), OPPONENTS.index(task.opponent), task.step
+        place = [(*where, int(number)) for number in arrays["game"]]
+        given = [arrays[key] for key in ("observations", "outcomes", "leads", "crashed")]
+        parts.append((*given, points[arrays["rival"]], arrays["behaviour"], np.reshape(place, (-1, 4))))
+    return Data(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))), network
+
+
+Learner = Callable[[Data, Data], Floats]
+"""From data to learn from and situations, to what each move is worth there."""
+
+
+def learner(
+    members: int,
+    *,
+    share: float = 1.0,
+    apart: Sequence[str] = (),
+    sees: str = "",
+    soft: float = 0.0,
+    kept: int | None = None,
+    **settings: Any,
+) -> Learner:
+    """Return a learner: networks as those of a response, with one thing changed."""
+
+    def goals(data: Data) -> Floats:
+        wins = data.wins
+        if soft:
+            level = np.reshape([0.5 * (1.0 + erf(lead / soft / 2**0.5)) for lead in data.leads.ravel()], wins.shape)
+            wins = np.where(data.crashed, wins, level)
+        return wins - wins.mean(axis=1, keepdims=True)
+
+    def inputs(data: Data) -> NDArray[np.float32]:
+        more = {
+            "": np.zeros((len(data.wins), 0)),
+            "opponent": data.rival,
+            "circuit": np.eye(len(CIRCUITS) + 8)[data.place[:, 0]],
+        }[sees]
+        return np.concatenate([data.observations, more], axis=1).astype(np.float32)
+
+    def learn(known: Data, asked: Data) -> Floats:
+        lot = np.random.default_rng(SEED).random(len(known.wins)) < share
+        if kept is not None:
+            lot &= known.played == kept
+        known = known.take(lot)
+        rows = Rows(
+            inputs(known), goals(known), np.ones(len(known.wins)), np.arange(len(known.wins)), known.place[:, 2]
+        )
+        values = np.zeros(asked.wins.shape)
+        for member in range(members):
+            like = load_response_settings(**settings).train_settings(member)
+            values += predict(rows, like, inputs(asked)) / members
+        return values
+
+    def learn_apart(known: Data, asked: Data) -> Floats:
+        group = replace(asked, place=np.concatenate([known.place, asked.place])).columns(*apart)
+        mine, theirs = group[: len(known.wins)], group[len(known.wins) :]
+        values = np.zeros(asked.wins.shape)
+        for number in np.unique(theirs):
+            values[theirs == number] = learn(known.take(mine == number), asked.take(theirs == number))
+        return values
+
+    return learn_apart if apart else learn
+
+
+def predict(rows: Rows, settings: TrainSettings, inputs: NDArray[np.float32]) -> Floats:
+    found = fit(rows, settings)
+    x = (inputs - found.mean) / found.scale
+    for weight, bias in zip(found.weights[:-1], found.biases[:-1], strict=True):
+        x = np.maximum(x @ weight.T + bias, 0.0)
+    return np.asarray(x @ found.weights[-1].T + found.biases[-1], np.float64)
+
+
+def learners(members: int) -> dict[str, Learner]:
+    """The learners that are compared, by name."""
+    make = partial(learner, members)
+    return {
+        "as the response's": make(),
+        "a tenth of the games": make(share=0.1),
+        "a quarter": make(share=0.25),
+        "half": make(share=0.5),
+        "one network": learner(1),
+        "linear": make(hidden=()),
+        "width 16": make(hidden=(16, 16)),
+        "width 128": make(hidden=(128, 128)),
+        "weight decay 0.3": make(weight_decay=0.3),
+        "soft outcome, 2 m": make(soft=2.0),
+        "soft outcome, 6 m": make(soft=6.0),
+        "a network for each circuit": make(apart=["circuit"]),
+        "a network for each step": make(apart=["step"]),
+        "told the circuit": make(sees="circuit"),
+        "told the opponent's policy": make(sees="opponent"),
+        "learns from random moves only": make(kept=0),
+        "learns from the answer's games only": make(kept=1),
+    }
+
+
+def crossed(data: Data, learn: Learner) -> Floats:
+    """What each move is worth in every situation, as learned from the games of the other folds."""
+    fold = data.columns("circuit", "opponent", "step", "game") % FOLDS
+    values = np.zeros(data.wins.shape)
+    for k in range(FOLDS):
+        values[fold == k] = learn(data.take(fold != k), data.take(fold == k))
+    return values
+
+
+def added(data: Data, chosen: NDArray[np.int64], instead: NDArray[np.int64]) -> tuple[float, float]:
+    """What moves add to races won over others in games of the answer: summed over the steps; and its standard error."""
+    rows = np.arange(len(chosen))
+    won = data.wins[rows, chosen] - data.wins[rows, instead]
+    group = data.columns("circuit", "opponent")
+    gains, variances = [], []
+    for g in np.unique(group):
+        mine = (group == g) & (data.played == 1)
+        counts = np.bincount(data.place[mine, 2])
+        # Games that are over before a step gain nothing there.
+        gains.append(won[mine].sum() / counts.max())
+        parts = [won[mine & (data.place[:, 2] == step)] for step in range(len(counts))]
+        variances.append(sum(part.var() * len(part) for part in parts) / counts.max() ** 2)
+    return float(np.mean(gains)), float(np.sqrt(np.sum(variances)) / len(variances))
+
+
+def compare_learners(options: Options, job: Job, executor: Executor | None) -> None:
+    data, network = branched(options, job, executor)
+    base = network.unclipped(data.observations).argmax(axis=1)
+    moves = network.moves
+    print(f"{len(base)} situations, {np.mean(data.wins.std(axis=1) == 0):.0%} of them decided whatever the move\n")
+    print("| learner | races won over the shipped answer |\n| --- | --- |")
+    for i, move in enumerate(moves):
+        gain, error = added(data, np.full(len(base), i), base)
+        print(f"| (always {move}, then the answer) | {gain:+.3f} +- {error:.3f} |")
+    for name, learn in learners(options.members).items():
+        values = crossed(data, learn)
+        gain, error = added(data, values.argmax(axis=1), base)
+        print(f"| {name} | {gain:+.3f} +- {error:.3f} |", flush=True)
+        if name == "as the response's":
+            for margin in (0.01, 0.03, 0.08):
+                chosen = np.where(values.max(axis=1) - values[:, 0] > margin, values.argmax(axis=1), 0)
+                gain, error = added(data, chosen, base)
+                print(f"| keeps to {moves[0]} but for more than {margin:g} | {gain:+.3f} +- {error:.3f} |", flush=True)
+
+
+# What the game and the circuit do
+
+
+class RaceTask(NamedTuple):
+    """Races of one agent against one opponent on one circuit."""
+
+    circuit: str
+    opponent: str
+    ego: str
+    first: int
+    last: int
+
+
+def race(setting: Setting, network: RegretNetwork, task: RaceTask) -> Arrays:
+    game = game_on(task.circuit, setting)
+    count = task.last
+    place = sum(task.circuit.encode())
+    plan = [*setting.moves[:1] * (setting.config.moves - 1), setting.moves[2]]
+    ego = {
+        "never-switch": lambda: never_switch(setting),
+        "always the first": lambda: always(setting, setting.moves[0]),
+        "and careful in the end": lambda: best_schedule(setting, moves=plan),
+        "response": lambda: follow(network, setting),
+    }[task.ego]()
+    rows = np.arange(task.first, task.last)
+    played = play_games(
+        game,
+        ego,
+        opponent_of(task.opponent, setting),
+        policies=np.random.default_rng([SEED, place]).integers(0, len(game.archive), (count, 2))[rows],
+        starts=draw_starts(game.track, game.setup.config, count, SEED + place).take(rows),
+        seeds=race_seeds(SEED + place, count)[rows],
+    )
+    return {"score": played.score}
+
+
+EGOS = ("never-switch", "always the first", "and careful in the end", "response")
+
+
+def raced(
+    title: str,
+    setting: Setting,
+    network: RegretNetwork,
+    circuits: Sequence[str],
+    races: int,
+    job: Job,
+    executor: Executor | None,
+) -> list[str]:
+    """Lines of a table: what an answer gains on each circuit over never switching, and over the best blind plan."""
+    tasks = [
+        RaceTask(circuit, opponent, ego, first, min(first + 500, races))
+        for circuit in circuits
+        for opponent in OPPONENTS
+        for ego in EGOS
+        for first in range(0, races, 500)
+    ]
+    work = partial(race, setting, network)
+    name = "races-" + "".join(c if c.isalnum() else "-" for c in title)
+    found = job.run(name, work, tasks, executor=executor, progress=show_progress("tasks of races"))
+    lines = []
+    for circuit in circuits:
+        for opponent in OPPONENTS:
+            score = {
+                ego: np.concatenate(
+                    [a["score"] for a, t in zip(found, tasks, strict=True) if t[:3] == (circuit, opponent, ego)]
+                )
+                for ego in EGOS
+            }
+            # The better of the plans on these very races: it flatters the plan, if anything.
+            blind = max(EGOS[1:3], key=lambda ego: score[ego].mean())
+            cells = [f"{score['never-switch'].mean():.3f}"]
+            for one, other in ((blind, EGOS[0]), ("response", EGOS[0]), ("response", blind)):
+                apart = score[one] - score[other]
+                cells.append(f"{apart.mean():+.3f} +- {apart.std(ddof=1) / len(apart) ** 0.5:.3f}")
+            lines.append(f"| {title} | {circuit} | {opponent} | {' | '.join(cells)} |")
+    return lines
+
+
+HEAD = "| what | circuit | opponent | never-switch | best plan | answer | answer - best plan |\n" + "| --- " * 7 + "|"
+
+
+def compare_games(options: Options, job: Job, executor: Executor | None) -> None:
+    lines = []
+    for name in options.games:
+        setting = setting_of(options.archive, **GAMES[name])
+        games = [game_on(circuit, setting) for circuit in options.circuits[:2]]
+        settings = load_response_settings(
+            starts=options.starts, rounds=options.rounds, members=options.members, seed=SEED
+        )
+        pool = [opponent_of(opponent, setting) for opponent in OPPONENTS]
+        with open_job(
+            job.folder / "games" / name.replace(" ", "-"), "response", _about(options, setting.config)
+        ) as own:
+            network = learn_response(
+                games, pool, setting, settings, own, executor=executor, progress=show_progress(f"branch tasks ({name})")
+            )
+        lines += raced(name, setting, network, options.circuits, options.races, job, executor)
+    print("\n".join([HEAD, *lines]))
+
+
+def compare_circuits(options: Options, job: Job, executor: Executor | None) -> None:
+    setting = setting_of(options.archive)
+    network = load_network(f"{options.archive}-contest-gain")
+    print("\n".join([HEAD, *raced("shipped", setting, network, list_tracks(), options.races, job, executor)]))
+
+
+PARTS = {"learners": compare_learners, "games": compare_games, "circuits": compare_circuits}
+
+
+def _about(options: Options) -> dict[str, Any]:
+    return {**options._asdict(), "circuits": list(options.circuits), "games": list(options.games)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], allow_abbrev=False)
+    parser.add_argument("part", choices=list(PARTS))
+    parser.add_argument("--out", type=Path, required=True, help="folder that keeps what was driven")
+    parser.add_argument("--archive", default="contest")
+    parser.add_argument("--starts", type=int, default=256, help="games that are branched at a step (default: 256)")
+    parser.add_argument("--races", type=int, default=500, help="of an agent in a row of the table (default: 500)")
+    parser.add_argument("--circuits", nargs="+", default=list(CIRCUITS), help="answers learn on the first two")
+    parser.add_argument("--games", nargs="+", choices=list(GAMES), default=list(GAMES), help="variants of the game")
+    parser.add_argument("--members", type=int, default=2, help="networks of an answer (default: 2)")
+    parser.add_argument("--rounds", type=int, default=2)
+    add_executor_options(parser)
+    given = parser.parse_args()
+    options = Options(
+        given.archive, given.starts, given.races, tuple(given.circuits), tuple(given.games), given.members, given.rounds
+    )
+    with (
+        executor_from(given) as executor,
+        open_job(given.out / given.part, "response-ablation", _about(options)) as job,
+    ):
+        PARTS[given.part](options, job, executor)
+
+
+if __name__ == "__main__":
+    main()
