@@ -1,6 +1,6 @@
 """Installs the wheel into a clean environment and uses it there, far from the source tree.
 
-    python tools/try_wheel.py dist/pcs_racing-*.whl --demo
+    python tools/try_wheel.py dist --demo
 
 First the base installation alone: what ships is inside, a race, a tournament and an agent with its network run, and
 whoever asks for an extra that is missing is told its name. With ``--demo`` the extras of `make demo` follow, and the
@@ -157,11 +157,16 @@ def try_demo(environment: Environment, wheel: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("wheel", type=Path)
+    parser.add_argument("wheel", type=Path, help="the wheel, or a folder that holds one")
     parser.add_argument("--python", default="", help="another interpreter, for instance python3.13")
     parser.add_argument("--demo", action="store_true", help="install the extras too, and run the quick study")
     arguments = parser.parse_args()
     wheel = arguments.wheel.resolve()
+    if wheel.is_dir():
+        wheels = sorted(wheel.glob("*.whl"))
+        if len(wheels) != 1:
+            sys.exit(f"{wheel} holds {len(wheels)} wheels; there must be one")
+        wheel = wheels[0]
     check_contents(wheel)
     with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
         environment = Environment(Path(folder).resolve(), arguments.python)

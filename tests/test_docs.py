@@ -1,0 +1,203 @@
+"""The documentation holds: its code runs, its commands parse, its links lead somewhere, its site says what is."""
+
+import contextlib
+import io
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+DOCS = REPOSITORY / "docs"
+PAGES = sorted([*DOCS.glob("*.md"), *REPOSITORY.glob("*.md"), *REPOSITORY.glob("*/README.md")])
+TEXTS = {page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
+
+# Pages whose code runs here. The others have tests of their own beside the code that they explain.
+RUN_HERE = (
+    "docs/bring_a_map.md",
+    "docs/environments_drive_duel.md",
+    "docs/faq.md",
+    "docs/first_race.md",
+    "docs/start.md",
+    "docs/train_ppo.md",
+    "docs/write_a_characteristic.md",
+    "docs/write_an_agent.md",
+)
+SHORTER = {".learn(100_000)": "", "learn(1_000)": "learn(512)"}  # PPO of SB3 drives at least 2048 moves of each of 64
+
+
+def python_blocks(text: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+
+
+BLOCKS = [(page, number) for page in RUN_HERE for number in range(len(python_blocks(TEXTS.get(page, ""))))]
+
+
+@pytest.mark.parametrize(("page", "number"), BLOCKS)
+def test_the_code_runs(page, number, tmp_path, monkeypatch):
+    code = python_blocks(TEXTS[page])[number]
+    if "stable_baselines3" in code:
+        pytest.importorskip("stable_baselines3")
+    for long, short in SHORTER.items():
+        code = code.replace(long, short)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, page, "exec"), {"__name__": "snippet"})
+
+
+def test_every_page_with_code_is_run_by_some_test():
+    tests = "\n".join(
+        file.read_text(encoding="utf-8") for file in (REPOSITORY / "tests").rglob("test_*.py") if file != Path(__file__)
+    )
+    for page, text in TEXTS.items():
+        if python_blocks(text) and page not in RUN_HERE:
+            assert Path(page).name in tests, f"no test runs the code of {page}"
+
+
+# Commands
+
+
+def command_lines(text: str) -> list[str]:
+    """Commands in console blocks, joined where a line goes on, without their comments."""
+    blocks = re.findall(r"```(?:console|bash|sh)\n(.*?)```", text, flags=re.DOTALL)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    return [line.removeprefix("$ ").strip() for line in lines if line.strip()]
+
+
+COMMANDS = [(page, line) for page, text in TEXTS.items() for line in command_lines(text)]
+
+
+def words(line: str) -> list[str]:
+    """Words of a command, without its comment and what is behind a pipe or an ampersand."""
+    found = shlex.split(line, comments=True)
+    return found[: min((found.index(end) for end in ("|", "&", "&&", ">") if end in found), default=len(found))]
+
+
+def parses(arguments: list[str]) -> bool:
+    from pcs_racing_agents.cli import _parser
+
+    with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+        try:
+            return callable(_parser().parse_args(arguments).run)
+        except SystemExit as done:
+            return done.code == 0  # --help
+
+
+@pytest.mark.parametrize(
+    ("page", "line"), [(page, line) for page, line in COMMANDS if re.search(r"(^|/)pcs-racing ", line)]
+)
+def test_commands_are_those_of_the_command_line(page, line):
+    found = words(line)
+    program = next(number for number, word in enumerate(found) if word.endswith("pcs-racing"))
+    assert parses(found[program + 1 :]), f"{page}: {line}"
+
+
+def test_impossible_commands_are_found():
+    assert not parses(["race", "--trak", "Pipkin"])
+    assert not parses(["rase"])
+    assert words("pcs-racing agents   # all of them") == ["pcs-racing", "agents"]
+
+
+def test_commands_within_lines_exist():
+    from pcs_racing_agents.cli import _parser
+
+    named = {name for text in TEXTS.values() for name in re.findall(r"`(?:[\w./]*/)?pcs-racing ([a-z]+)", text)}
+    assert {"train", "study", "track"} <= named
+    for name in named:
+        assert parses([name, "--help"]), name
+    assert _parser().prog == "pcs-racing"
+
+
+def test_scripts_and_targets_exist():
+    scripts = {name for text in TEXTS.values() for name in re.findall(r"\b(?:examples|benchmarks|tools)/\w+\.py", text)}
+    assert len(scripts) > 15
+    assert [name for name in sorted(scripts) if not (REPOSITORY / name).is_file()] == []
+    makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
+    workflows = "\n".join(file.read_text(encoding="utf-8") for file in (REPOSITORY / ".github").rglob("*.yml"))
+    for where, text in [*TEXTS.items(), ("the workflows", workflows)]:
+        for line in re.findall(r"(?:^|run: |`)make ((?:[a-z]+(?:-[a-z]+)*(?: |$|`|\n))+)", text, flags=re.MULTILINE):
+            for target in line.strip(" `\n").split():
+                assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), f"{where}: make {target}"
+
+
+def test_make_help_names_every_target():
+    makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.search(r"^\.PHONY: (.*)$", makefile, flags=re.MULTILINE)[1].split()) - {"help"}
+    assert targets <= set(re.findall(r'@echo "make ([\w-]+)', makefile))
+
+
+# Links
+
+
+def anchors(text: str) -> set[str]:
+    """Anchors of a page's headings, as GitHub and the site make them."""
+    headings = re.findall(r"^#+ +(.*?) *$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.replace("`", "").lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_links_lead_somewhere(page):
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", TEXTS[page], flags=re.DOTALL)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        path, _, anchor = link.partition("#")
+        if "://" in link or path.startswith("generated/"):
+            continue
+        target = ((REPOSITORY / page).parent / path).resolve() if path else REPOSITORY / page
+        assert target.exists(), f"{page} links to {link}"
+        if anchor and target.suffix == ".md":
+            assert anchor in anchors(target.read_text(encoding="utf-8")), f"{page} links to {link}"
+
+
+# The site
+
+
+@pytest.fixture(scope="module")
+def site():
+    sys.path.insert(0, str(DOCS))
+    try:
+        import site_pages
+    finally:
+        sys.path.remove(str(DOCS))
+    return site_pages
+
+
+def test_environment_pages_have_all_headings_and_defaults(site):
+    for name in site.ENVIRONMENTS:
+        page = site.environment_page(name)
+        for heading in ("Description", "Action Space", "Observation Space", "Rewards", "Starting State", "Episode End",
+                        "Arguments", "Vectorized environment", "Version History"):  # fmt: skip
+            assert f"\n## {heading}\n" in page, f"{name}: {heading}"
+        assert "``" not in page.replace("```", "")
+        assert ":class:" not in page
+    assert "- `beams` (int, default `0`): Beams of the lidar" in site.environment_page("drive")
+
+
+def test_copied_pages_keep_their_links(site, tmp_path):
+    made = DOCS / "generated"
+    for source in site.COPIES.values():
+        for link in re.findall(r"\]\(([^)\s#]+)", site.copied_page(source)):
+            if "://" not in link and link.removesuffix(".md") not in site.COPIES:
+                assert (made / link).resolve().exists(), f"{source}: {link}"
+
+
+def test_every_public_module_has_its_place_in_the_reference(site):
+    known = {module for package in site.packages() for module in site.public_modules(package)}
+    for root in ("pcs_racing", "pcs_racing_agents"):
+        for file in (REPOSITORY / root).rglob("*.py"):
+            module = ".".join(file.relative_to(REPOSITORY).with_suffix("").parts)
+            inner = file.stem == "__init__" or ".commands." in module
+            assert inner or not site._public_names(file) or module in known, f"{module} is not in site_pages.REFERENCE"
+
+
+def test_every_page_of_the_reference_is_listed(site):
+    listed = set(re.findall(r"^generated/api/(\S+)$", TEXTS["docs/api.md"], flags=re.MULTILINE))
+    assert listed == {*site.packages(), "names"}
+
+
+def test_the_picture_of_the_house_is_what_its_script_draws(tmp_path, monkeypatch):
+    drawn = (DOCS / "images" / "house.svg").read_text(encoding="utf-8")
+    for name in re.findall(r"[\w/]+\.py", drawn):
+        assert list(REPOSITORY.glob(f"pcs_racing*/{name}")), f"the picture names {name}, which is not there"
+    for name in re.findall(r"\b(\w+)/", drawn):
+        assert list(REPOSITORY.glob(f"pcs_racing*/{name}")) or name == "www", f"the picture names {name}/"
