@@ -156,8 +156,9 @@ def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
     InputError
         If there is none, or one stands twice.
     """
-    if len(names) == 0 or len(set(names)) != len(names):
-        raise InputError(f"characteristics are {list(names)}; name at least one, each once")
+    texts = not isinstance(names, str) and all(isinstance(name, str) for name in names)
+    if not texts or len(names) == 0 or len(set(names)) != len(names):
+        raise InputError(f"characteristics are {list(names)!r:.200}; name at least one, each once")
     for name in names:
         if name not in _registered:
             raise UnknownNameError(f"characteristic {name!r} is unknown; known are {', '.join(_registered)}")

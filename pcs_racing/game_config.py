@@ -91,7 +91,7 @@ class GameConfig:
                 raise ConfigError(f"{key} is {getattr(self, key)!r}; it must be true or false")
         if self.utility is None:
             put("utility", "lead" if self.race.crash_rule == "nobody" else "win")
-        if self.utility not in UTILITIES:
+        if not isinstance(self.utility, str) or self.utility not in UTILITIES:
             raise ConfigError(f"utility is {self.utility!r}; it must be one of {', '.join(UTILITIES)}")
         self._check_number("fault_penalty", 0.0, 1e6)
         self._check_number("discount", 1e-6, 1.0)

@@ -108,7 +108,7 @@ class RaceConfig:
 
 
 def _check_choice(config: RaceConfig, key: str, choices: tuple[str, ...]) -> None:
-    if getattr(config, key) not in choices:
+    if not isinstance(getattr(config, key), str) or getattr(config, key) not in choices:
         raise ConfigError(f"{key} is {getattr(config, key)!r}; it must be one of {', '.join(choices)}")
 
 
