@@ -239,7 +239,7 @@ class DriveEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         observation : ndarray of float32
         info : dict
         """
-        super().reset(seed=seed)
+        super().reset(seed=checked_seed(seed))
         self._batch.restart(self._row, [self.np_random])
         self._running = self._started = True
         out = np.empty((1, len(self._batch.low)), np.float32)
@@ -348,6 +348,21 @@ def _rebuild(kind: type[DriveEnv], arguments: dict[str, Any], state: DriveState,
     env.set_state(state)
     env._started = started
     return env
+
+
+def checked_seed(seed: Any) -> int | None:
+    """Return a seed as Gymnasium wants it.
+
+    Raises
+    ------
+    InputError
+        If it is neither None nor a whole number from 0.
+    """
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"seed is {seed!r}; it must be None or a whole number from 0")
+    return int(seed)
 
 
 def check_rendering(render_mode: str | None, view: str) -> None:

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from pcs_racing.archive import PolicyArchive
-from pcs_racing.envs.drive import check_rendering
+from pcs_racing.envs.drive import check_rendering, checked_seed
 from pcs_racing.envs.duel_batch import DuelBatch
 from pcs_racing.envs.duel_vector import DuelVectorEnv
 from pcs_racing.envs.opponents import Opponent
@@ -185,7 +185,7 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
         options : dict, optional
             Ignored.
         """
-        super().reset(seed=seed)
+        super().reset(seed=checked_seed(seed))
         self._batch.restart(np.zeros(1, np.int64), [self.np_random])
         self._running = True
         if self.render_mode == "human":

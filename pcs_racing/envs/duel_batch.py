@@ -106,8 +106,11 @@ class DuelBatch:
 
     def check_actions(self, actions: ArrayLike, players: int) -> NDArray[np.int64]:
         """Return moves as (games, players), or say what is wrong with them, and where."""
-        moves = np.asarray(actions)
         names = self.game.move_names
+        try:
+            moves = np.asarray(actions)
+        except (TypeError, ValueError):  # lists of different lengths
+            moves = np.empty(0, object)
         if moves.size != self.games * players or moves.dtype.kind not in "iu":
             raise InputError(
                 f"actions {actions!r:.60} have shape {moves.shape} and type {moves.dtype}; they must be "
