@@ -22,6 +22,7 @@ from pcs_racing_agents.commands import (
     track,
     train,
     tree,
+    view,
 )
 
 __all__ = ["main"]
@@ -89,6 +90,7 @@ def _parser() -> argparse.ArgumentParser:
         ppo,
         study,
         explain,
+        view,
     ):
         group.add(commands)
     return parser

@@ -1,0 +1,1 @@
+"""The race viewer: one page that lists the races of a tournament and plays them."""
