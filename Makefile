@@ -46,7 +46,7 @@ release: $(VENV)/release.stamp
 	$(RUN) -m twine check --strict dist/*
 
 wheel-test: release
-	$(RUN) tools/try_wheel.py dist --demo
+	$(RUN) tools/try_wheel.py dist --parts base demo
 
 clean:
 	rm -rf out build dist docs/generated .pytest_cache .mypy_cache .ruff_cache .hypothesis

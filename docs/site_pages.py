@@ -48,6 +48,7 @@ REFERENCE = {
     "pcs_racing_agents.tournament.statistics": "Statistics",
     "pcs_racing_agents.explaining": "Explaining",
     "pcs_racing_agents.study": "The study",
+    "pcs_racing_agents.viewing": "The race viewer",
 }
 """Packages with a page of the reference each: their own modules, not those of packages inside them."""
 

@@ -66,7 +66,7 @@ assert main(["tournament", "--track", "Pipkin", "--agents", *agents, "--races", 
 assert main(["race", "--track", "Pipkin", "--ego", "lattice", "--opponent", "gap-follower"]) == 0
 
 agent = pcs_racing_agents.make("cfr-argmax")
-duel = gym.make("pcs_racing/Duel-v0", opponent=pcs_racing_agents.make("response"))
+duel = gym.make("pcs_racing/Duel-v0", opponent=pcs_racing_agents.make("response"), stay=True)
 seen, _ = duel.reset(seed=1)
 move, _ = agent.predict(seen)
 duel.step(int(move))

@@ -1,10 +1,10 @@
 """Installs the wheel into a clean environment and uses it there, far from the source tree.
 
-    python tools/try_wheel.py dist --demo
+    python tools/try_wheel.py dist --parts base demo
 
 First the base installation alone: what ships is inside, a race, a tournament and an agent with its network run, and
-whoever asks for an extra that is missing is told its name. With ``--demo`` the extras of `make demo` follow, and the
-quick study. Prints sizes and times, and ends with an error at the first thing that does not work.
+whoever asks for an extra that is missing is told its name. The part ``demo`` is the extras of `make demo`
+and the quick study. Prints sizes and times, and ends with an error at the first thing that does not work.
 """
 
 import argparse
@@ -138,7 +138,7 @@ def try_base(environment: Environment, wheel: Path) -> None:
     environment.run("pcs-racing", "tournament", "--track", "Pipkin", "--agents", "cfr-argmax", "never-switch",
                     "--races", 4, "--out", "zoo")  # fmt: skip
     environment.run("python", "-c", AGENT)
-    told = environment.run("pcs-racing", "ppo", "--config", "duel-paper", "--out", "ppo", failing=True)
+    told = environment.run("pcs-racing", "ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo", failing=True)
     if 'pip install "pcs-racing[learning]"' not in told:
         sys.exit("PPO without its extra does not say which one is missing")
     for made in ("race.html", "zoo/results.csv"):
@@ -159,7 +159,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("wheel", type=Path, help="the wheel, or a folder that holds one")
     parser.add_argument("--python", default="", help="another interpreter, for instance python3.13")
-    parser.add_argument("--demo", action="store_true", help="install the extras too, and run the quick study")
+    parser.add_argument("--parts", nargs="+", choices=("base", "demo"), default=["base"], help="default: base")
     arguments = parser.parse_args()
     wheel = arguments.wheel.resolve()
     if wheel.is_dir():
@@ -171,8 +171,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
         environment = Environment(Path(folder).resolve(), arguments.python)
         environment.run("python", "--version")
-        try_base(environment, wheel)
-        if arguments.demo:
+        if "base" in arguments.parts:
+            try_base(environment, wheel)
+        if "demo" in arguments.parts:
             try_demo(environment, wheel)
     print("the wheel works")
 
