@@ -1,11 +1,12 @@
-"""What the PPO baselines are worth on fresh starts, and how they learned.
+"""What the PPO baselines are worth on fresh starts, beside other agents in the same races, and how they learned.
 
     python benchmarks/ppo_baselines.py
-    python benchmarks/ppo_baselines.py --egos 20 --variants 20 --lines 5 --picture docs/images/ppo_curves.png
+    python benchmarks/ppo_baselines.py --egos 20 --variants 20 --lines 5
+    python benchmarks/ppo_baselines.py --lines 0 --picture docs/images/ppo_curves.png     # the picture alone
 
 Every baseline that is shipped (or given with ``--policies``) races opponents on circuits that it learned on and on
 others: start policies x opponents x start lines x both sides, from start lines and with noise that no training saw.
-Agents that make moves are compared with "never-switch" and with the best of the constant moves in the same races.
+An agent that makes moves is compared with other agents in the same races, a driver with the archive's policies.
 """
 
 import argparse
@@ -22,11 +23,16 @@ from pcs_racing_agents.ppo.driver import load_driver, read_driver
 from pcs_racing_agents.ppo.scores import Cell
 from pcs_racing_agents.strategies import as_competitor
 from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.tournament.matches import variant_count
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
 
 SEED = 20_011  # of these races, and of nothing else
-UNSEEN = ("Larkmoor", "Quillburg", "Saltmere", "Tarnfjord", "Kestrelheim", "Brackwater", "Pipkin")
+OTHERS = ("Saltmere", "Tarnfjord", "Larkmoor", "Quillburg", "Kestrelheim", "Brackwater", "Pipkin")
 DRIVE_RULES = (("paper", "default"), ("contest", "contest"))
+ARMS = ("best-fixed", "cfr-argmax", "response")  # beside a constant move, never-switch and ppo
+OPPONENTS = ("never-switch", "random-moves", "lane-switcher", "cfr-argmax")
+MOST_LINES = 125  # a cell takes eight times as many from the circuit, which has at most 1,000
+DRIVERS = ("never-switch", "lane-switcher", "pure-pursuit")
 
 
 class Shipped(NamedTuple):
@@ -46,20 +52,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policies", type=Path, nargs="+", help="folders that 'pcs-racing ppo' wrote")
     parser.add_argument("--egos", type=int, default=10, help="start policies of an agent that makes moves")
-    parser.add_argument("--variants", type=int, default=20, help="opponents of each kind")
-    parser.add_argument("--lines", type=int, default=5, help="start lines")
-    parser.add_argument("--unseen", type=int, default=2, help="circuits that were not learned on")
+    parser.add_argument("--variants", type=int, default=10, help="opponents of each kind")
+    parser.add_argument("--lines", type=int, default=2, help="start lines of each pair; 0 for no races")
+    parser.add_argument("--seen", type=int, default=1, help="circuits that were learned on")
+    parser.add_argument("--unseen", type=int, default=1, help="circuits that were not")
     parser.add_argument("--picture", type=Path, help="draw the learning curves into this file")
     arguments = parser.parse_args()
-    baselines = [look_at(folder) for folder in arguments.policies or sorted(shipped_folder().glob("*"))]
-    for baseline in filter(None, baselines):
-        tell(baseline)
-        unseen = [name for name in UNSEEN if name not in baseline.tracks][: arguments.unseen]
-        for track in [*baseline.tracks, *unseen]:
-            where = f"{track}{'' if track in baseline.tracks else ' (unseen)'}"
-            (race_driver if baseline.drives else race_agent)(baseline, track, where, arguments)
+    found = [look_at(folder) for folder in arguments.policies or sorted(shipped_folder().glob("*"))]
+    baselines = [baseline for baseline in found if baseline is not None]
+    for baseline in baselines if arguments.lines > 0 else ():
+        unseen = [name for name in OTHERS if name not in baseline.tracks]
+        tracks = [*baseline.tracks[: arguments.seen], *unseen[: arguments.unseen]]
+        (race_driver if baseline.drives else race_agent)(baseline, tracks, arguments)
     if arguments.picture:
-        draw([baseline for baseline in baselines if baseline], arguments.picture)
+        draw(baselines, arguments.picture)
         print(arguments.picture)
 
 
@@ -73,59 +79,86 @@ def look_at(folder: Path) -> Shipped | None:
     return Shipped(folder, False, dict(network.training)) if network.target == "ppo" else None
 
 
-def tell(baseline: Shipped) -> None:
+def tell(baseline: Shipped, races: str, columns: str) -> None:
     training = baseline.training
     print(
         f"\n{baseline.folder.name}: seed {training['seed']} of {training['setting_seeds']}, kept after "
-        f"{training['steps']} of {training['steps_of_all_seeds']} steps\n"
-        f"{'circuit':22} {'rules':8} {'against':24} {'races':>6} {'score':>6} {'+-':>6} {'won':>6} {'lost':>6} "
-        f"{'crashed':>8} {'at fault':>9}"
+        f"{training['steps']} of {training['steps_of_all_seeds']} steps; {races} races a cell\n\n| {columns} |\n"
+        f"|{'---|' * (columns.count('|') + 1)}",
+        flush=True,
     )
 
 
-def line(where: str, rules: str, against: str, cell) -> str:
-    """Score of a cell with a standard error that knows which races share an opponent or a start policy."""
-    matches = cell.matches
-    egos, opponents = cell.units.variants.T
-    clusters = [labels for labels in (egos, opponents, cell.units.line) if len(set(labels.tolist())) > 1]
-    error = clustered_mean(cell.score, *clusters[:2]).se
-    return (
-        f"{where:22} {rules:8} {against:24} {len(cell.score):6} {cell.score.mean():6.3f} {error:6.3f} "
-        f"{np.mean(matches.winner == 0):6.1%} {np.mean(matches.winner == 1):6.1%} "
-        f"{np.mean(matches.crash.any(axis=1)):8.1%} {np.mean(matches.fault[:, 0] == 1):9.1%}"
-    )
+def place(baseline: Shipped, track: str) -> str:
+    return f"{track} ({'seen' if track in baseline.tracks else 'unseen'})"
 
 
-def race_driver(baseline: Shipped, track: str, where: str, arguments: argparse.Namespace) -> None:
-    """A driver against policies that never change, under each set of rules."""
+def race_driver(baseline: Shipped, tracks: list[str], arguments: argparse.Namespace) -> None:
+    """A driver, and the archive's policies that never change, against drivers under each set of rules."""
     driver = as_competitor(load_driver(baseline.folder).policy())
-    draws = {"egos": 1, "opponents": arguments.variants, "lines": arguments.lines, "seed": SEED}
-    for rules, archive in DRIVE_RULES:
-        game = make_game(load_track(track), archive, rules)
-        for name in ("never-switch", "lane-switcher"):
-            opponent = make(name, archive=archive, race=rules)
-            print(line(where, rules, name, play_cell(game, driver, opponent, **draws)), flush=True)
+    columns = (
+        "circuit",
+        "rules",
+        "opponent",
+        baseline.folder.name,
+        "won",
+        "lost",
+        "crashed",
+        "at fault",
+        "never-switch",
+    )
+    races = arguments.egos * arguments.variants * arguments.lines
+    tell(baseline, f"at most {2 * races}", " | ".join(columns))
+    for track in tracks:
+        for rules, archive in DRIVE_RULES:
+            game = make_game(load_track(track), archive, rules)
+            policies = make("never-switch", archive=archive, race=rules)
+            for name in DRIVERS:
+                opponent = make(name, archive=archive, race=rules)
+                variants = min(arguments.variants, variant_count(game, opponent))
+                draws = {"opponents": variants, "seed": SEED}
+                cell = play_cell(game, driver, opponent, egos=1, lines=min(races // variants, MOST_LINES), **draws)
+                lines = max(races // (variants * arguments.egos), 1)
+                beside = play_cell(game, policies, opponent, egos=arguments.egos, lines=lines, **draws)
+                matches = cell.matches
+                clusters = [labels for labels in (cell.units.variants[:, 1], cell.units.line) if np.ptp(labels) > 0]
+                clusters = clusters or [np.arange(len(cell.score))]
+                print(
+                    f"| {place(baseline, track)} | {rules} | {name} | "
+                    f"{cell.score.mean():.3f} +- {clustered_mean(cell.score, *clusters).se:.3f} | "
+                    f"{np.mean(matches.winner == 0):.0%} | {np.mean(matches.winner == 1):.0%} | "
+                    f"{np.mean(matches.crash.any(axis=1)):.0%} | {np.mean(matches.fault[:, 0] == 1):.0%} | "
+                    f"{beside.score.mean():.3f} |",
+                    flush=True,
+                )
 
 
-def race_agent(baseline: Shipped, track: str, where: str, arguments: argparse.Namespace) -> None:
-    """An agent against several kinds of opponents, and what it gains over agents that never look."""
+def race_agent(baseline: Shipped, tracks: list[str], arguments: argparse.Namespace) -> None:
+    """An agent against several kinds of opponents, and what it and others gain over never switching."""
     training = baseline.training
-    archive, rules = str(training["setting_archive"]), str(training["setting_race"])
-    world = {"archive": archive, "race": rules}
-    game = make_game(load_track(track), archive, rules)
-    agent = make("ppo", network=baseline.folder, **world)
-    blind = {f"always-{''.join(name.split())}" for name in game.move_names if name != "stay"}
-    egos = {name: make(name, **world) for name in ("never-switch", *sorted(blind))}
+    world = {"archive": str(training["setting_archive"]), "race": str(training["setting_race"])}
+    moving = next(name for name in str(training["setting_opponents"]).replace(",", " ").split() if "always-" in name)
+    agents = {name: make(name, **world) for name in ("never-switch", moving, *ARMS)}
+    agents["ppo"] = make("ppo", network=baseline.folder, **world)
     draws = {"egos": arguments.egos, "opponents": arguments.variants, "lines": arguments.lines, "seed": SEED}
-    for name in ("never-switch", "random-moves", "lane-switcher"):
-        opponent = make(name, **world)
-        cell = play_cell(game, agent, opponent, **draws)
-        print(line(where, rules, name, cell), flush=True)
-        others = {key: play_cell(game, ego, opponent, **draws).score for key, ego in egos.items()}
-        best = max(blind, key=lambda key: others[key].mean())
-        for key in ("never-switch", best):
-            gain = compare(cell.score, others[key], *cell.units.variants.T)
-            print(f"{'':31} over {key:32} {gain.difference:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]", flush=True)
+    columns = " | ".join(("circuit", "opponent", *agents, "ppo - cfr-argmax", "ppo - response"))
+    tell(baseline, f"{2 * arguments.egos * arguments.variants * arguments.lines}", columns)
+    for track in tracks:
+        game = make_game(load_track(track), world["archive"], world["race"])
+        for name in OPPONENTS:
+            opponent = make(name, **world)
+            cells = {key: play_cell(game, agent, opponent, **draws) for key, agent in agents.items()}
+            groups = cells["ppo"].units.variants.T
+            same = name == "never-switch"  # the archive's policies on both sides
+
+            def gain(key: str, over: str, cells=cells, groups=groups, same=same) -> str:
+                found = compare(cells[key].score, cells[over].score, *groups, same_pool=same)
+                return f"{found.difference:+.3f} [{found.low:+.3f}, {found.high:+.3f}]"
+
+            texts = [f"{cells['never-switch'].score.mean():.3f}"]
+            texts += [f"{cells[key].score.mean() - cells['never-switch'].score.mean():+.3f}" for key in (moving, *ARMS)]
+            texts += [gain("ppo", over) for over in ("never-switch", "cfr-argmax", "response")]
+            print(f"| {place(baseline, track)} | {name} | {' | '.join(texts)} |", flush=True)
 
 
 def kind_of(cell: Cell) -> str:
@@ -152,13 +185,13 @@ def draw(baselines: list[Shipped], file: Path) -> None:
                 label = kind if curve is curves[0] else None
                 panel.plot(at, won, color=colours[k % len(colours)], label=label, linewidth=1.3)
         panel.axvline(int(baseline.training["steps"]) / 1e6, color="#444", linewidth=0.8, linestyle=":")
-        panel.set_title(baseline.folder.name, fontsize=10, loc="left")
+        panel.set_title(f"{baseline.folder.name} (dotted: kept)", fontsize=10, loc="left")
         panel.set(xlabel=f"million {'steps' if baseline.drives else 'moves'}", ylabel="races won", ylim=(-0.02, 1.02))
         panel.grid(color="#eef0f3")
         panel.set_axisbelow(True)
         panel.spines[["top", "right"]].set_visible(False)
         panel.legend(frameon=False, fontsize=8)
-    figure.savefig(file, dpi=110)
+    figure.savefig(file, dpi=100)
 
 
 if __name__ == "__main__":

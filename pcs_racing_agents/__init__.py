@@ -15,6 +15,7 @@ PLANNERS = {
     "gap-follower": "pcs_racing_agents.planners.gap_follower:GAP_FOLLOWER",
     "lane-switcher": "pcs_racing_agents.planners.lane_switcher:LANE_SWITCHER",
     "lattice": "pcs_racing_agents.planners.lattice:LATTICE",
+    "ppo-drive": "pcs_racing_agents.ppo.driver:PPO_DRIVE",
     "pure-pursuit": "pcs_racing_agents.planners.pure_pursuit:PURE_PURSUIT",
 }
 """Planners of this package: name and place. An installation declares the same as entry points."""

@@ -177,8 +177,11 @@ class Driver:
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of its planner's name and its parameters, but not of its name."""
-        return fingerprint(self.planner.name, self.planner.parameter_names, [p.parameters for p in self.policies])
+        """SHA-256 of its planner's name, its parameters, and the weights that its code holds, but not of its name."""
+        weights = [self.facts["weights sha256"]] if "weights sha256" in self.facts else []
+        return fingerprint(
+            self.planner.name, self.planner.parameter_names, [p.parameters for p in self.policies], *weights
+        )
 
 
 def _driver(name: str, planner: Planner | str, rows: list[tuple[Any, str]], facts: dict[str, str]) -> Driver:

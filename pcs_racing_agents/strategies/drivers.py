@@ -1,12 +1,14 @@
 """Drivers of the zoo: policies from outside the archive that make no moves, in one or several variants."""
 
+from pathlib import Path
+
 from pcs_racing.errors import InputError
 from pcs_racing.planner import Policy
 from pcs_racing.registry import get_planner
 from pcs_racing_agents.strategies.agent import Driver
 from pcs_racing_agents.strategies.setting import Setting
 
-__all__ = ["planner_driver", "random_policy"]
+__all__ = ["planner_driver", "random_policy", "trained_driver"]
 
 
 def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0) -> Driver:
@@ -38,6 +40,38 @@ def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str |
     family = get_planner(planner or name)
     variants = tuple(family.variants) or ("default",)
     return Driver(name, tuple(_variant(family.name, variant) for variant in variants))
+
+
+def trained_driver(
+    setting: Setting, *, name: str = "ppo-drive", seed: int = 0, network: str | Path | None = None
+) -> Driver:
+    """A network that steers, trained by ``pcs-racing ppo`` at the level of control.
+
+    Parameters
+    ----------
+    setting, seed
+        Not used: it drives without an archive, and by any rules.
+    name : str
+    network : str or Path, optional
+        Another one: the name of a shipped one or its folder.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of that name and no such folder.
+    InputError
+        If the folder holds no sound driver.
+    """
+    from pcs_racing_agents.ppo.driver import NAME, driver_folder, load_driver, read_driver
+
+    planner = get_planner(NAME) if network is None else load_driver(network)
+    _, manifest = read_driver(driver_folder(NAME if network is None else network))
+    facts = {
+        "network": manifest["name"],
+        "trained on": ", ".join(f"{key} {value}" for key, value in manifest["training"].items()) or "not said",
+        "weights sha256": manifest["weights_sha256"],
+    }
+    return Driver(name, (planner.policy(name=name),), facts)
 
 
 def _variant(planner: str, variant: str) -> Policy:

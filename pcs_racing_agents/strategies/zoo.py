@@ -175,6 +175,12 @@ ZOO: dict[str, Entry] = {
         "race line or overtaking lane; 20 variants, none of them seen in training",
         "after the winner of the F1TENTH race at ICRA 2022: the paper's unseen agent",
     ),
+    "ppo-drive": Entry(
+        drivers.trained_driver,
+        "steers and sets its speed 25 times a second, as a network does that PPO trained in races",
+        "Schulman et al. 2017, with Stable-Baselines3",
+        moves=False,
+    ),
     "gap-follower": _driver("follows the largest gap that its lidar sees; knows no map", "Sezer and Gokasan 2012"),
     "pure-pursuit": _driver("follows the race line and never overtakes", "baseline"),
 }

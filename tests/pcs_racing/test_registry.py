@@ -77,7 +77,8 @@ def test_an_unknown_name_lists_the_names_and_the_nearest():
 
 
 def test_every_planner_of_the_zoo_loads_under_its_own_name():
-    assert BUILT_IN.keys() == pcs_racing_agents.PLANNERS.keys()
+    assert {*BUILT_IN, "ppo-drive"} == pcs_racing_agents.PLANNERS.keys()  # the latter is read from a file
+    assert get_planner("ppo-drive").name == "ppo-drive"
     for name, planner in BUILT_IN.items():
         assert get_planner(name) is planner
 

@@ -1,17 +1,20 @@
 """Trained drivers as folders."""
 
+import pickle
 import shutil
 
 import numpy as np
 import pytest
 import yaml
 
-from pcs_racing import InputError
+from pcs_racing import InputError, get_planner, make_game
 from pcs_racing.errors import UnknownNameError
 from pcs_racing_agents.approximator.network_files import list_networks, shipped_folder
 from pcs_racing_agents.planners.network import INPUTS
 from pcs_racing_agents.ppo import driver
 from pcs_racing_agents.ppo.layers import Layers
+from pcs_racing_agents.strategies import make
+from pcs_racing_agents.tournament.cells import play_cell
 
 
 @pytest.fixture(scope="module")
@@ -86,12 +89,41 @@ def test_files_that_are_no_driver_are_refused(folder, tmp_path):
 def test_the_shipped_driver_stands_beside_the_networks(folder, monkeypatch, tmp_path):
     shutil.copytree(folder, tmp_path / "ppo-drive")
     monkeypatch.setattr(driver, "shipped_folder", lambda: tmp_path)
-    monkeypatch.delattr(driver, "PPO_DRIVE", raising=False)
+    monkeypatch.delitem(vars(driver), "PPO_DRIVE", raising=False)
     assert driver.load_driver().name == "mine"
     assert driver.PPO_DRIVE is driver.PPO_DRIVE  # a planner is compared by identity
     with pytest.raises(AttributeError, match="no attribute 'OTHER'"):
         driver.OTHER  # noqa: B018
-    monkeypatch.delattr(driver, "PPO_DRIVE")
+    del driver.PPO_DRIVE  # monkeypatch puts back what was there
+
+
+def test_the_zoo_races_the_shipped_driver_or_another_one(folder):
+    shipped, mine = make("ppo-drive"), make("ppo-drive", network=folder)
+    assert shipped.planner is get_planner("ppo-drive")
+    assert pickle.loads(pickle.dumps(shipped)).planner is shipped.planner
+    assert mine.planner.name == "mine"
+    assert len({shipped.content_hash, mine.content_hash, make("pure-pursuit").content_hash}) == 3
+    with pytest.raises(UnknownNameError, match="unknown driver 'nobody'"):
+        make("ppo-drive", network="nobody")
+
+
+def test_drivers_with_other_weights_have_other_hashes(layers, tmp_path):
+    """They are of one name and have no parameters: results of one must not be taken for the other's."""
+    hashes = set()
+    for factor in (1.0, 1.5):
+        scaled = Layers(tuple(factor * weight for weight in layers.weights), layers.biases)
+        place = driver.save_driver(tmp_path / f"{factor}", scaled, name="mine", hold=4, training={})
+        hashes.add(make("ppo-drive", network=place).content_hash)
+    assert len(hashes) == 2
+
+
+def test_the_shipped_driver_drives_away_from_slower_cars_on_a_circuit_that_it_has_never_seen():
+    game = make_game("Saltmere", "default", "contest", threads=1)
+    cell = play_cell(game, make("ppo-drive"), make("pure-pursuit"), egos=1, opponents=1, lines=4, seed=5)
+    ahead = cell.units.starts.side == 0
+    assert ahead.sum() == 4
+    assert (cell.matches.lead[ahead] > 30.0).all()
+    assert not cell.matches.crash.any()
 
 
 def test_drivers_are_not_taken_for_networks():

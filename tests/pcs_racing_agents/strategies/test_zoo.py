@@ -31,7 +31,7 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
         made = build(name, setting, seed=3, **learned(name, setting))
         assert made.name == name
         if isinstance(made, Driver):
-            assert name in ("random-policy", "lane-switcher", "gap-follower", "pure-pursuit")
+            assert name in ("random-policy", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit")
             continue
         if name == "receding-horizon":
             assert isinstance(made, Decider)
