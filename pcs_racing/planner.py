@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numba import cfunc, types
+from numba.core import config
 from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
@@ -144,6 +145,8 @@ _CONTROL_SIGNATURE = types.void(_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MAT
 def _pointer(function: Callable[..., None], signature: types.Type) -> Any:
     """Compile a planner's function behind the one signature that the race kernel calls."""
     python = getattr(function, "py_func", function)
+    if config.DISABLE_JIT:  # then the kernel that calls it is an ordinary function, too
+        return python
     compile_pointer: Any = cfunc
     options: dict[str, Any] = {"cache": True, "error_model": "numpy"}
     try:  # without reference counts where the function allocates nothing: see pcs_racing.compilation.kernel
