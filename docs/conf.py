@@ -45,6 +45,7 @@ site_pages.write(HERE)
 
 
 def setup(app):
-    """Join what Sphinx does while it reads docstrings."""
+    """Join what Sphinx does while it reads pages and docstrings."""
+    app.connect("source-read", site_pages.mend_page)
     app.connect("autodoc-process-docstring", site_pages.mend_docstring, priority=400)  # napoleon: 500
     app.connect("autodoc-skip-member", site_pages.skip_member)

@@ -209,6 +209,27 @@ def _where(name: str) -> str:
     return next(_dotted(file) for file in files if file.stem != "__init__" and name in _public_names(file))
 
 
+# The list of pages
+
+
+def unlisted(folder: Path) -> list[str]:
+    """Pages of a folder that its index does not list."""
+    index = (folder / "index.md").read_text(encoding="utf-8")
+    lists = "\n".join(re.findall(r"```\{toctree\}\n(.*?)```", index, flags=re.DOTALL))
+    listed = set(re.findall(r"^(?:.*<)?([\w/]+)>?$", lists, flags=re.MULTILINE)) | {"index"}
+    return [page.stem for page in sorted(folder.glob("*.md")) if page.stem not in listed]
+
+
+def mend_page(app, name, source) -> None:
+    """Turn links to copied pages to the copies; add to the index what it does not list, so that no page is lost."""
+    if "/" not in name:
+        for copy, original in {**COPIES, "../index": "README.md"}.items():
+            source[0] = source[0].replace(f"](../{original}", f"](generated/{copy}.md")
+    rest = unlisted(Path(app.srcdir)) if name == "index" else []
+    if rest:
+        source[0] += "\n```{toctree}\n:caption: More\n:hidden:\n\n" + "\n".join(rest) + "\n```\n"
+
+
 # What autodoc reads
 
 SOURCE = re.compile(r"^\.\. (\[\d+\])")
