@@ -1,11 +1,11 @@
-"""A planner of your own: compiled, with two parameters, raced against the lattice planner.
+"""A planner of your own: compiled, with two parameters, raced against the lattice planner and in a tournament.
 
     python examples/custom_planner.py
     python examples/custom_planner.py --track Saltmere --races 100 --pace 0.3
 
 The driver below keeps to a line between the race line and the middle of the track: near the race line it is fast, in
-the middle it has more air. A table shows what that does to its races. Read the file from top to bottom;
-docs/planners.md explains every part.
+the middle it has more air. A table shows what that does to its races; then three of its drivers enter a tournament
+with agents of the zoo. Read the file from top to bottom; docs/planners.md explains every part.
 """
 
 import argparse
@@ -18,6 +18,7 @@ from pcs_racing.compilation import compiled
 from pcs_racing.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, to_cartesian
 from pcs_racing.planner import PATH_KAPPA, PATH_POINTS, PATH_SPEED, PATH_X, PATH_Y
 from pcs_racing.race_state import ITTC, ITTC_SAMPLES
+from pcs_racing_agents.tournament import play_tournament, tournament_text
 
 # 1. The parameters: what `theta` holds, with bounds and a default. Synthesis searches between the bounds.
 PARAMETERS = (
@@ -86,6 +87,12 @@ def main() -> None:
             f"{caution:10.2f}{np.mean(result.winner == 0):8.0%}{np.mean(result.winner == 1):8.0%}"
             f"{result.own_crash[:, 0].mean():12.0%}{result.lead.mean():+16.1f} m{ittc:10.2f} s"
         )
+
+    # 4. A tournament: a policy may stand wherever an agent may. Here every pair meets in the same races.
+    mine = {f"caution {c:g}": CAUTIOUS.policy({"pace": arguments.pace, "caution": c}) for c in (0.0, 0.3, 1.0)}
+    entrants = {**mine, "lattice": opponent, "never-switch": "never-switch", "random-moves": "random-moves"}
+    tournament = play_tournament(track, entrants, config, races_per_pair=arguments.races, seed=arguments.seed)
+    print(f"\n{tournament_text(tournament)}")
 
 
 if __name__ == "__main__":

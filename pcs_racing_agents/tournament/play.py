@@ -273,7 +273,8 @@ def _made(given: Entrant, setting: Setting, seed: int) -> Any:
 
 def _check_distinct(what: str, names: list[str], least: int) -> None:
     if len(names) < least:
-        raise InputError(f"there are {len(names)} {what}; a tournament needs at least {least}")
+        there = f"there are {len(names)} {what}" if len(names) != 1 else f"there is 1 {what[:-1]}"
+        raise InputError(f"{there}; a tournament needs at least {least}")
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise InputError(f"{what} must have different names; there is more than one {', '.join(sorted(twice))}")

@@ -19,6 +19,9 @@ __all__ = ["RoundRobin", "round_robin"]
 
 Floats = NDArray[np.float64]
 
+FEWEST_LINES = 5
+"""With fewer start lines an interval from drawing them again would say nothing."""
+
 
 @dataclass(frozen=True, eq=False)
 class RoundRobin:
@@ -137,7 +140,7 @@ def _ratings(
     seed: int,
 ) -> Ratings | None:
     """Fit the ratings; with intervals where there are start lines to draw from."""
-    several = len(np.unique(line[~nobody])) > 1
+    several = len(np.unique(line[~nobody])) >= FEWEST_LINES
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,))) if several else None
     try:
         return rate(list(ego), list(opponent), won, nobody=nobody, unit=line, rng=rng)

@@ -39,6 +39,23 @@ def test_custom_agent(tmp_path):
     assert all(name in out for name in ("catch-up", "catch-up-too", "stubborn"))
 
 
+def test_the_papers_table(tmp_path):
+    size = ("--egos", 2, "--variants", 2, "--lines", 1, "--arms", "never-switch", "cfr-argmax")
+    script = REPOSITORY / "examples" / "papers_table.py"
+    out = run(tmp_path, script, "--tracks", "Tarnfjord", *size, "--out", "made")
+    assert "paper: GT" in out
+    assert "paper: 0.515 ± 0.251 non-GT, 0.569 ± 0.213 GT, difference +0.054, p 0.0142" in out
+    assert (tmp_path / "made" / "table.csv").read_text(encoding="utf-8").count("\n") == 1 + 3
+    assert run(tmp_path, script, "--tracks", "Tarnfjord", *size, "--out", "made") == out  # from what was driven before
+
+
+def test_move_by_move(tmp_path):
+    out = run(tmp_path, REPOSITORY / "examples" / "move_by_move.py", "--track", "Pipkin", "--opponent", "random-moves")
+    assert out.startswith("cfr-argmax (policy ")
+    assert out.count("  ego: ") == len(re.findall(r"^move \d: lead", out, re.MULTILINE)) >= 1
+    assert (tmp_path / "out" / "move_by_move" / "race.html").is_file()
+
+
 def test_watch_a_race(tmp_path):
     out = run(tmp_path, REPOSITORY / "examples" / "watch_a_race.py", "--track", "Pipkin", "--duration", 1, "--gif")
     assert "race.html" in out

@@ -276,7 +276,7 @@ def test_progress_is_told_in_plain_lines_where_there_is_no_terminal(oval, capsys
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"entrants": POLICIES[:1]}, "there are 1 competitors; a tournament needs at least 2"),
+        ({"entrants": POLICIES[:1]}, "there is 1 competitor; a tournament needs at least 2"),
         ({"entrants": [*POLICIES, POLICIES[1]]}, "there is more than one lattice:pace=0.5"),
         ({"tracks": []}, "there are 0 tracks"),
         ({"races_per_pair": 3}, "races_per_pair is 3; it must be an even number"),
