@@ -18,6 +18,8 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     ------
     InputError
         If the folder does not exist or ``path`` is a folder.
+    OSError
+        If it can't be written, for want of space, say; it names ``path``, and what was there before is as it was.
     """
     if not path.parent.is_dir():
         raise InputError(f"can't write {path}: there is no folder {path.parent}")
@@ -28,5 +30,9 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         with open(temporary, "xb") as file:
             write(file)
         os.replace(temporary, path)
+    except OSError as error:
+        if error.strerror is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         temporary.unlink(missing_ok=True)

@@ -55,7 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
-        return _fail(error)
+        if error.filename is None or error.strerror is None:
+            return _fail(error)
+        return _fail(InputError(f"can't read or write {error.filename}: {error.strerror}"))
     except KeyboardInterrupt:
         print("pcs-racing: interrupted", file=sys.stderr)
         return 130

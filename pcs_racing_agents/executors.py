@@ -1,18 +1,35 @@
 """Where the tasks of a long job run: in this thread, in threads, in processes, or on a dask cluster."""
 
 import argparse
+import logging
 import os
+import platform
 import signal
+import tempfile
 import threading
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
+from functools import lru_cache, partial
+from importlib.metadata import version
 from multiprocessing import connection, get_context, parent_process
+from pathlib import Path
+from pickle import dumps, loads
+from typing import Any
 
 from pcs_racing.errors import InputError
 from pcs_racing.race import default_threads
+from pcs_racing_agents.job_folders import package_version
 
-__all__ = ["EXECUTORS", "add_executor_options", "executor_from", "make_executor", "tasks_in_flight"]
+__all__ = [
+    "EXECUTORS",
+    "add_executor_options",
+    "executor_from",
+    "is_lost",
+    "make_executor",
+    "sent_once",
+    "tasks_in_flight",
+]
 
 EXECUTORS = {
     "serial": "one task after the other",
@@ -21,7 +38,16 @@ EXECUTORS = {
     "dask": "workers of a dask cluster (--scheduler), or as many processes",
 }
 
+ANSWER_SECONDS = 5.0
+"""How long to wait for a scheduler to answer."""
+WORKER_SECONDS = 60.0
+"""How long to wait for its first worker."""
+LARGE = 100_000
+"""Functions of more bytes travel once, not with every task."""
+
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_log = logging.getLogger("pcs_racing_agents")
 
 
 @contextmanager
@@ -47,7 +73,8 @@ def make_executor(
     Raises
     ------
     InputError
-        If the kind or the number is impossible, or no scheduler answers.
+        If the kind or the number is impossible, no scheduler answers, it has no workers, or a worker runs on other
+        versions than this process.
     ModuleNotFoundError
         If dask is asked for and not installed.
     """
@@ -80,6 +107,51 @@ def tasks_in_flight(executor: Executor | None) -> int:
     client = getattr(executor, "_client", None)  # dask's; its workers come and go
     workers = sum(client.ncores().values()) if client is not None else getattr(executor, "_max_workers", 16)
     return max(2, 2 * workers)
+
+
+def is_lost(error: BaseException) -> bool:
+    """Whether an error says that workers are gone, rather than that a task failed."""
+    return isinstance(error, BrokenExecutor | CancelledError) or type(error).__module__.startswith("distributed.")
+
+
+@contextmanager
+def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Callable[..., Any]]:
+    """Return what to submit instead of a function so that a large one (a game, with its track) travels only once.
+
+    Threads get the function itself. Other processes of this machine read it from a temporary file; a dask cluster
+    passes it from worker to worker, and makes it again where the worker that had it is gone.
+    """
+    client = getattr(executor, "_client", None)
+    if client is None and not isinstance(executor, ProcessPoolExecutor):
+        yield partial(executor.submit, function)
+        return
+    packed = dumps(function)
+    if len(packed) < LARGE:
+        yield partial(executor.submit, function)
+    elif client is not None:
+        import dask
+
+        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "4GB"}):  # large, but only once
+            sent = client.submit(loads, packed, pure=False)
+        yield partial(executor.submit, _call, sent)
+    else:
+        with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
+            file = Path(folder) / "function"
+            file.write_bytes(packed)
+            yield partial(executor.submit, _call_packed, str(file))
+
+
+def _call(function: Callable[..., Any], *arguments: Any) -> Any:
+    return function(*arguments)
+
+
+def _call_packed(file: str, *arguments: Any) -> Any:
+    return _unpacked(file)(*arguments)
+
+
+@lru_cache(maxsize=1)
+def _unpacked(file: str) -> Any:
+    return loads(Path(file).read_bytes())
 
 
 @contextmanager
@@ -122,24 +194,67 @@ def _end_with(sentinel: int) -> None:
 @contextmanager
 def _dask(workers: int, address: str | None) -> Iterator[Executor]:
     try:
+        import dask
         from dask.distributed import Client, LocalCluster
     except ModuleNotFoundError:
         raise ModuleNotFoundError(
             'the executor dask needs dask.distributed: pip install "pcs-racing[cluster]"'
         ) from None
     if address is None:
-        cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None)
-        with _one_thread_each(), cluster, Client(cluster) as client:
-            yield client.get_executor()
+        quiet = {"dashboard": False, "dashboard_address": ":0"}  # the usual port may be taken by another cluster
+        with (
+            _one_thread_each(),
+            dask.config.set({"distributed.comm.timeouts.connect": "120s"}),  # a busy machine starts workers slowly
+            LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, scheduler_kwargs=quiet) as cluster,
+            Client(cluster) as client,
+        ):
+            yield client.get_executor(pure=False)
         return
     try:
-        client = Client(address, timeout="10s")
+        client = Client(address, timeout=ANSWER_SECONDS)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(f"no dask scheduler answers at {address}: {error}") from None
     with client:
-        if not client.ncores():
-            client.wait_for_workers(1, timeout=60)
-        yield client.get_executor()
+        try:
+            client.wait_for_workers(1, timeout=WORKER_SECONDS)
+        except TimeoutError:
+            raise InputError(
+                f"the dask scheduler at {address} has no workers; start some: dask worker {address} --nthreads 1"
+            ) from None
+        _check_workers(client.run(worker_identity))
+        yield client.get_executor(pure=False)
+
+
+def worker_identity() -> dict[str, str]:
+    """What must be the same on all machines for results to be the same to the byte, by name."""
+    from llvmlite import binding
+
+    return {
+        "pcs-racing": package_version(),
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        **{name: version(name) for name in ("numpy", "numba", "llvmlite")},
+        "processor": os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name(),
+    }
+
+
+def _check_workers(found: dict[str, dict[str, str]]) -> None:
+    """Compare workers, by address, with this process."""
+    here = worker_identity()
+    for address, there in found.items():
+        for what, value in there.items():
+            if value == here[what]:
+                continue
+            if what != "processor":
+                raise InputError(
+                    f"the worker at {address} has {what} {value}, not {here[what]}; install the same there"
+                )
+            _log.warning(
+                "the worker at %s has a processor of another kind (%s, here %s): results may differ in the last bit "
+                "from those of one machine; NUMBA_CPU_NAME set alike for all of them prevents that",
+                address,
+                value,
+                here[what],
+            )
 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:

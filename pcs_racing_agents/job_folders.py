@@ -16,7 +16,7 @@ from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing.reading import plain_yaml, read_limited
 
-__all__ = ["GO_ON", "JobError", "claim_folder", "package_version"]
+__all__ = ["GO_ON", "JobError", "claim_folder", "hold_folder", "package_version"]
 
 FORMAT = "pcs-racing job"
 VERSION = 1
@@ -71,6 +71,29 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
             yield manifest["settings"]
         finally:
             lock.truncate(0)
+
+
+@contextmanager
+def hold_folder(folder: Path) -> Iterator[None]:
+    """Make a folder and keep other processes from working in it, without a manifest: for short work done in one go.
+
+    Raises
+    ------
+    JobError
+        If another process works in it, or it can't be written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = _take_lock(folder)
+    except OSError as error:
+        raise _unusable(folder, error) from None
+    with lock:
+        try:
+            yield
+        finally:
+            lock.truncate(0)
+            if sys.platform != "win32":
+                (folder / ".lock").unlink(missing_ok=True)
 
 
 def package_version() -> str:
@@ -157,6 +180,11 @@ def _take_lock(folder: Path) -> IO[bytes]:
             import fcntl
 
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not (folder / ".lock").exists() or not os.path.samestat(
+                os.fstat(lock.fileno()), (folder / ".lock").stat()
+            ):  # whoever held it has just put it away
+                lock.close()
+                return _take_lock(folder)
         lock.truncate(0)
         lock.write(f"{os.getpid()}\n".encode())
         lock.flush()

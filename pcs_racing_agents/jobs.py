@@ -13,7 +13,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,14 @@ import numpy as np
 
 from pcs_racing.errors import InputError
 from pcs_racing_agents.chunk_files import Arrays, fingerprint, read_chunk, write_chunk
-from pcs_racing_agents.executors import add_executor_options, executor_from, make_executor, tasks_in_flight
+from pcs_racing_agents.executors import (
+    add_executor_options,
+    executor_from,
+    is_lost,
+    make_executor,
+    sent_once,
+    tasks_in_flight,
+)
 from pcs_racing_agents.job_folders import GO_ON, JobError, claim_folder, package_version
 
 __all__ = [
@@ -178,17 +185,20 @@ def _completed(
     under_way: dict[Future[Any], int] = {}
     waiting = iter(which)
     try:
-        while True:
-            while len(under_way) < limit and (following := next(waiting, None)) is not None:
-                under_way[executor.submit(function, tasks[following])] = following
-            if not under_way:
-                return
-            ended = wait(under_way, return_when=FIRST_COMPLETED).done
-            for future in sorted(ended, key=_failed):  # what others have done is kept before a failure ends the run
-                index = under_way.pop(future)
-                yield index, future.result()
-    except (BrokenExecutor, CancelledError) as error:
-        why = str(error) or "its tasks were cancelled"
+        with sent_once(function, executor) as submit:
+            while True:
+                while len(under_way) < limit and (following := next(waiting, None)) is not None:
+                    under_way[submit(tasks[following])] = following
+                if not under_way:
+                    return
+                ended = wait(under_way, return_when=FIRST_COMPLETED).done
+                for future in sorted(ended, key=_failed):  # what others have done is kept before a failure ends the run
+                    index = under_way.pop(future)
+                    yield index, future.result()
+    except BaseException as error:
+        if not is_lost(error):
+            raise
+        why = " ".join(str(error).split()) or "its tasks were cancelled"
         raise JobError(f"{name} was cut short: a worker died or the cluster is gone ({why}); {GO_ON}") from None
     finally:
         for future in under_way:

@@ -13,6 +13,7 @@ from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing_agents.commands.options import Commands, add_command, output_folder
 from pcs_racing_agents.configuration import shipped_configs
+from pcs_racing_agents.job_folders import hold_folder
 
 if TYPE_CHECKING:
     from pcs_racing_agents.approximator import RegretNetwork, TrainSettings
@@ -78,15 +79,16 @@ def run(arguments: argparse.Namespace) -> None:
     else:
         raise InputError(f"{arguments.trees[ego.index(True)]} holds ego trees, others do not; give folders of one kind")
     _check_packages(arguments)
-    folder = output_folder(arguments.out)
-    network, fit, table, scores = learn()
-    network.save(folder)
-    write_curves(fit, folder / "learning_curves.csv")
-    _write_scores(scores, folder / "scores.csv")
-    if not arguments.no_tensorboard:
-        write_tensorboard(fit, folder / "tensorboard")
-    if not arguments.no_picture:
-        write_picture(fit, folder / "learning_curves.png", f"{name}: {settings.target}")
+    with hold_folder(arguments.out):
+        folder = output_folder(arguments.out)
+        network, fit, table, scores = learn()
+        network.save(folder)
+        write_curves(fit, folder / "learning_curves.csv")
+        _write_scores(scores, folder / "scores.csv")
+        if not arguments.no_tensorboard:
+            write_tensorboard(fit, folder / "tensorboard")
+        if not arguments.no_picture:
+            write_picture(fit, folder / "learning_curves.png", f"{name}: {settings.target}")
     best = fit.epochs[fit.best]
     print(
         f"{network}\n{network.training['rows']} rows from {network.training['tracks']}; epoch {best.epoch} of "
