@@ -115,7 +115,8 @@ def _find(place: Path) -> "tuple[Results | None, Path]":
     elif not (place / "job.yaml").is_file() and (place / "results.csv").is_file():
         return None, place / "results.csv"
     results = open_results(folder)
-    return results, place if place.is_file() else folder / "results.csv"
+    ratings = results.tournament and results.study is not None
+    return results, folder.with_suffix(".csv") if ratings else folder / "results.csv"
 
 
 def _picks(arguments: argparse.Namespace, columns: "RaceColumns", results: "Results | None") -> "list[Pick]":
@@ -170,6 +171,8 @@ def _content(
 
 def _kind_of_start(results: "Results") -> str:
     """Return how the races start, as far as the folder tells."""
+    if results.study is not None:
+        return results.study.config.game.race.start
     game = results.settings.get("game")
     race = game.get("race") if isinstance(game, dict) else None
     return str(race.get("start", "side-by-side")) if isinstance(race, dict) else "side-by-side"

@@ -100,7 +100,7 @@ def make_server(page: str, answer: Callable[[int], tuple[int, bytes]], port: int
             found = _RACE.fullmatch(self.path)
             if host not in (f"127.0.0.1:{here}", f"localhost:{here}"):
                 self._send(403, _error("this server answers for 127.0.0.1 only"))
-            elif site not in ("none", "same-origin") and not (self.path == "/" and site == "same-site"):
+            elif site not in ("none", "same-origin"):
                 self._send(403, _error("another site's page asked for this"))
             elif self.path == "/":
                 self._send(200, content, "text/html; charset=utf-8")

@@ -1,5 +1,6 @@
 """``pcs-racing view``: what it writes, what it serves, and what it refuses."""
 
+import csv
 import json
 import shutil
 import threading
@@ -9,16 +10,19 @@ import numpy as np
 import pytest
 import yaml
 
+from pcs_racing import load_track
 from pcs_racing.errors import InputError
 from pcs_racing_agents.cli import main
 from pcs_racing_agents.commands import view
+from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.explaining.contests import open_results
 from pcs_racing_agents.job_folders import claim_folder
+from pcs_racing_agents.jobs import open_job
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results, write_rows
 from pcs_racing_agents.tournament.cells import play_cell
-from pcs_racing_agents.tournament.table import write_rows
-from pcs_racing_agents.viewing.race_replays import RaceDriver
+from pcs_racing_agents.viewing.race_replays import DrivenRace, RaceDriver
 from pcs_racing_agents.viewing.view_server import MOST_KEPT, RaceService, make_server
 
 
@@ -73,28 +77,27 @@ def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, capsys):
     assert main(["view", str(folder), "--no-open"]) == 0
 
 
-def test_a_study_is_viewed_too(archive, tmp_path, capsys):
+def test_a_study_and_its_ratings_are_viewed_too(archive, tmp_path, capsys):
     saved = archive.save(tmp_path / "toy")
     config = StudyConfig(
-        name="toy", archive=str(saved), race="contest", training_tracks=("Pipkin",), unseen_tracks=(),
-        game={"moves": 2, "step_seconds": 1.0}, agents=("never-switch", "random-moves"), opponents=("lane-switcher",),
+        archive=str(saved), tracks=("Pipkin",), opponents=("lane-switcher",), arms=("never-switch", "random-moves"),
+        best="random-moves", egos=2, variants=2, lines=1, rivals=("never-switch", "random-moves"), rival_races=2,
     )  # fmt: skip
     folder = tmp_path / "study"
     study = Study(config, folder, quiet=True)
-    with claim_folder(folder, "study", yaml_settings(config)):
-        game = study.game("Pipkin")
-        cell = play_cell(
-            game, study.agent("random-moves"), study.agent("lane-switcher"), egos=2, opponents=2, lines=1, seed=3
-        )
-        write_rows(cell.rows(), "contest", folder / "results.csv")
-    assert main(["view", str(folder), "--replays", "3", "--no-open"]) == 0
-    assert "8 races, 3 of them to be watched" in capsys.readouterr().out
-
-
-def yaml_settings(config):
-    from pcs_racing_agents.configuration import plain_settings
-
-    return plain_settings(config)
+    with claim_folder(folder, "study", plain_settings(config)):
+        game, rival = study.game("Pipkin"), study.agent("lane-switcher")
+        cells = [play_cell(game, study.agent(arm), rival, egos=2, opponents=2, lines=1, seed=3) for arm in config.arms]
+        write_rows([row for cell in cells for row in cell.rows()], "paper", folder / "results.csv")
+        rivals = {name: study.agent(name) for name in config.rivals}
+        plan = plan_tournament(load_track("Pipkin"), rivals, config.game, archive=saved, races_per_pair=2, seed=7)
+        with open_job(folder / "rivals", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
+            write_results(play_plan(plan, job=job), folder / "rivals.csv")
+    assert main(["view", str(folder), "--races", "0", "12", "--no-open"]) == 0
+    assert "16 races, 2 of them to be watched" in capsys.readouterr().out
+    assert main(["view", str(folder / "rivals.csv"), "--races", "1", "--no-open"]) == 0
+    assert "2 races, 1 of them to be watched" in capsys.readouterr().out
+    assert (folder / "rivals-view.html").is_file()
 
 
 @pytest.mark.parametrize(
@@ -122,8 +125,12 @@ def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, capsys):
 
 
 def spoil_line(folder):
-    text = (folder / "results.csv").read_text().replace(",ego,", ",me,", 1)
-    (folder / "results.csv").write_text(text)
+    file = folder / "results.csv"
+    with open(file, newline="") as stream:
+        head, *lines = csv.reader(stream)
+    lines[3][head.index("winner")] = "me"
+    with open(file, "w", newline="") as stream:
+        csv.writer(stream).writerows([head, *lines])
 
 
 def spoil_file(folder):
@@ -156,8 +163,8 @@ def another_circuit(folder):
     change_settings(folder, tracks={"Pipkin": "0" * 64})
 
 
-def another_seed(folder):
-    change_settings(folder, seed=3)
+def other_races(folder):
+    change_settings(folder, races_per_pair=8)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +177,7 @@ def another_seed(folder):
         (another_archive, "archive 'default' has changed since the races were driven"),
         (another_agent, "has changed since the races were driven"),
         (another_circuit, "track 'Pipkin' has changed since the races were driven"),
-        (another_seed, "is not the one that its folder describes"),
+        (other_races, "is not the one that its folder describes"),
     ],
 )
 def test_folders_that_are_not_what_they_were_are_one_clear_error(folder, spoil, message, capsys):
@@ -179,7 +186,7 @@ def test_folders_that_are_not_what_they_were_are_one_clear_error(folder, spoil, 
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.startswith("pcs-racing: error: ")
     assert message in told
-    if spoil in (another_archive, another_seed):
+    if spoil in (another_archive, other_races):
         assert "--replays 0 lists the races" in told
         assert main(["view", str(folder), "--replays", "0", "--no-open"]) == 0
 
@@ -264,13 +271,10 @@ def test_a_race_that_can_not_be_driven_is_told(folder):
 
 def test_answers_are_kept_but_not_for_ever():
     class Counting:
-        circuits = {"c": {}}
-        space = {}
-        asked = []
+        def __init__(self):
+            self.circuits, self.space, self.asked = {"c": {}}, {}, []
 
         def drive(self, number):
-            from pcs_racing_agents.viewing.race_replays import DrivenRace
-
             self.asked.append(number)
             return DrivenRace(number, "c", {})
 
