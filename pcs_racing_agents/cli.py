@@ -24,6 +24,7 @@ from pcs_racing_agents.commands import (
     tree,
     view,
 )
+from pcs_racing_agents.executors import is_lost
 
 __all__ = ["main"]
 
@@ -61,6 +62,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("pcs-racing: interrupted", file=sys.stderr)
         return 130
+    except Exception as error:
+        if not is_lost(error):
+            raise
+        return _fail(InputError(f"a worker died or the cluster is gone ({error}); mend that and start the same again"))
     return 0
 
 

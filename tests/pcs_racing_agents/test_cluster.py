@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -210,6 +211,22 @@ def test_a_task_that_kills_its_workers_is_told_in_a_line(tmp_path):
         make_executor("threads", 1) as executor,
     ):
         job.run("deadly", out_of_memory, range(2), executor=executor)
+
+
+@pytest.mark.parametrize("error", [BrokenExecutor("a process died"), CancelledError("scheduler-connection-lost")])
+def test_workers_lost_outside_of_jobs_are_told_in_a_line(monkeypatch, capsys, error):
+    """A tournament without a folder keeps nothing, and has no job."""
+
+    def fail(arguments):
+        raise error
+
+    monkeypatch.setattr("pcs_racing_agents.commands.tournament.run", fail)
+    assert main(["tournament", "--track", "Pipkin"]) == 2
+    told = capsys.readouterr().err
+    assert (
+        told
+        == f"pcs-racing: error: a worker died or the cluster is gone ({error}); mend that and start the same again\n"
+    )
 
 
 # Addresses and versions
