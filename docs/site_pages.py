@@ -242,7 +242,9 @@ def mend_docstring(app, what, name, thing, options, lines) -> None:
     The environments' descriptions are Markdown, and pages of their own: the reference only links them. Bars stand for
     absolute values, not for substitutions; the numbers of sources count within their module, not on the whole page.
     """
-    del app, what, thing, options
+    del app, thing, options
+    if what in ("data", "attribute"):
+        lines.insert(0, "")  # or napoleon takes what stands before a colon for its type
     for page, (module, class_name, _) in ENVIRONMENTS.items():
         if name == f"{module}.{class_name}":
             lines[:] = [lines[0], "", f"Its page is :doc:`/generated/{page}`.", ""]
