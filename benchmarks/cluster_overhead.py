@@ -196,6 +196,8 @@ def main() -> None:
     for kind in ("serial", "threads", "processes", "dask"):
         added[kind] = overhead(kind, arguments.tasks)
         print(f"{kind:12} {1e3 * added[kind]:8.2f} ms a task that does nothing", flush=True)
+    for kind, one in found.items():
+        print(f"one scheduler keeps {one.seconds / added['dask']:.0f} workers busy with tasks of the kind {kind}")
     if arguments.study:
         table(found, arguments.study, added["dask"], arguments.cores)
 
