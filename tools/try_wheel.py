@@ -52,6 +52,12 @@ print("cfr-argmax against best-fixed:", info["result"], round(float(reward), 2))
 """
 
 
+def processor_seconds() -> float:
+    """Processor time of all programs run so far, s; on Windows, which does not tell, a clock."""
+    times = os.times()
+    return time.perf_counter() if os.name == "nt" else times.children_user + times.children_system
+
+
 class Environment:
     """A virtual environment in a folder that nothing else knows of."""
 
@@ -72,7 +78,7 @@ class Environment:
         """Run a program of the environment in the empty folder; return what it printed."""
         program, *arguments = map(str, command)
         print("$", program, *(argument if len(argument) < 80 else "..." for argument in arguments), flush=True)
-        begin, before = time.perf_counter(), os.times()
+        begin, before = time.perf_counter(), processor_seconds()
         done = subprocess.run(
             [self.scripts / program, *arguments],
             cwd=self.folder,
@@ -82,8 +88,7 @@ class Environment:
             text=True,
             check=False,
         )
-        after = os.times()
-        spent = after.children_user - before.children_user + after.children_system - before.children_system
+        spent = processor_seconds() - before
         lines = [f"  {line}" for line in done.stdout.rstrip().splitlines()[-8:]]
         print(*lines, f"  [{time.perf_counter() - begin:.1f} s, processor {spent:.1f} s]", sep="\n")
         if (done.returncode == 0) == failing:
@@ -99,11 +104,9 @@ class Environment:
         """Processor time of a statement in a new process, the shortest of five runs, s."""
         times = []
         for _ in range(5):
-            before = os.times()
+            before = processor_seconds()
             subprocess.run([self.scripts / "python", "-c", statement], cwd=self.folder, env=self.variables, check=True)
-            after = os.times()
-            spent = after.children_user - before.children_user + after.children_system - before.children_system
-            times.append(spent)
+            times.append(processor_seconds() - before)
         return min(times)
 
 
