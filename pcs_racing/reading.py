@@ -49,7 +49,8 @@ def read_limited(path: str | os.PathLike[str], limit: int, what: str) -> bytes:
         If it can't be read.
     """
     with open(path, "rb", opener=_ordinary) as file:
-        content = file.read(limit + 1)
+        size = os.fstat(file.fileno()).st_size  # not the limit: room for all that is asked for is made at once
+        content = file.read(min(size, limit) + 1)
     if len(content) > limit:
         raise InputError(f"{path} has more than {limit} bytes; that is not {what}")
     return content
