@@ -2,7 +2,7 @@
 
     python benchmarks/load.py drive [--envs 1000] [--steps 10000]
     python benchmarks/load.py duel [--envs 100] [--steps 500]
-    python benchmarks/load.py tournament --out FOLDER [--races 1906] [--executor threads]
+    python benchmarks/load.py tournament --out FOLDER [--races 1906] [--step-seconds 8]
 
 The work is cut into slices. After each of them: the memory that the process holds (resident, MB), and the processor
 time that a unit of work took, which other processes disturb far less than the time on the clock. Environments get
@@ -101,13 +101,20 @@ def duel(envs: int, steps: int, threads: int) -> list[Slice]:
     return rows
 
 
-def tournament(folder: Path, races: int, executor: str) -> list[Slice]:
+def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> list[Slice]:
     """All against all through a job with chunks, as the command does it, and the file of results."""
     from pcs_racing import load_track
     from pcs_racing_agents.jobs import make_executor, open_job
-    from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
+    from pcs_racing_agents.tournament import (
+        game_rules,
+        plan_tournament,
+        play_plan,
+        tournament_settings,
+        write_results,
+    )
 
-    plan = plan_tournament([load_track(name) for name in TRACKS], list(AGENTS), races_per_pair=races)
+    rules = game_rules("paper", step_seconds=step_seconds)
+    plan = plan_tournament([load_track(name) for name in TRACKS], list(AGENTS), rules, races_per_pair=races)
     measure = yardstick()
     rows: list[Slice] = []
     clock, processor, apart = time.monotonic(), time.process_time(), 0.0
@@ -181,13 +188,14 @@ def main() -> None:
     parser.add_argument("--steps", type=int)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--races", type=int, default=1906, help="of each pair on each circuit")
+    parser.add_argument("--step-seconds", type=float, default=8.0, help="driving per move; a race has five such steps")
     parser.add_argument("--executor", default="threads")
     parser.add_argument("--out", type=Path, help="folder of the tournament")
     given = parser.parse_args()
     if given.what == "tournament":
         if given.out is None:
             parser.error("a tournament needs --out FOLDER")
-        rows = tournament(given.out, given.races, given.executor)
+        rows = tournament(given.out, given.races, given.step_seconds, given.executor)
     else:
         function, envs, steps = (drive, 1000, 10_000) if given.what == "drive" else (duel, 100, 500)
         rows = function(given.envs or envs, given.steps or steps, given.threads)

@@ -4,6 +4,7 @@ import copy
 import io
 import json
 import random
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -143,6 +144,7 @@ def _npz(rng: random.Random, data: bytes) -> bytes:
     """Other arrays under the same names, and other names."""
     with np.load(io.BytesIO(data)) as stored:
         arrays = dict(stored)
+    warnings.simplefilter("ignore")  # of numbers that do not fit another type
     for _ in range(1 + int(rng.expovariate(0.7))):
         name = rng.choice(list(arrays) or ["a"])
         array = arrays.get(name, np.zeros(2))
