@@ -241,7 +241,7 @@ def load_ppo_settings(source: str | Path | Settings, **changes: Any) -> Settings
     if not os.path.isfile(path):
         load_settings("ppo", LEVELS["duel"], source)  # says what there is
     level = read_mapping(path).get("level")
-    if level not in LEVELS:
+    if not isinstance(level, str) or level not in LEVELS:
         raise ConfigError(f"{path}: level is {level!r}; it must be {' or '.join(LEVELS)}")
     return load_settings("ppo", LEVELS[level], path, **changes)
 

@@ -119,6 +119,9 @@ class StudyConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        for key in ("race", "archive", "training", "best", *(("synthesis",) if self.synthesis is not None else ())):
+            if not isinstance(getattr(self, key), str):
+                raise ConfigError(f"{key} is {getattr(self, key)!r}; it must be a name or a path")
         self.game  # noqa: B018 - checks race and epsilon
         for key in ("circuits", "targets", "response_pool", "fitting_opponents", "tracks", "opponents", "arms"):
             self._check_names(key, 1)

@@ -269,7 +269,7 @@ def _checked(settings: dict[str, Any], file: Path) -> dict[str, Any]:
     rules, pairs = settings.get("rules"), settings.get("pairs")
     if not isinstance(rules, dict) or type(rules.get("moves")) is not int or not 1 <= rules["moves"] <= 100:
         raise InputError(f"{file}: rules are {rules!r:.80}; they must have moves, a whole number from 1 to 100")
-    if not isinstance(pairs, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
+    if not isinstance(pairs, list) or not pairs or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
         raise InputError(f"{file}: pairs are {pairs!r:.80}; they must be a list of two policies each")
     for key in ("encoding", "move_names"):
         if not isinstance(settings.get(key), list) or not all(isinstance(name, str) for name in settings[key]):
