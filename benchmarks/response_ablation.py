@@ -36,7 +36,10 @@ from pcs_racing_agents.strategies.network import FromNetwork
 from pcs_racing_agents.tournament import play_games
 from pcs_racing_agents.tournament.matches import game_between
 
-SEED = 9_000_000
+SEED = 9_000_000  # of the races
+BRANCH_SEED = 77
+LEARNING_SEED = 11
+RANDOM_SEED = 5  # of random moves
 BLOCK = 256
 FOLDS = 4
 OPPONENTS = ("never-switch", "random-moves")
@@ -72,7 +75,7 @@ def game_on(circuit: str, setting: Setting) -> RaceGame:
 
 
 def opponent_of(name: str, setting: Setting) -> Agent:
-    return {"never-switch": never_switch, "random-moves": random_moves}[name](setting, seed=SEED)
+    return {"never-switch": never_switch, "random-moves": random_moves}[name](setting, seed=RANDOM_SEED)
 
 
 def follow(network: RegretNetwork, setting: Setting) -> Agent:
@@ -116,11 +119,11 @@ class BranchTask(NamedTuple):
 
 
 def branch(setting: Setting, network: RegretNetwork, task: BranchTask) -> Arrays:
-    pilots = [random_moves(setting, seed=SEED), follow(network, setting)]
+    pilots = [random_moves(setting, seed=RANDOM_SEED), follow(network, setting)]
     rival = opponent_of(task.opponent, setting)
     arena = game_between(game_on(task.circuit, setting), pilots[0], rival)
     key = (sum(task.circuit.encode()), OPPONENTS.index(task.opponent), task.step)
-    root = int(np.random.SeedSequence(SEED, spawn_key=key).generate_state(1, np.uint64)[0] >> np.uint64(1))
+    root = int(np.random.SeedSequence(BRANCH_SEED, spawn_key=key).generate_state(1, np.uint64)[0] >> np.uint64(1))
     keys = race_seeds(root, task.last)[task.first :]
     found = branch_games(arena, rival, keys, task.step, pilots, pilots[1])
     return {**found._asdict(), "game": found.game + task.first}
@@ -367,13 +370,10 @@ def compare_games(options: Options, job: Job, executor: Executor | None) -> None
     for name in options.games:
         setting = setting_of(options.archive, **GAMES[name])
         games = [game_on(circuit, setting) for circuit in options.circuits[:2]]
-        settings = load_response_settings(
-            starts=options.starts, rounds=options.rounds, members=options.members, seed=SEED
-        )
+        settings = load_response_settings(starts=options.starts, rounds=options.rounds, seed=LEARNING_SEED)
         pool = [opponent_of(opponent, setting) for opponent in OPPONENTS]
-        with open_job(
-            job.folder / "games" / name.replace(" ", "-"), "response", _about(options, setting.config)
-        ) as own:
+        folder = job.folder / "games" / name.replace(" ", "-")
+        with open_job(folder, "response", {**about("games", options), "game": repr(setting.config)}) as own:
             network = learn_response(
                 games, pool, setting, settings, own, executor=executor, progress=show_progress(f"branch tasks ({name})")
             )
@@ -388,10 +388,18 @@ def compare_circuits(options: Options, job: Job, executor: Executor | None) -> N
 
 
 PARTS = {"learners": compare_learners, "games": compare_games, "circuits": compare_circuits}
+DEPENDS = {
+    "learners": ("starts", "circuits"),
+    "games": ("starts", "rounds", "races", "circuits"),
+    "circuits": ("races",),
+}
+"""What the figures of a part depend on, besides the archive."""
 
 
-def _about(options: Options) -> dict[str, Any]:
-    return {**options._asdict(), "circuits": list(options.circuits), "games": list(options.games)}
+def about(part: str, options: Options) -> dict[str, Any]:
+    """Return the settings of a part's job."""
+    values = {key: getattr(options, key) for key in ("archive", *DEPENDS[part])}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 
 
 def main() -> None:
@@ -403,17 +411,15 @@ def main() -> None:
     parser.add_argument("--races", type=int, default=500, help="of an agent in a row of the table (default: 500)")
     parser.add_argument("--circuits", nargs="+", default=list(CIRCUITS), help="answers learn on the first two")
     parser.add_argument("--games", nargs="+", choices=list(GAMES), default=list(GAMES), help="variants of the game")
-    parser.add_argument("--members", type=int, default=2, help="networks of an answer (default: 2)")
+    parser.add_argument("--members", type=int, default=2, help="networks of a learner (default: 2)")
     parser.add_argument("--rounds", type=int, default=2)
     add_executor_options(parser)
     given = parser.parse_args()
     options = Options(
         given.archive, given.starts, given.races, tuple(given.circuits), tuple(given.games), given.members, given.rounds
     )
-    with (
-        executor_from(given) as executor,
-        open_job(given.out / given.part, "response-ablation", _about(options)) as job,
-    ):
+    settings = about(given.part, options)
+    with executor_from(given) as executor, open_job(given.out / given.part, "response-ablation", settings) as job:
         PARTS[given.part](options, job, executor)
 
 
