@@ -1,0 +1,154 @@
+"""How strong every agent of the zoo is, and what a decision costs; and from that the pages of docs/zoo.md.
+
+    python benchmarks/zoo.py                     # measures and prints
+    python benchmarks/zoo.py --write             # and writes strategies/measured.csv and docs/zoo.md
+
+Every agent that there is with its defaults races six others, on a circuit that was learned on and on one that was not,
+once with the archive "default" in the paper's race and once with the archive "contest" in the contest. All drive the
+same races. What is left in --out of an earlier call is not driven again, unless an agent has changed.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcs_racing import load_track, make_game, run_races
+from pcs_racing.errors import UnknownNameError
+from pcs_racing.game import take_games
+from pcs_racing_agents.jobs import open_job, show_progress
+from pcs_racing_agents.strategies import Agent, Driver, make_setting, names
+from pcs_racing_agents.strategies.agent import competitor_hash
+from pcs_racing_agents.strategies.describe import write_page
+from pcs_racing_agents.strategies.measured import SETTINGS, Measured, write_measurements
+from pcs_racing_agents.strategies.zoo import build
+from pcs_racing_agents.tournament.matches import variant_count
+from pcs_racing_agents.tournament.round_robin import round_robin
+from pcs_racing_agents.tournament.rows import RaceRow, race_rows
+from pcs_racing_agents.tournament.runner import Pairing, play_pairings
+from pcs_racing_agents.tournament.schedule import draw_schedule
+
+TRACKS = {"paper": ("Tarnfjord", "Saltmere"), "contest": ("Brackwater", "Kestrelheim")}
+FIELD = ("never-switch", "random-moves", "best-fixed", "cfr-argmax", "lane-switcher", "random-policy")
+SEED = 8_000_000  # other races than those of any study
+CHECKOUT = Path(__file__).resolve().parents[1]
+
+
+def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
+    """Everything about the agents of one game."""
+    setting = make_setting(archive, race)
+    agents = {}
+    for name in names(archive, race):
+        try:
+            agents[name] = build(name, setting)
+        except UnknownNameError as error:
+            print(f"not measured: {error}")
+    games = [make_game(load_track(track), setting.archive, setting.config) for track in TRACKS[race]]
+    schedules = [draw_schedule(game.track, setting.config.race_rules, races, SEED) for game in games]
+    settings = {"archive": setting.archive.content_hash, "race": race, "races": races, "seed": SEED}
+    rows: list[RaceRow] = []
+    with open_job(out / f"{archive}-{race}", "zoo", settings) as job:
+        for name, agent in agents.items():
+            pairings, rivals = [], []
+            for (game, schedule), rival in product(zip(games, schedules, strict=True), FIELD):
+                if rival != name:
+                    variants = schedule.variants(variant_count(game, agent), variant_count(game, agents[rival]))
+                    drawn = (variants, schedule.starts, schedule.seeds)
+                    pairings.append(Pairing(game.track, agent, agents[rival], *drawn))
+                    rivals.append(rival)
+            told = show_progress(f"races: {name}, {race}")
+            # Kept by name: a new agent leaves the races of the others as they are.
+            kept = name.replace("+", "-plus") if name.endswith("+") else f"{name}minus" if name.endswith("-") else name
+            played = play_pairings(pairings, setting.archive, setting.config, name=kept, job=job, progress=told)
+            for rival, pairing, matches in zip(rivals, pairings, played, strict=True):
+                where = (pairing.track.name, SEED, pairing.starts, pairing.policies)
+                rows += race_rows((name, rival), *where, matches, setting.moves)
+    together = round_robin(
+        list(agents),
+        [row.ego for row in rows],
+        [row.opponent for row in rows],
+        [row.winner for row in rows],
+        [row.crash != "" for row in rows],
+        [f"{row.track} {row.race // 2}" for row in rows],
+    )
+    found = []
+    for name, agent in agents.items():
+        own = [row for row in rows if row.ego == name]
+        scores = {
+            rival: float(np.mean([_score(row) for row in own if row.opponent == rival]))
+            for rival in FIELD
+            if rival != name
+        }
+        found.append(
+            Measured(
+                archive,
+                race,
+                name,
+                competitor_hash(agent),
+                ", ".join(TRACKS[race]),
+                len(own),
+                float(np.mean(list(scores.values()))),
+                *together.rating(name),
+                float(np.mean([row.fault in ("ego", "both") for row in own])),
+                *cost(games[0], agent),
+                scores,
+            )
+        )
+    return sorted(found, key=lambda one: -one.score)
+
+
+def _score(row: Any) -> float:
+    return float(row.winner == "ego") + 0.5 * (row.winner == "" and row.crash == "")
+
+
+def cost(game: Any, agent: Any) -> tuple[float, float]:
+    """Microseconds of processor time of a decision: for one observation, and for each of 1,000 at once."""
+    if isinstance(agent, Driver):
+        policies = [agent.policies[i % len(agent.policies)] for i in range(16)]
+        rules = game.setup.config
+        spent = _seconds(lambda: run_races(game.track, policies, policies[::-1], rules, threads=1))
+        return 1e6 * spent / (2 * len(policies) * rules.duration / 0.1), np.nan
+    state = game.reset(games=500, seed=0)
+    state = game.step(state, np.tile([0, 2], (500, 1)))
+    rows = game.observation(state).reshape(1000, -1)
+    if isinstance(agent, Agent):
+        one, many = (_seconds(lambda seen=seen: agent.predict(seen)) / len(seen) for seen in (rows[:1], rows))
+        return 1e6 * one, 1e6 * many
+    few = take_games(state, np.arange(10))
+    return 1e6 * _seconds(lambda: agent.decide(game, few, 0)) / len(few.step), np.nan
+
+
+def _seconds(work: Callable[[], Any], enough: float = 0.05) -> float:
+    """Processor seconds of a call, the mean of so many seconds of calls after a first one."""
+    work()
+    begin, calls = time.process_time(), 0
+    while time.process_time() - begin < enough:
+        work()
+        calls += 1
+    return (time.process_time() - begin) / calls
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--races", type=int, default=30, help="races against each of six opponents on each circuit")
+    parser.add_argument("--out", type=Path, default=Path("out/zoo"), help="folder in which the races are kept")
+    parser.add_argument("--write", action="store_true", help="write measured.csv and docs/zoo.md of this checkout")
+    arguments = parser.parse_args()
+    found = []
+    for archive, race in SETTINGS:
+        found += measure(archive, race, arguments.races, arguments.out)
+    for one in found:
+        print(
+            f"{one.race:8s} {one.agent:24s} {one.score:.3f} {one.rating:+5.0f} {one.one_us:8.1f} us {one.sha256[:12]}"
+        )
+    if arguments.write:
+        print(write_measurements(found))
+        print(write_page(CHECKOUT / "docs" / "zoo.md"))
+
+
+if __name__ == "__main__":
+    main()
