@@ -77,7 +77,7 @@ class ReportContent:
     curves : mapping of str to sequence of Curve
         Loss by epoch of every network, by its name.
     reward_curves : mapping of str to sequence of Curve
-        Reward (or win share) by step of every agent of reinforcement learning.
+        What agents of reinforcement learning reached by step (in millions): a panel for each figure.
     losses : sequence of TreeLoss
         What agents lose on trees that no network has seen.
     loss_unit : str
@@ -238,8 +238,9 @@ def _learning(content: ReportContent) -> Iterator[str]:
     if content.curves:
         yield from drawn("curves_picture", "Loss of the networks by epoch.", content.curves)
     if content.reward_curves:
-        options = {"x_label": "steps", "y_label": "reward", "log": False}
-        yield from drawn("curves_picture", "Reinforcement learning, by steps.", content.reward_curves, **options)
+        options = {"x_label": "million steps", "y_label": "", "log": False}
+        caption = "Reinforcement learning, by steps: means over the circuits and opponents that it was judged on."
+        yield from drawn("curves_picture", caption, content.reward_curves, **options)
 
 
 def _situations(content: ReportContent) -> Iterator[str]:

@@ -3,10 +3,14 @@
 import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+
+import numpy as np
 
 from pcs_racing.files import write_atomically
 from pcs_racing_agents.configuration import plain_settings
+from pcs_racing_agents.ppo.curves import read_curve
 from pcs_racing_agents.strategies.agent import Agent
 from pcs_racing_agents.strategies.blind import Blend, Schedule, Walk
 from pcs_racing_agents.strategies.fits import load_fit
@@ -91,6 +95,7 @@ def _content(study: Study, played: Sequence[StudyCell], main: StudyTable) -> Rep
         archive=study.archive,
         epsilon=config.epsilon,
         curves=_curves(study),
+        reward_curves=_reward_curves(study),
         losses=_losses(study),
         loss_unit="m of lead" if config.game.utility == "lead" else "utility (a win 1, a loss -1)",
         judged=judged,
@@ -127,6 +132,28 @@ def _curves(study: Study) -> dict[str, list[Curve]]:
     """Learning curves of the networks, in the order of the configuration."""
     files = {name: study.network(name) / "learning_curves.csv" for name in study.config.targets}
     return {name: read_curves(file) for name, file in files.items() if file.is_file()}
+
+
+REWARDS = {"worth": "worth of a race", "won": "races won", "at_fault": "crashes by own fault"}
+
+
+def _reward_curves(study: Study) -> dict[str, list[Curve]]:
+    """How PPO learned, where the study trained it: a panel for each figure, a line for each seed."""
+    file = study.network("ppo") / "curve.csv"
+    if not file.is_file():
+        return {}
+    curves = read_curve(file)
+    return {
+        title: [
+            Curve(
+                np.array(curve.steps) / 1e6,
+                np.array([np.mean([getattr(score, key) for score in scores.values()]) for scores in curve.scores]),
+                f"seed {curve.seed}",
+            )
+            for curve in curves
+        ]
+        for key, title in REWARDS.items()
+    }
 
 
 def _losses(study: Study) -> list[TreeLoss]:
@@ -168,14 +195,19 @@ def _seeds(study: Study) -> dict[str, int]:
 
 
 def _watched(study: Study, played: Sequence[StudyCell]) -> Iterator[Watched]:
-    """A win by switching, a loss and a crash of our best agent, on the first circuit against the first opponent."""
+    """A win by switching, a loss and a crash of our best agent, each from the first row of the table that has one."""
     config = study.config
     by_key = {(found.track, found.opponent, found.arm): found.cell for found in played if found.table == "main"}
-    place = config.tracks[0], config.opponents[0]
-    cell = by_key[(*place, config.best)]
-    for title, race in telling_races(cell, by_key[(*place, config.arms[0])]).items():
-        ego, rival = study.agent(config.best), study.agent(place[1])
-        yield watch_race(study.game(place[0]), ego, rival, cell, race, title)
+    chosen: dict[str, tuple[str, str, str, int]] = {}
+    for place in product(config.tracks, config.opponents):
+        for title, race in telling_races(by_key[(*place, config.best)], by_key[(*place, config.arms[0])]).items():
+            kind = " ".join(title.replace(";", " ").replace(",", " ").split()[:2])  # "A win", "A loss", "A crash"
+            chosen.setdefault(kind, (*place, title, race))
+    for kind in sorted(chosen, key=("A win", "A loss", "A crash").index):
+        track, opponent, title, race = chosen[kind]
+        ego, rival = study.agent(config.best), study.agent(opponent)
+        cell = by_key[track, opponent, config.best]
+        yield watch_race(study.game(track), ego, rival, cell, race, title)
 
 
 def _write(path: Path, text: str) -> None:

@@ -1,5 +1,6 @@
 """A whole study, from trees to the report, in a game of two moves of two seconds."""
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -55,6 +56,25 @@ def test_a_study_leaves_its_results(finished):
     assert "<iframe" in page
     assert "https://" not in page.replace("http://www.w3.org", "")
     assert set(stage_seconds(finished)) == set(STAGES)
+    assert not list(finished.folder.rglob("seconds.txt"))
+
+
+def test_every_agent_is_judged_also_such_as_stay(finished):
+    with open(finished.folder / "exploitability.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["agent"] for row in rows} == {*TINY.every_arm, "equilibrium", "random moves"}
+    for row in rows:
+        stays = row["agent"] in ("never-switch", "best-fixed")
+        assert (row["lost_to_equilibrium"] == "") == stays or row["agent"] == "best-fixed"
+        assert float(row["lost_to_best_response"]) >= -1e-6
+
+
+def test_the_report_tells_which_move_was_made_when(finished):
+    page = (finished.folder / "report.html").read_text(encoding="utf-8")
+    for name in ("cfr-argmax", "quick"):
+        assert f"{name}: moves by step, lead and aggressiveness of the opponent" in page
+        assert (finished.folder / "report" / f"situations-{name}.csv").is_file()
+    assert not (finished.folder / "report" / "situations-best-fixed.csv").exists()
 
 
 def test_a_second_run_repeats_nothing_and_writes_the_same_bytes(finished):
