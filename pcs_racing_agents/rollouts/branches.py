@@ -129,9 +129,16 @@ def branch_games(
     while not game.done(state).all():
         moves = moves_of(continuation, game, state, 0)
         state = game.step(state, np.stack([moves, _reply(opponent, game, state)], axis=1))
-    ends = (outcome(game, state, worth), np.asarray(state.race.lead, np.float64), state.race.crashed)
-    outcomes, leads, crashed = (array.reshape(len(going), count) for array in ends)
-    return Branches(seen, outcomes, going, turn[going], rival, leads, crashed)
+    shape = len(going), count
+    return Branches(
+        observations=seen,
+        outcomes=outcome(game, state, worth).reshape(shape),
+        game=going,
+        behaviour=turn[going],
+        rival=rival,
+        leads=np.asarray(state.race.lead, np.float64).reshape(shape),
+        crashed=state.race.crashed.reshape(shape),
+    )
 
 
 def _reply(opponent: Competitor, game: RaceGame, state: GameState) -> NDArray[np.int64]:
