@@ -1,6 +1,7 @@
 """Folders that one process at a time works in, and that remember what for: the manifest and the lock of a job."""
 
 import os
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,12 +17,13 @@ from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing.reading import plain_yaml, read_limited
 
-__all__ = ["GO_ON", "JobError", "claim_folder", "hold_folder", "package_version"]
+__all__ = ["GO_ON", "JobError", "claim_folder", "clear_half_written", "hold_folder", "package_version"]
 
 FORMAT = "pcs-racing job"
 VERSION = 1
 GO_ON = "what is done is kept: mend that and start the same again to go on"
 _MAX_BYTES = 10_000_000
+_HALF_WRITTEN = re.compile(r"\..+\.[0-9a-f]{8}")
 
 
 class JobError(InputError):
@@ -63,8 +65,7 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
         try:
             if not _check_same(folder, manifest):  # again: another process may have begun in between
                 write_atomically(folder / "job.yaml", lambda file: file.write(text.encode("utf-8")))
-            for left_over in [*folder.glob(".*.????????"), *folder.glob("chunks/.*.????????")]:
-                left_over.unlink(missing_ok=True)  # half-written files of a run that was killed
+            clear_half_written(folder)
         except OSError as error:
             raise _unusable(folder, error) from None
         try:
@@ -85,6 +86,7 @@ def hold_folder(folder: Path) -> Iterator[None]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = _take_lock(folder)
+        clear_half_written(folder)
     except OSError as error:
         raise _unusable(folder, error) from None
     with lock:
@@ -94,6 +96,13 @@ def hold_folder(folder: Path) -> Iterator[None]:
             lock.truncate(0)
             if sys.platform != "win32":
                 (folder / ".lock").unlink(missing_ok=True)
+
+
+def clear_half_written(folder: Path) -> None:
+    """Delete what killed runs had begun to write here or in ``chunks`` (see :mod:`pcs_racing.files`)."""
+    for file in [*folder.glob(".*"), *folder.glob("chunks/.*")]:
+        if _HALF_WRITTEN.fullmatch(file.name):
+            file.unlink(missing_ok=True)
 
 
 def package_version() -> str:

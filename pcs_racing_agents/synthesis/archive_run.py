@@ -23,6 +23,7 @@ from pcs_racing.registry import get_planner
 from pcs_racing.track import load_track
 from pcs_racing_agents.chunk_files import Arrays
 from pcs_racing_agents.configuration import plain_settings
+from pcs_racing_agents.job_folders import clear_half_written
 from pcs_racing_agents.jobs import open_job
 from pcs_racing_agents.synthesis.archive_report import write_archive
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveSearch, News, Told
@@ -73,6 +74,7 @@ def make_archive(
     _check_folder(folder)
     settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
     with open_job(folder / "job", "archive", settings) as job:
+        clear_half_written(folder)
         run = ArchiveSearch(config, job, executor, told or (lambda _: None), family, search)
         run.run(draw_policies(family, config.scouts, scouts), _number(optimiser))
         chosen, notes = choose(run, choice)

@@ -120,7 +120,7 @@ def test_a_full_disk_is_one_clear_error_and_loses_nothing(long_commands, tmp_pat
     assert not list((tmp_path / "out").rglob(".*.????????"))  # no half-written file is left
 
 
-@pytest.mark.parametrize("what", ["synthesize", "tree", "train", "tournament"])
+@pytest.mark.parametrize("what", ["synthesize", "tree", "tournament"])
 def test_a_read_only_folder_is_one_clear_error(long_commands, tmp_path, what, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     tmp_path.chmod(0o555)
@@ -128,6 +128,17 @@ def test_a_read_only_folder_is_one_clear_error(long_commands, tmp_path, what, ca
         assert main([*long_commands[what], "--out", "."]) == 2
     assert "Permission denied" in only_error(capsys.readouterr().err)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("what", ["synthesize", "train"])
+def test_half_written_files_of_a_killed_command_are_cleared_away(long_commands, tmp_path, what):
+    if what == "train":
+        pytest.importorskip("torch")
+    (tmp_path / "job").mkdir()
+    (tmp_path / ".archive.npz.0123abcd").write_bytes(b"half")
+    (tmp_path / ".gitignore").write_text("*\n")
+    assert main([*long_commands[what], "--out", str(tmp_path)]) == 0
+    assert [file.name for file in tmp_path.glob(".*") if file.name != ".lock"] == [".gitignore"]
 
 
 @pytest.mark.parametrize("what", ["synthesize", "tree", "ego trees", "tournament"])
