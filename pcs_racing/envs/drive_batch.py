@@ -85,6 +85,8 @@ class DriveOptions:
         if not whole or not 0 <= self.beams <= MOST_BEAMS:
             raise InputError(f"beams is {self.beams!r}; it must be a whole number from 0 to {MOST_BEAMS}")
         _number("lidar_noise", self.lidar_noise, 0.0, 10.0)
+        for name in ("fov", "max_range"):  # their limits are the lidar's to judge
+            _number(name, getattr(self, name), 0.0, float("inf"))
         distances = self.look_ahead if isinstance(self.look_ahead, Sequence) else ()
         if not distances or isinstance(distances, str) or len(distances) > 100:
             raise InputError(f"look_ahead is {self.look_ahead!r}; it must list 1 to 100 distances in m")

@@ -3,6 +3,7 @@
 :mod:`pcs_racing_agents.tournament.fitting` makes them; the agents that follow them read them from here.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -119,6 +120,8 @@ def load_fit(path: str | Path) -> Fit:
     InputError
         If the file is missing, no fit, or damaged.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"fit {path!r} must be the path of a file")
     try:
         content = read_limited(path, MAX_YAML, "a fit")
     except OSError as error:

@@ -132,7 +132,7 @@ class ArchiveConfig:
                 raise ConfigError(f"{key} is {getattr(self, key)!r}; it must be a non-empty text")
         for key in ("tracks", "characteristics"):
             names = getattr(self, key)
-            if names is not None and (
+            if (key == "tracks" or names is not None) and (
                 not isinstance(names, tuple) or not names or not all(isinstance(name, str) for name in names)
             ):
                 raise ConfigError(f"{key} is {names!r}; it must be a list of names")
