@@ -5,7 +5,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 
-.PHONY: help demo test lint types benchmarks docs release wheel-test clean
+.PHONY: help demo test lint types benchmarks docs release wheel-test coverage fuzz benchmark-history clean
 
 help:
 	@echo "make demo        the paper's study in small: trees, networks, races, a report to look at (under 5 minutes)"
@@ -13,6 +13,9 @@ help:
 	@echo "make lint        style, and the format of the code"
 	@echo "make types       static types"
 	@echo "make benchmarks  every figure of the documentation, measured again"
+	@echo "make coverage    the tests again with coverage, compiled files as plain Python (about a quarter of an hour)"
+	@echo "make fuzz        20 minutes of broken inputs for every loader and environment; goes on where it was left"
+	@echo "make benchmark-history  a few ratios of speed, compared with benchmarks/history.csv and added to it"
 	@echo "make docs        the documentation's site, in out/docs; a warning is an error"
 	@echo "make release     sdist and wheel, in dist, built and checked"
 	@echo "make wheel-test  the wheel in a clean environment: base, extras, the quick study (some minutes)"
@@ -32,6 +35,21 @@ lint: $(VENV)/test.stamp
 
 types: $(VENV)/test.stamp
 	$(RUN) -m mypy
+
+# Lines of compiled functions leave no trace: a part of the tests runs once more as plain Python.
+coverage: $(VENV)/test.stamp
+	$(PIP) pytest-cov
+	$(VENV)/bin/pcs-racing tournament --track Pipkin --agents random-moves lane-switcher --races 2
+	$(RUN) -m pytest -n 2 --dist worksteal --cov --cov-report=
+	NUMBA_DISABLE_JIT=1 $(RUN) -m pytest -p no:xdist tests/interpreted --cov --cov-append --cov-report=
+	$(RUN) -m coverage report
+
+fuzz: $(VENV)/test.stamp
+	$(RUN) tools/fuzz.py run --minutes 20
+
+benchmark-history: $(VENV)/test.stamp
+	$(RUN) benchmarks/record.py --check
+	$(RUN) benchmarks/record.py --add
 
 benchmarks: $(VENV)/test.stamp
 	@for script in benchmarks/*.py; do echo "== $$script"; $(RUN) "$$script" || exit 1; done

@@ -1,0 +1,60 @@
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+FILE = Path(__file__).resolve().parent.parent / "benchmarks" / "record.py"
+
+
+@pytest.fixture(scope="module")
+def record():
+    spec = importlib.util.spec_from_file_location("record", FILE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def lines(*values: float, processor: str = "here") -> list[dict[str, str]]:
+    return [{"processor": processor, "race": str(value)} for value in values]
+
+
+def test_a_slowdown_is_named(record):
+    (line,) = record.slower({"race": 14.0}, lines(10.0, 10.2, 9.8), "here")
+    assert line.startswith("race takes 14 times the reference; it was 10 (+40 %)")
+
+
+def test_noise_and_gains_are_none(record):
+    assert record.slower({"race": 12.5}, lines(10.0, 10.2, 9.8), "here") == []
+    assert record.slower({"race": 2.0}, lines(10.0), "here") == []
+
+
+def test_the_median_of_the_last_lines_counts(record):
+    history = lines(*[1.0] * 20, 10.0, 10.0, 10.0, 100.0, 10.0)
+    assert record.slower({"race": 11.0}, history, "here") == []
+    assert record.slower({"race": 14.0}, history, "here") != []
+
+
+def test_a_machine_is_compared_with_itself_if_it_can_be(record):
+    history = lines(5.0, processor="there") + lines(10.0)
+    assert record.slower({"race": 11.0}, history, "here") == []
+    assert record.slower({"race": 11.0}, history, "elsewhere") != []
+
+
+def test_what_has_no_history_is_not_compared(record):
+    assert record.slower({"scan": 3.0}, lines(1.0), "here") == []
+    assert record.slower({"race": 3.0}, [], "here") == []
+
+
+def test_lines_are_added_and_read(record, tmp_path):
+    file = tmp_path / "history.csv"
+    record.add_line({"race": 10.0}, 5.0, file)
+    record.add_line({"race": 20.0, "scan": 1.0}, 5.0, file)
+    first, second = record.read_history(file)
+    assert (first["race"], first["scan"], second["scan"]) == ("10", "", "1")
+    assert record.slower({"race": 30.0}, [first, second], second["processor"]) != []
+
+
+def test_the_kept_history_has_every_ratio(record):
+    history = record.read_history()
+    assert history
+    assert all(float(history[-1][name]) > 0.0 for name in record.RATIOS)
