@@ -74,7 +74,7 @@ def choose_races(columns: RaceColumns, count: int) -> list[Pick]:
     agents = range(len(columns.agents.words))
     told = np.array([outcomes(columns, car) for car in range(2)])
     piles = [
-        (agent, outcome, _in_turns(columns, agent, (told == outcome) & (columns.agents.index == agent)))
+        (agent, outcome, _in_turns(columns, agent, (told == outcome) & (columns.agents.places == agent)))
         for outcome in range(len(OUTCOMES))
         for agent in agents
     ]
@@ -100,8 +100,8 @@ def _in_turns(columns: RaceColumns, agent: int, chosen: NDArray[np.bool_]) -> It
     """
     cars, races = np.nonzero(chosen)
     lead = np.where(cars == 0, columns.lead[races], -columns.lead[races])
-    others = columns.agents.index[1 - cars, races]
-    tracks = columns.track.index[races]
+    others = columns.agents.places[1 - cars, races]
+    tracks = columns.track.places[races]
     groups: list[Sequence[int]] = []
     for pair in sorted({*zip(tracks.tolist(), others.tolist(), strict=True)}, key=lambda pair: pair[::-1]):
         mine = np.flatnonzero((tracks == pair[0]) & (others == pair[1]))

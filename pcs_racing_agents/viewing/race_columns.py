@@ -35,12 +35,12 @@ class Labels(NamedTuple):
     ----------
     words : tuple of str
         Each of them once, in the order in which they first occur.
-    index : ndarray, shape (N,), int64
+    places : ndarray, shape (N,), int64
         Which of them stands in each line.
     """
 
     words: tuple[str, ...]
-    index: Counts
+    places: Counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +179,8 @@ def _labels(lines: Sequence[Mapping[str, str]], names: Iterable[str], where: str
                 raise InputError(f"{_line(where, number)} is damaged: {name} is {len(word)} characters long")
             column.append(found.setdefault(word, len(found)))
         columns.append(column)
-    index = np.array(columns, np.int64)
-    return Labels(tuple(found), index if len(index) > 1 else index[0])
+    places = np.array(columns, np.int64)
+    return Labels(tuple(found), places if len(places) > 1 else places[0])
 
 
 def _numbers(
@@ -226,11 +226,11 @@ def packed_columns(columns: RaceColumns) -> dict[str, Any]:
     columns : RaceColumns
     """
     whole = {
-        "ego": columns.agents.index[0],
-        "opponent": columns.agents.index[1],
-        "track": columns.track.index,
-        "preset": columns.preset.index,
-        "seed": columns.seed.index,
+        "ego": columns.agents.places[0],
+        "opponent": columns.agents.places[1],
+        "track": columns.track.places,
+        "preset": columns.preset.places,
+        "seed": columns.seed.places,
         "race": columns.race,
         "side": columns.side,
         "winner": columns.winner,
@@ -241,7 +241,7 @@ def packed_columns(columns: RaceColumns) -> dict[str, Any]:
         for car in range(2):
             whole[f"{name}{car}"] = getattr(columns, name)[car]
     for car in range(2):
-        whole[f"moves{car}"] = columns.moves.index[car]
+        whole[f"moves{car}"] = columns.moves.places[car]
     # Differences make the long runs of equal values, and numbers that count up, one character each.
     return {
         "length": len(columns),

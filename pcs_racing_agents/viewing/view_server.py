@@ -94,7 +94,7 @@ def make_server(page: str, answer: Callable[[int], tuple[int, bytes]], port: int
 
         def do_GET(self) -> None:
             """Send the page or a race."""
-            here = self.server.server_address[1]
+            here = self.connection.getsockname()[1]
             host = self.headers.get("Host", "")
             site = self.headers.get("Sec-Fetch-Site", "none")
             found = _RACE.fullmatch(self.path)

@@ -21,13 +21,13 @@ def test_columns_hold_what_was_raced(lines, tournament_folder):
     rows = tournament_folder[1].rows
     assert len(columns) == len(rows) == 18
     for number, row in enumerate(rows):
-        assert [columns.agents.words[i] for i in columns.agents.index[:, number]] == [row.ego, row.opponent]
+        assert [columns.agents.words[i] for i in columns.agents.places[:, number]] == [row.ego, row.opponent]
         assert columns.lead[number] == pytest.approx(row.lead, abs=1e-4)
         assert ["", "ego", "opponent"][columns.winner[number]] == row.winner
         assert ["", "wall", "car"][columns.crash[number]] == row.crash
         assert ["", "ego", "opponent", "both"][columns.fault[number]] == row.fault
         assert columns.variants[:, number].tolist() == [row.ego_variant, row.opponent_variant]
-        assert columns.moves.words[columns.moves.index[0, number]] == "; ".join(row.ego_moves)
+        assert columns.moves.words[columns.moves.places[0, number]] == "; ".join(row.ego_moves)
         path = row.opponent_path
         assert columns.switches[1, number] == sum(a != b for a, b in pairwise(path))
 
@@ -39,9 +39,9 @@ def test_packing_loses_nothing_that_is_shown(lines):
     values = {name: unpack(column) for name, column in packed["columns"].items()}
     assert values["lead"] == pytest.approx(columns.lead, abs=0.00051)
     assert values["start_s"] == pytest.approx(columns.start_s, abs=0.005)
-    assert np.array_equal(values["ego"], columns.agents.index[0])
+    assert np.array_equal(values["ego"], columns.agents.places[0])
     assert np.array_equal(values["overtakes1"], columns.overtakes[1])
-    assert np.array_equal(values["moves0"], columns.moves.index[0])
+    assert np.array_equal(values["moves0"], columns.moves.places[0])
     assert packed["seeds"] == ["2"]
 
 

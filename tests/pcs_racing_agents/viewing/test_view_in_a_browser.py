@@ -198,7 +198,7 @@ def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
     assert browser.run("chosen") == order[-1]
     assert browser.run("[...document.querySelectorAll('#pane .line[aria-selected=true]')].length") == 1
     browser.run("filters.crash = 'own'; filters.agent = 3; refilter()")
-    mine = columns.agents.index == 3
+    mine = columns.agents.places == 3
     own = np.where(mine[0], (columns.fault & 1) > 0, (columns.fault & 2) > 0) & (columns.crash > 0)
     assert browser.run("shown.length") == np.count_nonzero(mine.any(axis=0) & own)
     assert browser.complaints == []
@@ -215,11 +215,11 @@ def many_races(count):
     pairs = np.sort(np.array([rng.permutation(6)[:2] for _ in range(1000)]), axis=1)[np.arange(count) % 1000].T
     return replace(
         one,
-        agents=one.agents._replace(words=tuple("abcdef"), index=pairs),
-        track=one.track._replace(index=np.zeros(count, np.int64)),
-        preset=one.preset._replace(index=np.zeros(count, np.int64)),
-        seed=one.seed._replace(index=np.zeros(count, np.int64)),
-        moves=one.moves._replace(index=np.zeros((2, count), np.int64)),
+        agents=one.agents._replace(words=tuple("abcdef"), places=pairs),
+        track=one.track._replace(places=np.zeros(count, np.int64)),
+        preset=one.preset._replace(places=np.zeros(count, np.int64)),
+        seed=one.seed._replace(places=np.zeros(count, np.int64)),
+        moves=one.moves._replace(places=np.zeros((2, count), np.int64)),
         lead=rng.normal(0.0, 20.0, count),
         start_s=rng.uniform(0, 100, count),
         duration=np.full(count, 40.0),
