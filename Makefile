@@ -36,12 +36,14 @@ lint: $(VENV)/test.stamp
 types: $(VENV)/test.stamp
 	$(RUN) -m mypy
 
-# Lines of compiled functions leave no trace: a part of the tests runs once more as plain Python.
+# Lines of compiled functions leave no trace: a part of the tests runs once more as plain Python, where numpy warns of
+# integers that overflow on purpose.
 coverage: $(VENV)/test.stamp
 	$(PIP) pytest-cov
 	$(VENV)/bin/pcs-racing tournament --track Pipkin --agents random-moves lane-switcher --races 2
-	$(RUN) -m pytest -n 2 --dist worksteal --cov --cov-report=
-	NUMBA_DISABLE_JIT=1 $(RUN) -m pytest -p no:xdist tests/interpreted --cov --cov-append --cov-report=
+	$(RUN) -m pytest -n 2 --dist worksteal --cov --cov-report= --cov-fail-under=0
+	NUMBA_DISABLE_JIT=1 $(RUN) -m pytest -p no:xdist -W ignore::RuntimeWarning tests/interpreted --cov --cov-append \
+		--cov-report= --cov-fail-under=0
 	$(RUN) -m coverage report
 
 fuzz: $(VENV)/test.stamp

@@ -32,9 +32,24 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from fuzz_mutations import mutations
+PLAIN = (
+    "yaml", "fuzz_mutations", "fuzz_targets", *(f"pcs_racing.{name}" for name in (
+        "reading", "map_files", "maps", "packing", "replay", "registry", "race_config", "archive", "files", "errors",
+    )), *(f"pcs_racing_agents.{name}" for name in (
+        "configuration", "chunk_files", "job_folders", "strategies.fits", "ppo.curves", "study.cell_races",
+    )),
+)  # fmt: skip
+"""Modules that atheris instruments: those without compiled functions."""
 
-from pcs_racing.errors import InputError
+if sys.argv[1:2] == ["atheris"]:  # modules are instrumented when they are first imported
+    import atheris
+
+    with atheris.instrument_imports(include=list(PLAIN)):
+        import fuzz_targets  # noqa: F401
+
+from fuzz_mutations import mutations  # noqa: E402
+
+from pcs_racing.errors import InputError  # noqa: E402
 
 SLICE = 20.0  # seconds of processor that a target gets in a turn
 SLOW = 2.0  # seconds
@@ -211,17 +226,10 @@ def campaign(targets: list[str], engine: str, seed: int, minutes: float, slice_s
 
 
 def atheris_campaign(target: str, runs: int, out: Path) -> None:
-    """Fuzz one target guided by coverage; compiled functions can't be instrumented, so only plain modules are."""
+    """Fuzz one target guided by coverage."""
     import atheris
+    from fuzz_targets import TARGETS
 
-    plain = ("reading", "map_files", "maps", "packing", "replay", "registry", "race_config", "archive", "files")
-    agents = ("configuration", "chunk_files", "job_folders", "strategies.fits", "ppo.curves", "study.cell_races")
-    with atheris.instrument_imports(
-        include=["yaml", *(f"pcs_racing.{name}" for name in plain), *(f"pcs_racing_agents.{name}" for name in agents)]
-    ):
-        import yaml  # noqa: F401
-
-        from fuzz_targets import TARGETS
     one = TARGETS[target]
     corpus = out / "corpus" / hashlib.sha256(target.encode()).hexdigest()[:8]
     corpus.mkdir(parents=True, exist_ok=True)
