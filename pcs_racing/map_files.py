@@ -219,6 +219,8 @@ def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
 def _opened(cells: Grid) -> Grid:
     """Morphological opening: the union of all squares of 3 x 3 cells that lie in a region."""
     height, width = cells.shape
+    if min(height, width) < 3:
+        return np.zeros_like(cells)
     offsets = [(slice(i, height - 2 + i), slice(j, width - 2 + j)) for i in range(3) for j in range(3)]
     core = np.ones((height - 2, width - 2), dtype=np.bool_)
     for offset in offsets:

@@ -1,13 +1,18 @@
 """Inputs that fuzzing found (`tools/fuzz.py`), small; each ended in another error than ours once."""
 
+import io
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track
 from pcs_racing.characteristics import get_characteristics
 from pcs_racing.envs.drive import checked_seed
 from pcs_racing.envs.drive_batch import DriveOptions
+from pcs_racing.map_files import parse_grid
 from pcs_racing_agents.approximator import load_network
 from pcs_racing_agents.ppo.settings import load_ppo_settings
 from pcs_racing_agents.strategies.fits import Fit, load_fit
@@ -144,3 +149,10 @@ def test_a_tree_too_large_to_be_one():
         arrays |= {f"{name}_{k}": arrays[f"{name}_0"] for name in ("leads", "estimates", "over")}
     with pytest.raises(InputError, match="leaves"):
         tree_from_arrays(arrays, 12, "it")
+
+
+def test_a_picture_of_one_row():
+    file = io.BytesIO()
+    Image.fromarray(np.array([[0, 150, 255]], np.uint8)).save(file, "PNG")
+    grid = parse_grid(Path("x.png"), file.getvalue(), {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25})
+    assert grid.tolist() == [[True, False, False]]
