@@ -460,7 +460,7 @@ class PolicyArchive:
         if hashlib.sha256(content).hexdigest() != manifest["arrays_sha256"]:
             raise InputError(f"{file} is not the file that {folder / 'manifest.yaml'} describes: its digest differs")
         try:
-            arrays = unpack_arrays(content)
+            arrays: dict[str, Any] = unpack_arrays(content)
         except InputError as error:
             raise InputError(f"{file} is no archive: {error}") from None
         if set(arrays) - set(_EXTRA_ARRAYS) != set(_ARRAYS):

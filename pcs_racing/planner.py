@@ -145,7 +145,7 @@ _CONTROL_SIGNATURE = types.void(_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MAT
 def _pointer(function: Callable[..., None], signature: types.Type) -> Any:
     """Compile a planner's function behind the one signature that the race kernel calls."""
     python = getattr(function, "py_func", function)
-    if config.DISABLE_JIT:  # then the kernel that calls it is an ordinary function, too
+    if getattr(config, "DISABLE_JIT", 0):  # then the kernel that calls it is an ordinary function, too
         return python
     compile_pointer: Any = cfunc
     options: dict[str, Any] = {"cache": True, "error_model": "numpy"}
