@@ -17,6 +17,8 @@ __all__ = ["FromNetwork", "OverBlind", "fitting_network", "network_facts"]
 
 Floats = NDArray[np.float64]
 
+_DETAILS = ("setting_", "test_", "validation_", "training_")
+
 
 @dataclass(frozen=True, eq=False)
 class FromNetwork:
@@ -128,7 +130,9 @@ def network_facts(network: RegretNetwork) -> dict[str, str]:
     """What reports say of an agent's network."""
     from pcs_racing_agents.chunk_files import fingerprint
 
-    trained = ", ".join(f"{key} {value}" for key, value in network.training.items())
+    # The manifest has all of it; these are the figures that say how much there was to learn from.
+    told = {key: value for key, value in network.training.items() if not key.startswith(_DETAILS)}
+    trained = ", ".join(f"{key} {value}" for key, value in told.items())
     return {
         "network": f"{network.name}: {network.target}, preset {network.identity.preset}",
         "trained on": trained or "not said",
