@@ -72,7 +72,7 @@ def train_ppo(
     name: str | None = None,
     progress: Progress | None = None,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
-    archive: PolicyArchive | None = None,
+    policies: PolicyArchive | None = None,
     rules: GameConfig | None = None,
     **changes: Any,
 ) -> Trained:
@@ -91,8 +91,9 @@ def train_ppo(
         Called after every update as ``progress(steps, of all seeds, what)``.
     checkpoint_seconds : float
         Time between two checkpoints; it has no influence on the result.
-    archive : PolicyArchive, optional
-        Of the game, in place of the one that the settings of a duel name: one that has just been made, for instance.
+    policies : PolicyArchive, optional
+        Archive of the game, in place of the one that the settings of a duel name: one that has just been made, for
+        instance.
     rules : GameConfig, optional
         Of the game, in place of the race and the size of moves that the settings of a duel name.
     **changes
@@ -113,13 +114,13 @@ def train_ppo(
     """
     settings = load_ppo_settings(config, **changes)
     if isinstance(settings, DuelSettings):  # what is written of them is what they were
-        if archive is not None:
-            settings = replace(settings, archive=archive.name)
+        if policies is not None:
+            settings = replace(settings, archive=policies.name)
         if rules is not None:
             epsilon = rules.epsilon if isinstance(rules.epsilon, float) else settings.epsilon
             settings = replace(settings, race=rules.race.name, epsilon=epsilon)
     check_packages()
-    level = make_level(settings, archive=archive, rules=rules)
+    level = make_level(settings, archive=policies, rules=rules)
     identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **level.identity}
     with open_job(folder, "ppo", identity) as job, own_randomness():
         runs = []

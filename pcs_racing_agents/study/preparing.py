@@ -157,7 +157,7 @@ def train_ppo_baseline(study: Study) -> None:
         study.folder / "ppo" / "training",
         name="ppo",
         progress=study.progress("steps (ppo)"),
-        archive=study.archive,
+        policies=study.archive,
         rules=config.game,
         seeds=tuple((config.seed + seed) % PPO_SEEDS for seed in settings.seeds),
     )

@@ -7,16 +7,26 @@ from pcs_racing.errors import ConfigError, UnknownNameError
 from pcs_racing_agents.configuration import shipped_configs
 from pcs_racing_agents.ppo.level import make_level
 from pcs_racing_agents.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
+from pcs_racing_agents.study import load_study_config
 
 
 def test_shipped_settings_are_those_of_the_two_levels():
     found = {name: load_ppo_settings(name) for name in shipped_configs("ppo")}
-    assert set(found) == {"drive", "duel-contest", "duel-paper"}
+    assert set(found) == {"drive", "duel-contest", "duel-paper", "study-contest", "study-paper"}
     assert isinstance(found["drive"], DriveSettings)
     assert isinstance(found["duel-contest"], DuelSettings)
     assert found["duel-contest"].archive == "contest"
     assert found["duel-paper"].steps >= 1_000_000
     assert found["drive"].steps >= 2_000_000
+
+
+@pytest.mark.parametrize("name", ["paper", "contest"])
+def test_a_study_trains_its_baseline_as_the_shipped_one_was_trained_but_shorter(name):
+    study, shipped = (load_ppo_settings(f"{kind}-{name}") for kind in ("study", "duel"))
+    lengths = ("steps", "evaluate_every", "evaluation_races", "patience")
+    assert replace(study, **{key: getattr(shipped, key) for key in lengths}) == shipped
+    assert study.steps == 200_000
+    assert load_study_config(name).ppo in (None, f"study-{name}")
 
 
 def test_a_file_changes_what_it_names(tmp_path):
