@@ -41,7 +41,9 @@ the same of one of them.
 - **score**: races won, a tie counting half, mean over six opponents (not over itself), {field}, on two circuits, one
   that somebody learned on and one that nobody did. All drive the same races. With {races:.0f} races a score has a
   standard error of at least {error:.3f};
-- **rating**: Bradley-Terry with ties over the same races, 400 are odds of ten to one, mean 0, with its 95 % interval;
+- **rating**: Bradley-Terry with ties over the same races, 400 are odds of ten to one, mean 0, with its 95 % interval.
+  It leaves out crashes that pay nobody, as all do in the paper's race: who wins or crashes has a high one, so read
+  score and crashes beside it;
 - **crash**: share of its races that ended in a crash that it is to blame for;
 - **cost**: microseconds of processor time of a decision, for one observation and for each of 1,000 at once, on a shared
   2-core machine that had other work at the time. A driver decides by planning ten times a second: a plan with 0.1 s of
