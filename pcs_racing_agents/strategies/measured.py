@@ -9,7 +9,7 @@ import io
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -90,14 +90,14 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
     try:
         with open(path, newline="", encoding="utf-8") as file:
             for row in csv.DictReader(file):
-                texts = {name: row[name] for name in _TEXTS}
-                numbers = {name: float(row[name]) if row[name] else np.nan for name in _NUMBERS}
+                values: dict[str, Any] = {name: row[name] for name in _TEXTS}
+                values |= {name: float(row[name]) if row[name] else np.nan for name in _NUMBERS}
                 scores = {
                     name.removeprefix(AGAINST): float(value)
                     for name, value in row.items()
                     if name.startswith(AGAINST) and value
                 }
-                one = Measured(**texts, **numbers, against=scores)
+                one = Measured(**values, against=scores)
                 found[one.archive, one.race, one.agent] = one
     except (KeyError, ValueError, TypeError) as error:
         raise InputError(f"{path} is damaged ({error}); python benchmarks/zoo.py --write makes it again") from None
