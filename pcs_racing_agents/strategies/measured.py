@@ -91,7 +91,7 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
         with open(path, newline="", encoding="utf-8") as file:
             for row in csv.DictReader(file):
                 values: dict[str, Any] = {name: row[name] for name in _TEXTS}
-                values |= {name: float(row[name]) if row[name] else np.nan for name in _NUMBERS}
+                values.update({name: float(row[name]) if row[name] else np.nan for name in _NUMBERS})
                 scores = {
                     name.removeprefix(AGAINST): float(value)
                     for name, value in row.items()
