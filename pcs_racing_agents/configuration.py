@@ -17,7 +17,10 @@ T = TypeVar("T")
 def shipped_configs(kind: str) -> dict[str, Path]:
     """Configurations that come with the package, by name: the files ``configs/KIND_NAME.yaml``."""
     folder = Path(__file__).resolve().parent / "configs"
-    return {file.stem.removeprefix(f"{kind}_"): file for file in sorted(folder.glob(f"{kind}_*.yaml"))}
+    return {
+        file.stem.removeprefix(f"{kind}_"): file
+        for file in sorted(folder.glob(f"{kind}_*.yaml"), key=lambda file: file.stem)
+    }
 
 
 def load_settings(kind: str, default: T, source: Any = None, **changes: Any) -> T:
