@@ -32,7 +32,7 @@ from pcs_racing_agents.tournament.rows import RaceRow, race_rows
 from pcs_racing_agents.tournament.runner import Pairing, play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
 
-TRACKS = {"paper": ("Tarnfjord", "Saltmere"), "contest": ("Brackwater", "Kestrelheim")}
+TRACKS = {"paper": ("Tarnfjord", "Saltmere"), "contest": ("Pipkin", "Kestrelheim")}
 FIELD = ("never-switch", "random-moves", "best-fixed", "cfr-argmax", "lane-switcher", "random-policy")
 SEED = 8_000_000  # other races than those of any study
 CHECKOUT = Path(__file__).resolve().parents[1]
