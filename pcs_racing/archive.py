@@ -23,7 +23,7 @@ from pcs_racing.characteristics import get_characteristics
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
 from pcs_racing.planner import Planner, Policy
-from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited, unpack_arrays
+from pcs_racing.reading import MAX_YAML, parse_manifest, read_limited, unpack_arrays
 from pcs_racing.registry import get_planner
 
 if TYPE_CHECKING:
@@ -554,18 +554,7 @@ def _read(file: Path, limit: int) -> bytes:
 
 
 def _read_manifest(file: Path) -> dict[str, Any]:
-    content = _read(file, MAX_YAML)
-    try:
-        manifest = plain_yaml(content)
-    except InputError as error:
-        raise InputError(f"{file} is not valid YAML: {error}") from None
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise InputError(f"{file} is no manifest of an archive: format must be {FORMAT!r}")
-    if manifest.get("version") != VERSION:
-        raise InputError(f"{file} has version {manifest.get('version')!r}; this release reads version {VERSION}")
-    if set(manifest) != set(_KEYS):
-        odd = ", ".join(map(str, sorted(map(str, set(manifest) ^ set(_KEYS)))))
-        raise InputError(f"{file}: unknown or missing {odd}; a manifest holds {', '.join(_KEYS)}")
+    manifest = parse_manifest(file, _read(file, MAX_YAML), "an archive", FORMAT, VERSION, _KEYS)
     if not isinstance(manifest["settings"], dict):
         raise InputError(f"{file}: settings is {manifest['settings']!r}; it must be a mapping")
     for key in _NAMES:

@@ -5,8 +5,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pcs_racing.errors import ConfigError, InputError, UnknownNameError
-from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited
+from pcs_racing.errors import ConfigError, UnknownNameError
+from pcs_racing.reading import MAX_YAML, parse_yaml, read_limited
 
 __all__ = ["CONTEST", "PAPER", "PRESETS", "RaceConfig", "load_race_config"]
 
@@ -167,10 +167,7 @@ def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceCon
         content = read_limited(path, MAX_YAML, "a file of race settings")
     except OSError as error:
         raise ConfigError(f"can't read {path}: {error.strerror or error}") from None
-    try:
-        values = plain_yaml(content)
-    except InputError as error:
-        raise ConfigError(f"{path} is not valid YAML: {error}") from None
+    values = parse_yaml(path, content, ConfigError)
     if not isinstance(values, dict):
         raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of race settings")
     values = dict(values)

@@ -9,6 +9,7 @@ import math
 import os
 import stat
 import zipfile
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.errors import InputError
 
-__all__ = ["MAX_YAML", "plain_yaml", "read_limited", "unpack_arrays"]
+__all__ = ["MAX_YAML", "parse_manifest", "parse_yaml", "plain_yaml", "read_limited", "unpack_arrays"]
 
 MAX_YAML = 200_000
 """Bytes of a YAML file that people write; more would take seconds to parse."""
@@ -87,6 +88,54 @@ def plain_yaml(data: bytes | str) -> Any:
         raise InputError("it is nested too deeply") from None
     except Exception as error:  # values that only look like dates and numbers fail in a dozen ways
         raise InputError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+
+
+def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputError] = InputError) -> Any:
+    """Return what the content of a YAML file holds, as :func:`plain_yaml` does; the error names the file.
+
+    Raises
+    ------
+    InputError
+        Of the kind ``error``.
+    """
+    try:
+        return plain_yaml(content)
+    except InputError as problem:
+        raise error(f"{file} is not valid YAML: {problem}") from None
+
+
+def parse_manifest(
+    file: str | os.PathLike[str], content: bytes, what: str, form: str, version: int, keys: Collection[str]
+) -> dict[str, Any]:
+    """Return the manifest of an archive, a network or the like: a mapping with the keys that it must have.
+
+    Parameters
+    ----------
+    file : path
+        For messages.
+    content : bytes
+        Of the file.
+    what : str
+        What it is the manifest of: "an archive".
+    form, version : str, int
+        What its ``format`` and ``version`` must be.
+    keys : collection of str
+        All its keys.
+
+    Raises
+    ------
+    InputError
+        If it is something else. What the other keys hold is not looked at.
+    """
+    manifest = parse_yaml(file, content)
+    if not isinstance(manifest, dict) or manifest.get("format") != form:
+        raise InputError(f"{file} is no manifest of {what}: format must be {form!r}")
+    if manifest.get("version") != version:
+        raise InputError(f"{file} has version {manifest.get('version')!r}; this release reads version {version}")
+    if set(manifest) != set(keys):
+        odd = ", ".join(sorted(map(str, set(manifest) ^ set(keys))))
+        raise InputError(f"{file}: unknown or missing {odd}; a manifest holds {', '.join(keys)}")
+    return manifest
 
 
 def _size(node: yaml.Node, known: dict[int, float], depth: int) -> float:

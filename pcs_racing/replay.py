@@ -31,7 +31,16 @@ from pcs_racing.packing import (
 )
 from pcs_racing.reading import read_limited
 
-__all__ = ["Replay", "ReplayEvent", "read_replay", "replay_page", "save_replay", "write_html"]
+__all__ = [
+    "Replay",
+    "ReplayEvent",
+    "plain_parts",
+    "read_replay",
+    "replay_page",
+    "safe_json",
+    "save_replay",
+    "write_html",
+]
 
 FORMAT = "pcs-racing replay 1"
 
@@ -247,7 +256,7 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
         return write_html(replay, path)
     if path.suffix != ".json":
         raise InputError(f"a replay is saved as .html or .json, got {path.name!r}")
-    write_atomically(path, lambda file: file.write(_to_json(replay).encode()))
+    write_atomically(path, lambda file: file.write(safe_json(_to_values(replay)).encode()))
     return path
 
 
@@ -281,7 +290,7 @@ def write_html(replay: Replay, path: str | os.PathLike[str]) -> Path:
 def replay_page(replay: Replay) -> str:
     """Return the page that :func:`write_html` writes, to be put into another one."""
     template = files("pcs_racing").joinpath("replay.html").read_text(encoding="utf-8")
-    parts = {"<!--title-->": html.escape(replay.title), "<!--replay-->": _to_json(replay)}
+    parts = {"<!--title-->": html.escape(replay.title), "<!--replay-->": safe_json(_to_values(replay))}
     # In one pass: a title that spells a placeholder is not one.
     return re.sub("|".join(parts), lambda match: parts[match.group()], template)
 
@@ -326,15 +335,15 @@ def read_replay(path: str | os.PathLike[str]) -> Replay:
 # Writing and reading JSON
 
 
-def _to_json(replay: Replay) -> str:
-    """JSON that may stand in a script element: without ``<``, ``>`` and ``&``, all ASCII."""
-    text = json.dumps(_to_values(replay), separators=(",", ":"), allow_nan=False)
+def safe_json(values: Any) -> str:
+    """Return JSON that may stand in a script element: without ``<``, ``>`` and ``&``, all ASCII."""
+    text = json.dumps(values, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _to_values(replay: Replay) -> dict[str, Any]:
-    """Plain values; optional parts that are absent are left out."""
-    values: dict[str, Any] = {
+def plain_parts(replay: Replay) -> dict[str, Any]:
+    """Return what a replay holds besides its arrays, as plain values."""
+    return {
         "format": FORMAT,
         "title": replay.title,
         "track_name": replay.track_name,
@@ -344,6 +353,13 @@ def _to_values(replay: Replay) -> dict[str, Any]:
         "plan_dt": replay.plan_dt,
         "half_sizes": np.asarray(replay.half_sizes).tolist(),
         "events": [[round(event.time, 3), event.car, event.kind, event.text] for event in replay.events],
+    }
+
+
+def _to_values(replay: Replay) -> dict[str, Any]:
+    """Plain values; optional parts that are absent are left out."""
+    values: dict[str, Any] = {
+        **plain_parts(replay),
         "walls": pack_segments(replay.walls),
         "line": pack(replay.line, FINE, [0, 0]),
         "cars": pack(replay.cars, FINE, [0, 0]),

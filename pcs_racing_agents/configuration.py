@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pcs_racing.errors import ConfigError, InputError, UnknownNameError
-from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited
+from pcs_racing.reading import MAX_YAML, parse_yaml, read_limited
 
 __all__ = ["check_numbers", "check_wholes", "load_settings", "plain_settings", "shipped_configs"]
 
@@ -72,10 +72,7 @@ def read_mapping(path: Path) -> dict[Any, Any]:
         raise ConfigError(f"can't read {path}: {error.strerror}") from None
     except InputError as error:
         raise ConfigError(str(error)) from None
-    try:
-        values = plain_yaml(content)
-    except InputError as error:
-        raise ConfigError(f"{path} is not valid YAML: {error}") from None
+    values = parse_yaml(path, content, ConfigError)
     if not isinstance(values, dict):
         raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of settings")
     return values

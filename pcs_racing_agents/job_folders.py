@@ -17,7 +17,7 @@ from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing.reading import plain_yaml, read_limited
 
-__all__ = ["GO_ON", "JobError", "claim_folder", "clear_half_written", "hold_folder", "package_version"]
+__all__ = ["GO_ON", "JobError", "claim_folder", "clear_half_written", "hold_folder", "package_version", "read_job"]
 
 FORMAT = "pcs-racing job"
 VERSION = 1
@@ -105,6 +105,19 @@ def clear_half_written(folder: Path) -> None:
             file.unlink(missing_ok=True)
 
 
+def read_job(file: Path) -> Any:
+    """Return what the manifest of a job holds, whatever that is.
+
+    Raises
+    ------
+    InputError
+        If it is too large or no YAML; the message does not always name the file.
+    OSError
+        If it can't be read.
+    """
+    return plain_yaml(read_limited(file, _MAX_BYTES, "a manifest of a job"))
+
+
 def package_version() -> str:
     """Version of the installed package; ``"0"`` in a checkout that is not installed."""
     try:
@@ -126,7 +139,7 @@ def _check_same(folder: Path, manifest: Mapping[str, Any]) -> bool:
             raise InputError(f"{folder} holds {others[0]} but no job.yaml; choose a new or an empty folder")
         return False
     try:
-        found = plain_yaml(read_limited(file, _MAX_BYTES, "a manifest of a job"))
+        found = read_job(file)
     except InputError:
         found = None
     if not isinstance(found, dict) or found.get("format") != FORMAT:

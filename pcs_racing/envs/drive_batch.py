@@ -22,7 +22,7 @@ from pcs_racing.registry import parse_policy
 from pcs_racing.track import Track, load_track
 from pcs_racing.vehicle import F1TENTH
 
-__all__ = ["EXTERNAL", "DriveBatch", "DriveOptions", "Element", "Opponent", "drive_elements"]
+__all__ = ["EXTERNAL", "DriveBatch", "DriveOptions", "Element", "Opponent", "check_batch", "drive_elements"]
 
 EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND_SLOTS)
 """The planner of a car that is driven from outside: its memory holds the target steering angle and speed."""
@@ -179,6 +179,21 @@ def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Non
     return function.compile(tuple(function.typeof_pyval(argument) for argument in arguments))
 
 
+def check_batch(races: int, threads: int | None) -> None:
+    """Check how many environments a batch is to have, and on how many threads.
+
+    Raises
+    ------
+    InputError
+        If there are none or too many.
+    """
+    whole = isinstance(races, int | np.integer) and not isinstance(races, bool)
+    if not whole or not 1 <= races <= MOST_RACES:
+        raise InputError(f"num_envs is {races!r}; it must be a whole number from 1 to {MOST_RACES}")
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+        raise InputError(f"threads is {threads!r}; it must be a whole number from 1, or None")
+
+
 class DriveBatch:
     """A number of races side by side; car 0 of each is driven from outside, car 1 by a policy.
 
@@ -198,11 +213,7 @@ class DriveBatch:
     """
 
     def __init__(self, races: int, options: DriveOptions, *, threads: int | None = None) -> None:
-        whole = isinstance(races, int | np.integer) and not isinstance(races, bool)
-        if not whole or not 1 <= races <= MOST_RACES:
-            raise InputError(f"num_envs is {races!r}; it must be a whole number from 1 to {MOST_RACES}")
-        if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
-            raise InputError(f"threads is {threads!r}; it must be a whole number from 1, or None")
+        check_batch(races, threads)
         self.races, self.options = int(races), options
         self.track = options.track if isinstance(options.track, Track) else load_track(options.track)
         changes: dict[str, Any] = {"start_lines": options.start_lines}

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.archive import PolicyArchive, load_archive
+from pcs_racing.envs.drive_batch import check_batch
 from pcs_racing.envs.opponents import NEVER_SWITCH, Opponent, choose, parse_opponents
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame, make_game, with_opponent
@@ -22,7 +23,6 @@ from pcs_racing.track import Track
 __all__ = ["DuelBatch"]
 
 CRASHES = np.array(["", "wall", "car"])
-MOST_GAMES = 100_000
 
 
 class DuelBatch:
@@ -62,11 +62,7 @@ class DuelBatch:
         threads: int | None = None,
         **settings: Any,
     ) -> None:
-        whole = isinstance(games, int | np.integer) and not isinstance(games, bool)
-        if not whole or not 1 <= games <= MOST_GAMES:
-            raise InputError(f"num_envs is {games!r}; it must be a whole number from 1 to {MOST_GAMES}")
-        if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
-            raise InputError(f"threads is {threads!r}; it must be a whole number from 1, or None")
+        check_batch(games, threads)
         self.games = int(games)
         game = make_game(track, load_archive(archive), race, threads=threads, **settings)
         self.opponents = [] if opponent is None else parse_opponents(opponent, game.move_names)

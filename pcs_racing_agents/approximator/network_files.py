@@ -13,7 +13,7 @@ from safetensors.numpy import save as save_tensors
 
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
-from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited
+from pcs_racing.reading import MAX_YAML, parse_manifest, read_limited
 from pcs_racing_agents.approximator.identity import GameIdentity
 from pcs_racing_agents.approximator.network import MOST_LAYERS, RegretNetwork
 
@@ -153,18 +153,7 @@ def _read(file: Path, limit: int) -> bytes:
 
 
 def _read_manifest(file: Path) -> dict[str, Any]:
-    content = _read(file, MAX_YAML)
-    try:
-        manifest = plain_yaml(content)
-    except InputError as error:
-        raise InputError(f"{file} is not valid YAML: {error}") from None
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise InputError(f"{file} is no manifest of a network: format must be {FORMAT!r}")
-    if manifest.get("version") != VERSION:
-        raise InputError(f"{file} has version {manifest.get('version')!r}; this release reads version {VERSION}")
-    if set(manifest) != set(_KEYS):
-        odd = ", ".join(sorted(map(str, set(manifest) ^ set(_KEYS))))
-        raise InputError(f"{file}: unknown or missing {odd}; a manifest holds {', '.join(_KEYS)}")
+    manifest = parse_manifest(file, _read(file, MAX_YAML), "a network", FORMAT, VERSION, _KEYS)
     kinds: dict[str, tuple[Any, Any, str]] = {
         **dict.fromkeys(("name", "target", "archive", "archive_sha256", "preset"), (str, None, "a text")),
         "clipped": (bool, None, "true or false"),

@@ -7,6 +7,7 @@ told apart by its digest, and a race that comes out otherwise by its lead.
 import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,8 +20,8 @@ from pcs_racing.game import RaceGame
 from pcs_racing.game_config import GameConfig
 from pcs_racing.race import Starts
 from pcs_racing.race_config import RaceConfig
-from pcs_racing.reading import plain_yaml, read_limited
 from pcs_racing.track import load_track
+from pcs_racing_agents.job_folders import read_job
 from pcs_racing_agents.strategies.agent import Competitor, competitor_hash
 from pcs_racing_agents.strategies.setting import make_setting
 from pcs_racing_agents.strategies.zoo import parse_agent
@@ -35,7 +36,6 @@ __all__ = ["Contest", "Results", "open_results", "planned_contest"]
 
 MANIFEST = "job.yaml"
 CELL = ("track", "ego", "opponent", "seed")
-LARGEST_MANIFEST = 10_000_000
 
 
 class Contest(NamedTuple):
@@ -94,6 +94,14 @@ class Results:
             raise InputError(f"there is no race {number} in {self.folder}; it holds races 0 to {len(self.rows) - 1}")
         return self.rows[number]
 
+    @cached_property
+    def cells(self) -> dict[tuple[str, ...], list[dict[str, str]]]:
+        """Lines by the pair, track and seed that they belong to, in the order of the file."""
+        found: dict[tuple[str, ...], list[dict[str, str]]] = {}
+        for row in self.rows:
+            found.setdefault(tuple(row[key] for key in CELL), []).append(row)
+        return found
+
     def contest(self, row: Mapping[str, str]) -> Contest:
         """Return all races of the pair, on the track and of the seed of a line; its ``race`` is its number in them.
 
@@ -119,8 +127,8 @@ class Results:
         InputError
             If it did not race here, or as :meth:`contest`.
         """
-        firsts = {tuple(row[key] for key in CELL): row for row in reversed(self.rows)}
-        found = [row for row in reversed(firsts.values()) if agent in (row["ego"], row["opponent"])]
+        firsts = [lines[0] for lines in self.cells.values()]
+        found = [row for row in firsts if agent in (row["ego"], row["opponent"])]
         if not found:
             names = sorted({row[car] for row in self.rows for car in ("ego", "opponent")})
             raise InputError(f"{agent!r} did not race in {self.folder}; there are {', '.join(names)}")
@@ -131,7 +139,7 @@ class Results:
 
     def _of_study(self, study: Study, row: Mapping[str, str]) -> Contest:
         """Cells have variants and lines of their own, which all their lines together tell."""
-        cell = [line for line in self.rows if all(line[key] == row[key] for key in CELL)]
+        cell = self.cells[tuple(row[key] for key in CELL)]
         variants = [sorted({int(line[key]) for line in cell}) for key in ("ego_variant", "opponent_variant")]
         lines = len(cell) // max(1, 2 * len(variants[0]) * len(variants[1]))
         game, cars = study.game(row["track"]), (study.agent(row["ego"]), study.agent(row["opponent"]))
@@ -219,7 +227,7 @@ def _manifest(folder: Path) -> dict[str, Any] | None:
     """Return what a job's folder says about itself; None where there is no job."""
     file = folder / MANIFEST
     try:
-        found = plain_yaml(read_limited(file, LARGEST_MANIFEST, "a manifest of a job"))
+        found = read_job(file)
     except FileNotFoundError:
         return None
     except (OSError, InputError) as error:

@@ -24,7 +24,7 @@ from pcs_racing.compilation import compiled
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
 from pcs_racing.planner import COMMAND_SLOTS, STEER_MAX, TIME, Parameter, Planner
-from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited
+from pcs_racing.reading import MAX_YAML, parse_manifest, read_limited
 from pcs_racing_agents.approximator.network_files import shipped_folder
 from pcs_racing_agents.planners.network import (
     INPUTS,
@@ -286,18 +286,7 @@ def _read(file: Path, limit: int) -> bytes:
 
 
 def _read_manifest(file: Path) -> dict[str, Any]:
-    content = _read(file, MAX_YAML)
-    try:
-        manifest = plain_yaml(content)
-    except InputError as error:
-        raise InputError(f"{file} is not valid YAML: {error}") from None
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise InputError(f"{file} is no manifest of a driver: format must be {FORMAT!r}")
-    if manifest.get("version") != VERSION:
-        raise InputError(f"{file} has version {manifest.get('version')!r}; this release reads version {VERSION}")
-    if set(manifest) != set(_KEYS):
-        odd = ", ".join(sorted(map(str, set(manifest) ^ set(_KEYS))))
-        raise InputError(f"{file}: unknown or missing {odd}; a manifest holds {', '.join(_KEYS)}")
+    manifest = parse_manifest(file, _read(file, MAX_YAML), "a driver", FORMAT, VERSION, _KEYS)
     if manifest["inputs"] != list(INPUTS) or manifest["top_speed"] != TOP_SPEED:
         raise InputError(f"{file}: the driver was made for other inputs or another top speed than this release has")
     hidden = manifest["hidden"]

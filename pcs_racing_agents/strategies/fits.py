@@ -13,7 +13,7 @@ import yaml
 
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
-from pcs_racing.reading import MAX_YAML, plain_yaml, read_limited
+from pcs_racing.reading import MAX_YAML, parse_yaml, read_limited
 from pcs_racing_agents.strategies.setting import Setting
 
 __all__ = ["Fit", "find_fit", "load_fit", "save_fit", "shipped_fits"]
@@ -126,10 +126,7 @@ def load_fit(path: str | Path) -> Fit:
         content = read_limited(path, MAX_YAML, "a fit")
     except OSError as error:
         raise InputError(f"can't read {path}: {error.strerror}; a fit is a file that save_fit wrote") from None
-    try:
-        values = plain_yaml(content)
-    except InputError as error:
-        raise InputError(f"{path} is not valid YAML: {error}") from None
+    values = parse_yaml(path, content)
     if not isinstance(values, dict) or values.get("format") != FORMAT or values.get("version") != VERSION:
         raise InputError(f"{path} is no fit: format must be {FORMAT!r} and version {VERSION}")
     if set(values) != set(_KEYS):

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.archive import PolicyArchive
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
-from pcs_racing.reading import plain_yaml, read_limited
+from pcs_racing_agents.job_folders import read_job
 from pcs_racing_agents.jobs import Progress, chunk_file, open_job, read_chunk
 from pcs_racing_agents.trees.build import build_tree, check_game
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
@@ -22,7 +22,6 @@ __all__ = ["StoredTrees", "build_trees", "game_settings", "load_trees", "read_se
 
 KIND = "game trees"
 NAME = "tree"
-MAX_MANIFEST = 10_000_000
 MAKE_AGAIN = "run the command that made the folder again, and it is made anew"
 
 
@@ -249,7 +248,7 @@ def read_settings(folder: str | Path, kind: str) -> dict[str, Any]:
     """
     file = Path(folder) / "job.yaml"
     try:
-        manifest = plain_yaml(read_limited(file, MAX_MANIFEST, "a manifest of a job"))
+        manifest = read_job(file)
     except OSError as error:
         raise InputError(f"{folder} holds no {kind}: {file.name}: {error.strerror}") from None
     except InputError:

@@ -16,7 +16,7 @@ from pcs_racing.characteristics import get_characteristics
 from pcs_racing.errors import InputError
 from pcs_racing.packing import COARSE, FINE, pack, pack_paths, pack_segments
 from pcs_racing.race import Starts
-from pcs_racing.replay import FORMAT, Replay
+from pcs_racing.replay import Replay, plain_parts
 from pcs_racing_agents.explaining.contests import Contest, Results
 from pcs_racing_agents.explaining.explain import mark_moves
 from pcs_racing_agents.explaining.pcs_picture import in_units, plane
@@ -166,15 +166,8 @@ def race_values(replay: Replay) -> dict[str, Any]:
     """
     drawn = np.concatenate([replay.cars[..., :5], np.zeros((*replay.cars.shape[:2], 2))], axis=-1)
     values: dict[str, Any] = {
-        "format": FORMAT,
-        "title": replay.title,
-        "track_name": replay.track_name,
-        "car_names": list(replay.car_names),
-        "outcome": replay.outcome,
-        "frame_dt": replay.frame_dt,
+        **plain_parts(replay),
         "plan_dt": PLAN_SKIP * replay.plan_dt,
-        "half_sizes": np.asarray(replay.half_sizes).tolist(),
-        "events": [[round(event.time, 3), event.car, event.kind, event.text] for event in replay.events],
         "cars": pack(drawn, FINE, [0, 0]),
         "progress": pack(replay.progress, COARSE, [0, 0]),
     }

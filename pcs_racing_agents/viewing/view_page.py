@@ -5,7 +5,6 @@ Its parts are ``view.html`` (the list), ``pcs_racing/replay.html`` (the player, 
 """
 
 import html
-import json
 import re
 import shlex
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
+from pcs_racing.replay import safe_json
 from pcs_racing_agents.viewing.race_choice import Pick
 from pcs_racing_agents.viewing.race_columns import RaceColumns, packed_columns
 from pcs_racing_agents.viewing.race_replays import DrivenRace
@@ -105,12 +105,6 @@ def view_page(content: ViewContent) -> str:
     }
     # In one pass: a name that spells a placeholder is not one.
     return re.sub("|".join(map(re.escape, parts)), lambda match: parts[match.group()], list_page)
-
-
-def safe_json(values: Any) -> str:
-    """Return JSON that may stand in a script element: without ``<``, ``>`` and ``&``, all ASCII."""
-    text = json.dumps(values, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 _TEMPLATES = (

@@ -13,8 +13,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from pcs_racing.errors import InputError
+from pcs_racing.replay import safe_json
 from pcs_racing_agents.viewing.race_replays import RaceDriver
-from pcs_racing_agents.viewing.view_page import safe_json
 
 __all__ = ["MOST_KEPT", "RaceService", "make_server"]
 
