@@ -1,9 +1,11 @@
 """Many matches as tasks: anywhere (:mod:`pcs_racing_agents.jobs`), resumable, and with the same result everywhere."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,11 +19,11 @@ from pcs_racing.game_config import GameConfig
 from pcs_racing.race import Starts
 from pcs_racing.track import Track, load_track
 from pcs_racing_agents.chunk_files import fingerprint
-from pcs_racing_agents.jobs import Job, Progress
+from pcs_racing_agents.jobs import Arrays, Job, Progress
 from pcs_racing_agents.strategies.agent import Competitor, competitor_hash
-from pcs_racing_agents.tournament.matches import Matches, play_games
+from pcs_racing_agents.tournament.matches import Matches, join_matches, play_games
 
-__all__ = ["Pairing", "play_pairings"]
+__all__ = ["Pairing", "each_pairing", "play_pairings"]
 
 BLOCK = 400  # games of one task: one to two seconds of work
 
@@ -95,6 +97,23 @@ def play_pairings(
     list of Matches
         In the order of the pairings; without what was seen (``seen`` has no columns).
     """
+    return list(each_pairing(pairings, archive, config, name=name, job=job, executor=executor, progress=progress))
+
+
+def each_pairing(
+    pairings: Sequence[Pairing],
+    archive: PolicyArchive,
+    config: GameConfig,
+    *,
+    name: str = "races",
+    job: Job | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Iterator[Matches]:
+    """Play all games of several pairings as :func:`play_pairings`, and yield what came of them pairing by pairing.
+
+    With a job, all of them are played first and then read from its chunks: memory does not grow with the games.
+    """
     tasks, owner = [], []
     for i, pairing in enumerate(pairings):
         for first in range(0, len(pairing.seeds), BLOCK):
@@ -103,18 +122,23 @@ def play_pairings(
             owner.append(i)
     total = sum(len(task.seeds) for task in tasks)
     tell = _count_games(progress, total)
-    if job is not None:
-        found = job.run(_plain_name(name), _play, tasks, executor=executor, progress=tell)
-    else:
-        found = []
-        tell(0, len(tasks), name)
-        for arrays in executor.map(_play, tasks) if executor is not None else map(_play, tasks):
-            found.append(arrays)
-            tell(len(found), len(tasks), name)
-    parts: list[list[Matches]] = [[] for _ in pairings]
-    for i, arrays in zip(owner, found, strict=True):
-        parts[i].append(Matches(**arrays, seen=np.zeros((len(arrays["lead"]), 2, 0), np.float32)))
-    return [Matches._make(np.concatenate(column) for column in zip(*part, strict=True)) for part in parts]
+    found = _from_job(job, name, tasks, executor, tell) if job is not None else _from_here(name, tasks, executor, tell)
+    for _, group in groupby(zip(owner, found, strict=True), key=itemgetter(0)):
+        parts = [Matches(**arrays, seen=np.zeros((len(arrays["lead"]), 2, 0), np.float32)) for _, arrays in group]
+        yield join_matches(parts)
+
+
+def _from_job(job: Job, name: str, tasks: list[_Task], executor: Executor | None, tell: Progress) -> Iterator[Arrays]:
+    part = _plain_name(name)
+    job.run(part, _play, tasks, executor=executor, progress=tell, keep=False)
+    return (job.read(part, index) for index in range(len(tasks)))
+
+
+def _from_here(name: str, tasks: list[_Task], executor: Executor | None, tell: Progress) -> Iterator[Arrays]:
+    tell(0, len(tasks), name)
+    for done, arrays in enumerate(executor.map(_play, tasks) if executor is not None else map(_play, tasks), start=1):
+        tell(done, len(tasks), name)
+        yield arrays
 
 
 def _task(
