@@ -21,8 +21,8 @@ from pcs_racing_agents.strategies.agent import Competitor, as_competitor, compet
 from pcs_racing_agents.strategies.setting import Setting, make_setting
 from pcs_racing_agents.strategies.zoo import parse_agent
 from pcs_racing_agents.tournament.matches import game_between, variant_count
-from pcs_racing_agents.tournament.rows import RaceRow, race_rows
-from pcs_racing_agents.tournament.runner import Pairing, play_pairings
+from pcs_racing_agents.tournament.rows import RaceRow, RaceRows, pair_races
+from pcs_racing_agents.tournament.runner import Pairing, each_pairing
 from pcs_racing_agents.tournament.schedule import Schedule, draw_schedule
 from pcs_racing_agents.tournament.watching import Recording, record_match
 
@@ -83,12 +83,12 @@ class Tournament:
     Attributes
     ----------
     plan : TournamentPlan
-    rows : tuple of RaceRow
-        Every race.
+    rows : sequence of RaceRow
+        Every race; of a tournament that was played here, lines are made when they are asked for.
     """
 
     plan: TournamentPlan
-    rows: tuple[RaceRow, ...]
+    rows: Sequence[RaceRow]
 
 
 def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
@@ -217,14 +217,13 @@ def play_plan(
         for ego, opponent in combinations(plan.competitors, 2):
             variants = schedule.variants(variant_count(game, ego), variant_count(game, opponent))
             pairings.append(Pairing(track, ego, opponent, variants, schedule.starts, schedule.seeds))
-    played = play_pairings(pairings, archive, config, job=job, executor=executor, progress=progress)
-    rows: list[RaceRow] = []
+    races = []
+    played = each_pairing(pairings, archive, config, job=job, executor=executor, progress=progress)
     for pairing, matches in zip(pairings, played, strict=True):
         names = (str(getattr(pairing.ego, "name", "")), str(getattr(pairing.opponent, "name", "")))
-        rows += race_rows(
-            names, pairing.track.name, plan.seed, pairing.starts, pairing.policies, matches, plan.setting.moves
-        )
-    return Tournament(plan, tuple(rows))
+        circuit, starts = pairing.track.name, pairing.starts
+        races.append(pair_races(names, circuit, plan.seed, starts, pairing.policies, matches, plan.setting.moves))
+    return Tournament(plan, RaceRows(races))
 
 
 def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:

@@ -1,7 +1,10 @@
 """One line for every race: what was raced, and what came of it."""
 
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +12,7 @@ from numpy.typing import NDArray
 from pcs_racing.race import Starts
 from pcs_racing_agents.tournament.matches import Matches
 
-__all__ = ["RaceRow", "race_rows"]
+__all__ = ["PairRaces", "RaceRow", "RaceRows", "pair_races", "race_rows"]
 
 CARS = ("ego", "opponent")
 CRASHES = ("", "wall", "car")
@@ -74,7 +77,108 @@ class RaceRow(NamedTuple):
     opponent_moves: tuple[str, ...] = ()
 
 
-def race_rows(
+@dataclass(frozen=True, eq=False)
+class PairRaces:
+    """B races of a pair on a track, of which lines are made when they are asked for; made by :func:`pair_races`.
+
+    Attributes
+    ----------
+    names : tuple of two str
+        Of ego and opponent.
+    track : str
+    seed : int
+    moves : tuple of str
+        Names of the moves.
+    columns : tuple of ndarray
+        What tells a race from the next, each of B rows, in the narrowest types.
+    """
+
+    names: tuple[str, str]
+    track: str
+    seed: int
+    moves: tuple[str, ...]
+    columns: tuple[NDArray[Any], ...]
+
+    def __len__(self) -> int:
+        return len(self.columns[0])
+
+    def rows(self, first: int = 0, last: int | None = None) -> Iterator[RaceRow]:
+        """Lines of the races from number ``first`` to before ``last``, in their order."""
+        lists = zip(*(column[first:last].tolist() for column in self.columns), strict=True)
+        moves = self.moves
+        for race, row in enumerate(lists, start=first):
+            s, side, lead, winner, crash, fault, overtakes, duration, variant, policy, made = row
+            paths = [tuple(index for index in path if index >= 0) for path in policy]
+            words = [tuple(moves[index] for index in path if index >= 0) for path in made]
+            yield RaceRow(
+                ego=self.names[0],
+                opponent=self.names[1],
+                track=self.track,
+                race=race,
+                start_s=s,
+                side=side,
+                seed=self.seed,
+                lead=lead,
+                winner=CARS[winner] if winner >= 0 else "",
+                crash=CRASHES[max(crash)],
+                fault=FAULTS[fault[0] + 2 * fault[1]],
+                ego_overtakes=overtakes[0],
+                opponent_overtakes=overtakes[1],
+                duration=duration,
+                ego_variant=variant[0],
+                opponent_variant=variant[1],
+                ego_path=paths[0],
+                opponent_path=paths[1],
+                ego_moves=words[0],
+                opponent_moves=words[1],
+            )
+
+
+class RaceRows(Sequence[RaceRow]):
+    """The lines of many races, one pair after the other: like a tuple of them, but each is made when it is asked for.
+
+    A race of four moves takes about 70 bytes; as a line it takes ten times as many.
+
+    Parameters
+    ----------
+    pairs : iterable of PairRaces
+    """
+
+    def __init__(self, pairs: Sequence[PairRaces]) -> None:
+        self.pairs = tuple(pairs)
+        self._ends = list(accumulate(map(len, self.pairs)))
+
+    def __len__(self) -> int:
+        return self._ends[-1] if self._ends else 0
+
+    def __iter__(self) -> Iterator[RaceRow]:
+        for pair in self.pairs:
+            yield from pair.rows()
+
+    @overload
+    def __getitem__(self, which: int) -> RaceRow: ...
+    @overload
+    def __getitem__(self, which: slice) -> tuple[RaceRow, ...]: ...
+    def __getitem__(self, which: int | slice) -> RaceRow | tuple[RaceRow, ...]:
+        if isinstance(which, slice):
+            return tuple(self[number] for number in range(len(self))[which])
+        number = range(len(self))[which]
+        place = bisect_right(self._ends, number)
+        race = number - (self._ends[place] - len(self.pairs[place]))
+        return next(self.pairs[place].rows(race, race + 1))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, RaceRows | tuple):
+            return NotImplemented
+        return len(self) == len(other) and all(one == another for one, another in zip(self, other, strict=True))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} races>"
+
+
+def pair_races(
     names: tuple[str, str],
     track: str,
     seed: int,
@@ -82,8 +186,8 @@ def race_rows(
     variants: NDArray[np.int64],
     matches: Matches,
     moves: Sequence[str],
-) -> Iterator[RaceRow]:
-    """Lines of a pair's races, in their order.
+) -> PairRaces:
+    """Return a pair's races, in their order.
 
     Parameters
     ----------
@@ -98,42 +202,37 @@ def race_rows(
     moves : sequence of str
         Names of the moves.
     """
-    columns = [
-        starts.s.tolist(),
-        starts.side.tolist(),
-        matches.lead.tolist(),
-        matches.winner.tolist(),
-        matches.crash.max(axis=1).tolist(),
-        matches.fault.tolist(),
-        matches.overtakes.tolist(),
-        matches.duration.tolist(),
-        variants.tolist(),
-        matches.policy.tolist(),
-        matches.moves.tolist(),
-    ]
-    rows = zip(*columns, strict=True)
-    for race, (s, side, lead, winner, crash, fault, overtakes, duration, variant, policy, made) in enumerate(rows):
-        paths = [tuple(index for index in path if index >= 0) for path in policy]
-        words = [tuple(moves[index] for index in path if index >= 0) for path in made]
-        yield RaceRow(
-            ego=names[0],
-            opponent=names[1],
-            track=track,
-            race=race,
-            start_s=s,
-            side=side,
-            seed=seed,
-            lead=lead,
-            winner=CARS[winner] if winner >= 0 else "",
-            crash=CRASHES[crash],
-            fault=FAULTS[fault[0] + 2 * fault[1]],
-            ego_overtakes=overtakes[0],
-            opponent_overtakes=overtakes[1],
-            duration=duration,
-            ego_variant=variant[0],
-            opponent_variant=variant[1],
-            ego_path=paths[0],
-            opponent_path=paths[1],
-            ego_moves=words[0],
-            opponent_moves=words[1],
-        )
+    columns: tuple[NDArray[Any], ...] = (
+        starts.s,
+        starts.side,
+        matches.lead,
+        matches.winner,
+        matches.crash,
+        matches.fault,
+        matches.overtakes,
+        matches.duration,
+        variants,
+        matches.policy,
+        matches.moves,
+    )
+    return PairRaces(names, track, seed, tuple(moves), tuple(map(_narrow, columns)))
+
+
+def race_rows(
+    names: tuple[str, str],
+    track: str,
+    seed: int,
+    starts: Starts,
+    variants: NDArray[np.int64],
+    matches: Matches,
+    moves: Sequence[str],
+) -> Iterator[RaceRow]:
+    """Lines of a pair's races, in their order; parameters as of :func:`pair_races`."""
+    return pair_races(names, track, seed, starts, variants, matches, moves).rows()
+
+
+def _narrow(values: NDArray[Any]) -> NDArray[Any]:
+    """Whole numbers in the narrowest type that holds them; others as they are."""
+    if values.dtype.kind != "i" or values.size == 0:
+        return values
+    return values.astype(np.promote_types(np.min_scalar_type(values.min()), np.min_scalar_type(-1 - values.max())))

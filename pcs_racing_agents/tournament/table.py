@@ -3,15 +3,17 @@
 import csv
 import io
 import os
+from array import array
 from collections.abc import Iterable
 from functools import lru_cache
 from itertools import compress
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing_agents.tournament.play import Tournament
 from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
@@ -75,28 +77,33 @@ class Standing(NamedTuple):
 def standings(tournament: Tournament) -> list[Standing]:
     """Return the table of a tournament, highest score first."""
     table = []
-    together = sum_up(tournament)
+    together, races = sum_up(tournament), _counted(tournament)
+    clean, tied = ~races.crashed & (races.winner >= 0), ~races.crashed & (races.winner < 0)
     for k, name in enumerate(tournament.plan.names):
-        own = [(row, row.ego == name) for row in tournament.rows if name in (row.ego, row.opponent)]
-        share = 1.0 / len(own)
-        won = [row.winner == ("ego" if ego else "opponent") for row, ego in own]
-        crashed = [row.crash != "" for row, _ in own]
-        blamed = [row.fault in ("ego" if ego else "opponent", "both") for row, ego in own]
-        tied = [not crash and row.winner == "" for (row, _), crash in zip(own, crashed, strict=True)]
-        clean = [win and not crash for win, crash in zip(won, crashed, strict=True)]
+        own = [races.cars[car] == k for car in range(2)]  # the races in which it drove that car
+
+        def count(*where: NDArray[np.bool_], own: list[NDArray[np.bool_]] = own) -> int:
+            """In how many of its races something holds: of its own car, or of the race."""
+            return sum(int(np.count_nonzero(own[car] & where[car % len(where)])) for car in range(2))
+
+        total, won, ties = count(own[0] | own[1]), count(*(races.winner == car for car in range(2))), count(tied)
+        wins = count(*(clean & (races.winner == car) for car in range(2)))
+        crashes, blamed = count(races.crashed), count(*(races.fault >> car & 1 > 0 for car in range(2)))
+        passes = sum(int(races.overtakes[car][own[car]].sum()) for car in range(2))
+        share = 1.0 / total
         rating, low, high = together.rating(name)
         table.append(
             Standing(
                 name=name,
-                races=len(own),
-                score=share * (sum(won) + 0.5 * sum(tied)),
+                races=total,
+                score=share * (won + 0.5 * ties),
                 rating=rating,
-                win=share * sum(clean),
-                tie=share * sum(tied),
-                loss=share * (len(own) - sum(clean) - sum(tied) - sum(crashed)),
-                own_crash=share * sum(blamed),
-                other_crash=share * (sum(crashed) - sum(blamed)),
-                overtakes=share * sum(row.ego_overtakes if ego else row.opponent_overtakes for row, ego in own),
+                win=share * wins,
+                tie=share * ties,
+                loss=share * (total - wins - ties - crashes),
+                own_crash=share * blamed,
+                other_crash=share * (crashes - blamed),
+                overtakes=share * passes,
                 rating_low=low,
                 rating_high=high,
                 equilibrium=np.nan if together.equilibrium is None else float(together.equilibrium[k]),
@@ -106,17 +113,61 @@ def standings(tournament: Tournament) -> list[Standing]:
     return sorted(table, key=lambda standing: -standing.score)
 
 
+class _Counted(NamedTuple):
+    """What the tables count in N races.
+
+    Attributes
+    ----------
+    cars : ndarray, shape (2, N)
+        Places in the plan of the competitors in car 0 and car 1.
+    winner : ndarray, shape (N,)
+        The car that won; -1 where none did.
+    crashed : ndarray, shape (N,)
+    fault : ndarray, shape (N,)
+        Bit ``k`` is set where car ``k`` is to blame.
+    overtakes : ndarray, shape (2, N)
+    line : list of str, length N
+        Labels of the start lines, each kept once.
+    """
+
+    cars: NDArray[np.int64]
+    winner: NDArray[np.int64]
+    crashed: NDArray[np.bool_]
+    fault: NDArray[np.int64]
+    overtakes: NDArray[np.int64]
+    line: list[str]
+
+
+@lru_cache(maxsize=8)
+def _counted(tournament: Tournament) -> _Counted:
+    """Go through the races once: there may be many of them, and each line is made anew."""
+    place = {name: k for k, name in enumerate(tournament.plan.names)}
+    winners, faults = {"ego": 0, "opponent": 1, "": -1}, {"": 0, "ego": 1, "opponent": 2, "both": 3}
+    numbers, line = array("q"), []
+    labels: dict[str, str] = {}
+    for row in tournament.rows:
+        if row.ego not in place or row.opponent not in place:
+            stranger = row.opponent if row.ego in place else row.ego
+            raise InputError(f"{stranger!r} raced, but is not one of {', '.join(place)}")
+        numbers.extend((place[row.ego], place[row.opponent], winners[row.winner], row.crash != "", faults[row.fault]))
+        numbers.extend((row.ego_overtakes, row.opponent_overtakes))
+        label = f"{row.track} {row.race // 2}"  # races 2j and 2j + 1 have the same line
+        line.append(labels.setdefault(label, label))
+    found = np.frombuffer(numbers, np.int64).reshape(-1, 7).T
+    return _Counted(found[:2], found[2], found[3] > 0, found[4], found[5:7], line)
+
+
 @lru_cache(maxsize=8)
 def sum_up(tournament: Tournament) -> RoundRobin:
     """Return scores against each other, ratings, and what the game of choosing an agent says, in the plan's order."""
-    rows = tournament.rows
+    names, races = tournament.plan.names, _counted(tournament)
     return round_robin(
-        tournament.plan.names,
-        [row.ego for row in rows],
-        [row.opponent for row in rows],
-        [row.winner for row in rows],
-        [row.crash != "" for row in rows],
-        [f"{row.track} {row.race // 2}" for row in rows],  # races 2j and 2j + 1 have the same line
+        names,
+        [names[k] for k in races.cars[0].tolist()],
+        [names[k] for k in races.cars[1].tolist()],
+        [("ego", "opponent", "")[k] for k in races.winner.tolist()],
+        races.crashed.tolist(),
+        races.line,
         seed=tournament.plan.seed,
     )
 
@@ -129,9 +180,8 @@ def payoff_matrix(tournament: Tournament) -> NDArray[np.float64]:
 def tournament_text(tournament: Tournament) -> str:
     """Return the table and the payoff matrix for people."""
     table = standings(tournament)
-    crashes = sum(row.crash != "" for row in tournament.rows)
-    passed = sum(row.ego_overtakes + row.opponent_overtakes > 0 for row in tournament.rows)
-    races = len(tournament.rows)
+    races, counted = len(tournament.rows), _counted(tournament)
+    crashes, passed = int(counted.crashed.sum()), int(counted.overtakes.any(axis=0).sum())
     plan = tournament.plan
     head = (
         f"{races} races of {plan.config.duration:g} s, preset {plan.config.name}, on "
@@ -199,11 +249,15 @@ def write_results(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
 
 def write_rows(rows: Iterable[RaceRow], preset: str, path: str | os.PathLike[str]) -> Path:
     """Write races of one preset as CSV; see :func:`write_results`."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("preset", *RaceRow._fields))
-    writer.writerows((preset, *map(_plain, row)) for row in rows)
-    write_atomically(Path(path), lambda file: file.write(text.getvalue().encode()))
+
+    def write(file: IO[bytes]) -> None:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(("preset", *RaceRow._fields))
+        writer.writerows((preset, *map(_plain, row)) for row in rows)
+        text.detach()
+
+    write_atomically(Path(path), write)
     return Path(path)
 
 
