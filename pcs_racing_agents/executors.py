@@ -149,7 +149,7 @@ def _call_packed(file: str, *arguments: Any) -> Any:
     return _unpacked(file)(*arguments)
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)  # of a wave of a few circuits
 def _unpacked(file: str) -> Any:
     return loads(Path(file).read_bytes())
 

@@ -12,10 +12,12 @@ import logging
 import re
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,20 +25,15 @@ import numpy as np
 
 from pcs_racing.errors import InputError
 from pcs_racing_agents.chunk_files import Arrays, fingerprint, read_chunk, write_chunk
-from pcs_racing_agents.executors import (
-    add_executor_options,
-    executor_from,
-    is_lost,
-    make_executor,
-    sent_once,
-    tasks_in_flight,
-)
+from pcs_racing_agents.executors import add_executor_options, executor_from, make_executor
 from pcs_racing_agents.job_folders import GO_ON, JobError, claim_folder, package_version
+from pcs_racing_agents.tasks import Work, completed
 
 __all__ = [
     "Arrays",
     "Job",
     "JobError",
+    "Part",
     "Progress",
     "add_executor_options",
     "chunk_file",
@@ -45,6 +42,7 @@ __all__ = [
     "open_job",
     "package_version",
     "read_chunk",
+    "run_parts",
     "show_line",
     "show_progress",
 ]
@@ -117,35 +115,61 @@ class Job:
         InputError
             If the name is impossible or the function returns something else than arrays.
         """
-        if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
-            raise InputError(f"the name of a part of a job is {name!r}; use small letters, digits, - and _")
-        results: list[Arrays] = [{}] * len(tasks) if keep else []
-        identity = fingerprint(self.kind, self.settings, package_version(), name)
-        marks = [fingerprint(identity, index, task) for index, task in enumerate(tasks)]
-        missing = []
-        for index, mark in enumerate(marks):
-            found = self._found(name, index, mark)
-            if found is None:
-                missing.append(index)
-            elif keep:
-                results[index] = found
-        done = len(tasks) - len(missing)
-        if progress is not None:
-            progress(done, len(tasks), name)
-        for index, value in _completed(function, tasks, missing, executor, name):
-            arrays = _plain_arrays(value, f"task {index} of {name}")
-            path = self.file(name, index)
-            try:
-                path.parent.mkdir(exist_ok=True)
-                write_chunk(path, arrays, marks[index])
-            except OSError as error:
-                raise JobError(f"can't write {path}: {error.strerror}; {GO_ON}") from None
-            if keep:
-                results[index] = arrays
-            done += 1
-            if progress is not None:
-                progress(done, len(tasks), name)
-        return results
+        return run_parts([Part(self, name, function, tasks)], executor=executor, progress=progress, keep=keep)[0]
+
+    def run_chains(
+        self,
+        name: str,
+        function: Callable[[tuple[T, Arrays | None]], Mapping[str, Any]],
+        tasks: Sequence[T],
+        *,
+        executor: Executor | None = None,
+        told: Callable[[int, Arrays], None] | None = None,
+    ) -> list[Arrays]:
+        """Do work of which each piece goes on where the piece before it has stopped; the chains run side by side.
+
+        Parameters
+        ----------
+        name : str
+            As for :meth:`run`; the last state of chain 12 is kept in ``NAME-00012.npz``.
+        function : callable
+            ``function((task, state))`` returns the next state: arrays by name, among them ``finished``. The first piece
+            of a chain gets the state None.
+        tasks : sequence
+            One for each chain.
+        executor : Executor, optional
+            Where the pieces are done. A worker that dies takes at most a piece of each chain with it.
+        told : callable, optional
+            Called as ``told(index, state)`` with the state of every chain that was begun earlier, and after every
+            piece.
+
+        Returns
+        -------
+        list of dict of ndarray
+            The last state of every chain.
+
+        Raises
+        ------
+        JobError, InputError
+            As for :meth:`run`.
+        """
+        marks = self._marks(name, tasks)
+        states = [self._found(name, index, mark) for index, mark in enumerate(marks)]
+        last: list[Arrays] = [{} if state is None else state for state in states]
+        ready: deque[Work[int]] = deque()
+
+        def go_on(index: int, state: Arrays | None) -> None:
+            if state is not None and told is not None:
+                told(index, state)
+            if state is None or not state["finished"]:
+                ready.append(Work(index, function, (tasks[index], state)))
+
+        for index, state in enumerate(states):
+            go_on(index, state)
+        for index, value in completed(lambda: ready.popleft() if ready else None, executor, name):
+            last[index] = self._keep(name, index, value, marks[index])
+            go_on(index, last[index])
+        return last
 
     def read(self, name: str, index: int) -> Arrays:
         """Read a task's result.
@@ -156,6 +180,24 @@ class Job:
             If it is not there, or damaged.
         """
         return read_chunk(self.file(name, index))
+
+    def _marks(self, name: str, tasks: Sequence[Any]) -> list[str]:
+        """Digests of all that the results of tasks depend on."""
+        if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
+            raise InputError(f"the name of a part of a job is {name!r}; use small letters, digits, - and _")
+        identity = fingerprint(self.kind, self.settings, package_version(), name)
+        return [fingerprint(identity, index, task) for index, task in enumerate(tasks)]
+
+    def _keep(self, name: str, index: int, value: Any, mark: str) -> Arrays:
+        """Write what a task returned to its chunk."""
+        arrays = _plain_arrays(value, f"task {index} of {name}")
+        path = self.file(name, index)
+        try:
+            path.parent.mkdir(exist_ok=True)
+            write_chunk(path, arrays, mark)
+        except OSError as error:
+            raise JobError(f"can't write {path}: {error.strerror}; {GO_ON}") from None
+        return arrays
 
     def _found(self, name: str, index: int, mark: str) -> Arrays | None:
         path = self.file(name, index)
@@ -168,45 +210,82 @@ class Job:
             return None
 
 
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Tasks of a job that do not depend on each other; the arguments of :meth:`Job.run` as a value.
+
+    Attributes
+    ----------
+    job : Job
+    name : str
+    function : callable
+    tasks : sequence
+    """
+
+    job: Job
+    name: str
+    function: Callable[[Any], Mapping[str, Any]]
+    tasks: Sequence[Any]
+
+
+def run_parts(
+    parts: Sequence[Part],
+    *,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    keep: bool = True,
+) -> list[list[Arrays]]:
+    """Return the results of several parts of work, of one job or of several, that are done side by side.
+
+    No worker waits at the end of a part for the others: the tasks of the next one follow at once.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    executor, keep
+        As for :meth:`Job.run`.
+    progress : callable, optional
+        Called as ``progress(done, total, name of a part)``, counting the tasks of all parts.
+
+    Returns
+    -------
+    list of list of dict of ndarray
+        For each part what :meth:`Job.run` returns.
+
+    Raises
+    ------
+    JobError, InputError
+        As for :meth:`Job.run`.
+    """
+    results: list[list[Arrays]] = [[{}] * len(part.tasks) if keep else [] for part in parts]
+    marks = [part.job._marks(part.name, part.tasks) for part in parts]
+    missing = []
+    for i, part in enumerate(parts):
+        for index, mark in enumerate(marks[i]):
+            found = part.job._found(part.name, index, mark)
+            if found is None:
+                missing.append(Work((i, index), part.function, part.tasks[index]))
+            elif keep:
+                results[i][index] = found
+    total = sum(len(part.tasks) for part in parts)
+    done = total - len(missing)
+    names = list(dict.fromkeys(part.name for part in parts))
+    if progress is not None:
+        progress(done, total, names[0] if names else "")
+    what = " to ".join(dict.fromkeys((names[0], names[-1]))) if names else ""
+    for (i, index), value in completed(partial(next, iter(missing), None), executor, what):
+        arrays = parts[i].job._keep(parts[i].name, index, value, marks[i][index])
+        if keep:
+            results[i][index] = arrays
+        done += 1
+        if progress is not None:
+            progress(done, total, parts[i].name)
+    return results
+
+
 def chunk_file(folder: str | Path, name: str, index: int) -> Path:
     """Return the path of a task's chunk in a job's folder; :func:`read_chunk` reads it."""
     return Path(folder) / "chunks" / f"{name}-{index:05d}.npz"
-
-
-def _completed(
-    function: Callable[[T], Any], tasks: Sequence[T], which: Sequence[int], executor: Executor | None, name: str
-) -> Iterator[tuple[int, Any]]:
-    """Results of some tasks as they come in, with a bounded number of them under way."""
-    if executor is None:
-        for index in which:
-            yield index, function(tasks[index])
-        return
-    limit = tasks_in_flight(executor)
-    under_way: dict[Future[Any], int] = {}
-    waiting = iter(which)
-    try:
-        with sent_once(function, executor) as submit:
-            while True:
-                while len(under_way) < limit and (following := next(waiting, None)) is not None:
-                    under_way[submit(tasks[following])] = following
-                if not under_way:
-                    return
-                ended = wait(under_way, return_when=FIRST_COMPLETED).done
-                for future in sorted(ended, key=_failed):  # what others have done is kept before a failure ends the run
-                    index = under_way.pop(future)
-                    yield index, future.result()
-    except BaseException as error:
-        if not is_lost(error):
-            raise
-        why = " ".join(str(error).split()) or "its tasks were cancelled"
-        raise JobError(f"{name} was cut short: a worker died or the cluster is gone ({why}); {GO_ON}") from None
-    finally:
-        for future in under_way:
-            future.cancel()
-
-
-def _failed(future: Future[Any]) -> bool:
-    return future.cancelled() or future.exception() is not None
 
 
 def _plain_arrays(value: Any, what: str) -> Arrays:

@@ -1,7 +1,8 @@
 """From folders of trees to a trained network and what it is worth: solve, make rows, train, judge."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from pcs_racing_agents.approximator.targets import get_target, solve_for
 from pcs_racing_agents.approximator.training import Fit, train_network
 from pcs_racing_agents.approximator.tree_rows import PlayedTree, tree_rows
 from pcs_racing_agents.jobs import Progress
+from pcs_racing_agents.tasks import completed, each, in_other_processes, run_one
 
 __all__ = ["Trained", "train_on_trees", "trees_identity"]
 
@@ -62,6 +64,7 @@ def train_on_trees(
     *,
     name: str,
     about: dict[str, str | int | float | bool] | None = None,
+    executor: Executor | None = None,
     solving: Progress | None = None,
     learning: Progress | None = None,
 ) -> Trained:
@@ -81,11 +84,16 @@ def train_on_trees(
         Of the network.
     about : dict, optional
         What else the network should know of its training, texts and numbers by name.
+    executor : Executor, optional
+        Where trees are solved, each as a task, and where the network learns, in another process if there is one. It has
+        no influence on the result.
     solving, learning : callable, optional
-        Called as ``progress(done, total, what)`` after every tree and every epoch.
+        Called as ``progress(done, total, what)`` after every tree and every epoch (in this process).
 
     Raises
     ------
+    JobError
+        If the executor is broken.
     InputError
         If the trees come from too few starting pairs: 2, or 3 with some held out.
     """
@@ -101,33 +109,19 @@ def train_on_trees(
     if settings.test_share > 0.0:
         chosen = draw_pairs(numbers, settings.test_share, np.random.SeedSequence(settings.seed, spawn_key=(3,)))
         held_out = np.isin(numbers, chosen[: different - 2])
-    stay = len(identity.moves) - 1 if identity.moves[-1] == "stay" else None
-    learned: list[Rows] = []
-    judged: list[Rows] = []
-    test: list[int] = []
-    for i, out in enumerate(held_out):
-        race_tree = tree_at(i)
-        if not np.all(race_tree.over[0]):
-            tree = race_tree.game_tree()
-            solution = solve_for(tree, settings.target, iterations=settings.iterations, variant=settings.variant)
-            rows = tree_rows(
-                race_tree,
-                solution,
-                settings.target,
-                opponent=settings.opponent,
-                stay=stay,
-                row_weights=settings.row_weights or "uniform",
-                rows_per_step=settings.rows_per_step,
-                seed=settings.seed,
-            )
-            (judged if out else learned).append(rows)
-            if out:
-                test.append(i)
+    solve = _Solver(settings, len(identity.moves) - 1 if identity.moves[-1] == "stay" else None)
+    rows: list[Rows | None] = [None] * len(held_out)
+    tasks = each(solve, (tree_at(i) for i in range(len(held_out))))
+    for done, (i, found) in enumerate(completed(tasks, executor, "solving trees"), start=1):
+        rows[i] = found
         if solving is not None:
-            solving(i + 1, len(held_out), f"solved for {settings.target}")
-    known = join_rows(learned)
-    clipped = get_target(settings.target).clipped
-    network, fit = train_network(known, identity, settings, name=name, clipped=clipped, progress=learning)
+            solving(done, len(held_out), f"solved for {settings.target}")
+    known = join_rows([part for part, out in zip(rows, held_out, strict=True) if part is not None and not out])
+    judged = [part for part, out in zip(rows, held_out, strict=True) if part is not None and out]
+    test = [i for i, part in enumerate(rows) if part is not None and held_out[i]]
+    elsewhere = in_other_processes(executor)
+    learn = _Learner(known, identity, name, learning if elsewhere is None else None)
+    network, fit = run_one(learn, settings, elsewhere, "learning")
     kept_back = join_rows(judged) if judged else known.take(np.isin(known.pair, fit.validation_pairs))
     scores, trees = score_rows(network, kept_back), {}
     summary = {"trees": len(held_out), "test_trees": len(test), **dict(network.training), **(about or {})}
@@ -137,3 +131,52 @@ def train_on_trees(
         for key, value in zip(TreeScore._fields, trees[name].mean(axis=0), strict=True):
             summary[f"test_{key}"] = float(f"{value:.4g}")
     return Trained(replace(network, training=summary), fit, scores, trees)
+
+
+@dataclass(frozen=True)
+class _Solver:
+    """What makes rows of a tree, here or in another process.
+
+    Attributes
+    ----------
+    settings : TrainSettings
+    stay : int, optional
+        Index of the move "stay", which the trees do not know.
+    """
+
+    settings: TrainSettings
+    stay: int | None
+
+    def __call__(self, race_tree: PlayedTree) -> Rows | None:
+        """Return the rows; None if the race is over before the first move."""
+        if np.all(race_tree.over[0]):
+            return None
+        settings = self.settings
+        tree = race_tree.game_tree()
+        solution = solve_for(tree, settings.target, iterations=settings.iterations, variant=settings.variant)
+        return tree_rows(
+            race_tree,
+            solution,
+            settings.target,
+            opponent=settings.opponent,
+            stay=self.stay,
+            row_weights=settings.row_weights or "uniform",
+            rows_per_step=settings.rows_per_step,
+            seed=settings.seed,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Learner:
+    """What learns from rows, here or in another process; they travel with it, once."""
+
+    rows: Rows
+    identity: GameIdentity
+    name: str
+    progress: Progress | None
+
+    def __call__(self, settings: TrainSettings) -> tuple[RegretNetwork, Fit]:
+        clipped = get_target(settings.target).clipped
+        return train_network(
+            self.rows, self.identity, settings, name=self.name, clipped=clipped, progress=self.progress
+        )

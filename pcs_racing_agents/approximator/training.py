@@ -4,8 +4,6 @@ The same settings and rows give the same network: initial weights and draws come
 settings' seed, torch works in one thread meanwhile, and its own random state is neither read nor changed.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -21,6 +19,7 @@ from pcs_racing_agents.approximator.settings import TrainSettings
 from pcs_racing_agents.approximator.targets import best_moves
 from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.jobs import Progress
+from pcs_racing_agents.torch_alone import torch_alone
 
 __all__ = ["Epoch", "Fit", "fit", "train_network"]
 
@@ -151,7 +150,11 @@ def train_network(
 
 def fit(rows: Rows, settings: TrainSettings, *, clipped: bool = False, progress: Progress | None = None) -> Fit:
     """Fit a network to rows; see :func:`train_network`."""
-    torch = _torch()
+    with torch_alone() as torch:
+        return _fit(torch, rows, settings, clipped, progress)
+
+
+def _fit(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progress: Progress | None) -> Fit:
     held_out, pairs = split_by_pair(rows, settings.validation_share, settings.seed)
     learned, judged = rows.take(~held_out), rows.take(held_out)
     by = scale_rows(learned, settings, clipped)
@@ -195,67 +198,47 @@ def fit(rows: Rows, settings: TrainSettings, *, clipped: bool = False, progress:
             float(share @ (short.max(axis=1) - judged.targets[picked]).astype(np.float64)),
         )
 
-    with _one_thread(torch):
-        sizes = [rows.observations.shape[1], *settings.hidden, rows.targets.shape[1]]
-        layers = []
-        for i, (below, above) in enumerate(pairwise(sizes)):
-            gain = 2.0 if i < len(sizes) - 2 else 1.0  # He et al. 2015; the last layer has no ReLU behind it
-            weight = start.normal(0.0, np.sqrt(gain / below), (above, below)).astype(np.float32)
-            layers += [torch.from_numpy(weight), torch.zeros(above, dtype=torch.float32)]
-        for layer in layers:
-            layer.requires_grad_(True)
-        optimiser = torch.optim.AdamW(layers, lr=settings.learning_rate, weight_decay=settings.weight_decay)
-        learned_tensors, judged_tensors = tensors(learned), tensors(judged)
-        odds = np.cumsum(learned.weights) / learned.weights.sum()
-        count = min(settings.rows_per_epoch, len(learned))
-        epochs, best, since = [judge(0, float("nan"))], 0, 0
-        kept = [layer.detach().clone() for layer in layers]
-        for number in range(1, settings.epochs + 1):
-            drawn = np.minimum(np.searchsorted(odds, draws.random(count), side="right"), len(learned) - 1)
-            total = 0.0
-            for first in range(0, count, settings.batch_size):
-                batch = torch.from_numpy(drawn[first : first + settings.batch_size])
-                each = loss(*(tensor[batch] for tensor in learned_tensors))
-                optimiser.zero_grad()
-                each.mean().backward()
-                optimiser.step()
-                total += float(each.detach().sum())
-            epochs.append(judge(number, total / count))
-            if not np.isfinite(epochs[-1].validation_loss):
-                raise InputError(
-                    f"the loss is {epochs[-1].validation_loss} after epoch {number}; take a learning_rate below "
-                    f"{settings.learning_rate:g}"
-                )
-            since += 1
-            if epochs[-1].validation_loss < epochs[best].validation_loss:
-                best, since = number, 0
-                kept = [layer.detach().clone() for layer in layers]
-            elif since % max(settings.patience // 4, 1) == 0:
-                optimiser.param_groups[0]["lr"] *= 0.5
-            if progress is not None:
-                total_epochs = number if since == settings.patience else settings.epochs
-                progress(number, total_epochs, f"validation loss {epochs[-1].validation_loss:.4f}")
-            if since == settings.patience:
-                break
+    sizes = [rows.observations.shape[1], *settings.hidden, rows.targets.shape[1]]
+    layers = []
+    for i, (below, above) in enumerate(pairwise(sizes)):
+        gain = 2.0 if i < len(sizes) - 2 else 1.0  # He et al. 2015; the last layer has no ReLU behind it
+        weight = start.normal(0.0, np.sqrt(gain / below), (above, below)).astype(np.float32)
+        layers += [torch.from_numpy(weight), torch.zeros(above, dtype=torch.float32)]
+    for layer in layers:
+        layer.requires_grad_(True)
+    optimiser = torch.optim.AdamW(layers, lr=settings.learning_rate, weight_decay=settings.weight_decay)
+    learned_tensors, judged_tensors = tensors(learned), tensors(judged)
+    odds = np.cumsum(learned.weights) / learned.weights.sum()
+    count = min(settings.rows_per_epoch, len(learned))
+    epochs, best, since = [judge(0, float("nan"))], 0, 0
+    kept = [layer.detach().clone() for layer in layers]
+    for number in range(1, settings.epochs + 1):
+        drawn = np.minimum(np.searchsorted(odds, draws.random(count), side="right"), len(learned) - 1)
+        total = 0.0
+        for first in range(0, count, settings.batch_size):
+            batch = torch.from_numpy(drawn[first : first + settings.batch_size])
+            each = loss(*(tensor[batch] for tensor in learned_tensors))
+            optimiser.zero_grad()
+            each.mean().backward()
+            optimiser.step()
+            total += float(each.detach().sum())
+        epochs.append(judge(number, total / count))
+        if not np.isfinite(epochs[-1].validation_loss):
+            raise InputError(
+                f"the loss is {epochs[-1].validation_loss} after epoch {number}; take a learning_rate below "
+                f"{settings.learning_rate:g}"
+            )
+        since += 1
+        if epochs[-1].validation_loss < epochs[best].validation_loss:
+            best, since = number, 0
+            kept = [layer.detach().clone() for layer in layers]
+        elif since % max(settings.patience // 4, 1) == 0:
+            optimiser.param_groups[0]["lr"] *= 0.5
+        if progress is not None:
+            total_epochs = number if since == settings.patience else settings.epochs
+            progress(number, total_epochs, f"validation loss {epochs[-1].validation_loss:.4f}")
+        if since == settings.patience:
+            break
     weights, biases = [layer.numpy() for layer in kept[::2]], [layer.numpy() for layer in kept[1::2]]
     weights[-1], biases[-1] = weights[-1] * by.size, biases[-1] * by.size + by.centre
     return Fit(tuple(weights), tuple(biases), by.mean, by.scale, tuple(epochs), best, pairs)
-
-
-def _torch() -> Any:
-    try:
-        import torch
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError('training needs torch: pip install "pcs-racing[learning]"') from None
-    return torch
-
-
-@contextmanager
-def _one_thread(torch: Any) -> Iterator[None]:
-    """One thread: several gain nothing for networks this small, and would change the order of the sums."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

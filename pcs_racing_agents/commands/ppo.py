@@ -17,7 +17,7 @@ def add(commands: Commands) -> None:
         "ppo",
         "train a baseline by PPO, or go on with a training that was stopped",
         "pcs-racing ppo --config duel-paper --out out/ppo",
-        "pcs-racing ppo --config drive --steps 2000000 --seeds 0 1 2 --out out/ppo-drive",
+        "pcs-racing ppo --config drive --steps 2000000 --seeds 0 1 2 --executor processes --out out/ppo-drive",
     )
     configs = ", ".join(shipped_configs("ppo"))
     parser.add_argument("--config", required=True, metavar="NAME", help=f"settings: a YAML file or one of {configs}")
@@ -27,12 +27,15 @@ def add(commands: Commands) -> None:
     parser.add_argument("--tensorboard", action="store_true", help="write the curves for TensorBoard, too")
     parser.add_argument("--no-picture", action="store_true", help="draw no learning curves")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for weights and curves")
+    from pcs_racing_agents.jobs import add_executor_options
+
+    add_executor_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Train, and print what the policy is worth."""
-    from pcs_racing_agents.jobs import show_progress
+    from pcs_racing_agents.jobs import executor_from, show_progress
     from pcs_racing_agents.ppo.curves import write_picture, write_tensorboard
     from pcs_racing_agents.ppo.scores import score_table
     from pcs_racing_agents.ppo.settings import load_ppo_settings
@@ -46,7 +49,10 @@ def run(arguments: argparse.Namespace) -> None:
         if needed and find_spec(package) is None:
             extra = "plots" if package == "matplotlib" else "learning"
             raise ModuleNotFoundError(f'the curves need {package}: pip install "pcs-racing[{extra}]"')
-    trained = train_ppo(settings, arguments.out, name=arguments.name, progress=show_progress("steps"))
+    with executor_from(arguments) as executor:
+        trained = train_ppo(
+            settings, arguments.out, name=arguments.name, executor=executor, progress=show_progress("steps")
+        )
     if arguments.tensorboard:
         write_tensorboard(trained.curves, settings.opponents, arguments.out / "tensorboard")
     if not arguments.no_picture:

@@ -4,6 +4,8 @@ import argparse
 import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -31,6 +33,9 @@ class _Outcome(NamedTuple):
     scores: list[dict[str, str | float]]
 
 
+_Learn = Callable[[Executor | None], _Outcome]
+
+
 def add(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(
@@ -56,6 +61,9 @@ def add(commands: Commands) -> None:
     parser.add_argument("--no-tensorboard", action="store_true", help="write no curves for TensorBoard")
     parser.add_argument("--no-picture", action="store_true", help="draw no learning curves")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the network and its curves")
+    from pcs_racing_agents.jobs import add_executor_options
+
+    add_executor_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -63,6 +71,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Train, print what the network is worth, and write it."""
     from pcs_racing_agents.approximator.curves import write_curves, write_picture, write_tensorboard
     from pcs_racing_agents.approximator.settings import load_train_settings
+    from pcs_racing_agents.jobs import executor_from
 
     changes = {key: getattr(arguments, key) for key in ("target", "epochs", "seed")}
     changes["hidden"] = tuple(arguments.hidden) if arguments.hidden else None
@@ -79,9 +88,9 @@ def run(arguments: argparse.Namespace) -> None:
     else:
         raise InputError(f"{arguments.trees[ego.index(True)]} holds ego trees, others do not; give folders of one kind")
     _check_packages(arguments)
-    with hold_folder(arguments.out):
+    with hold_folder(arguments.out), executor_from(arguments) as executor:
         folder = output_folder(arguments.out)
-        network, fit, table, scores = learn()
+        network, fit, table, scores = learn(executor)
         network.save(folder)
         write_curves(fit, folder / "learning_curves.csv")
         _write_scores(scores, folder / "scores.csv")
@@ -96,7 +105,7 @@ def run(arguments: argparse.Namespace) -> None:
     )
 
 
-def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -> Callable[[], _Outcome]:
+def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
     """Open folders of game trees; what is returned learns from them."""
     from pcs_racing_agents.approximator.from_trees import train_on_trees, trees_identity
     from pcs_racing_agents.approximator.metrics import TreeScore, score_table
@@ -108,7 +117,7 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
     _check_one_game(folders, made)
     places = [(trees, i) for trees in stored for i in range(len(trees))]
 
-    def learn() -> _Outcome:
+    def learn(executor: Executor | None) -> _Outcome:
         trained = train_on_trees(
             lambda number: places[number][0][places[number][1]],
             np.concatenate([np.asarray(trees.settings["pairs"]) for trees in stored]),
@@ -116,6 +125,7 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
             settings,
             name=name,
             about=_about(made),
+            executor=executor,
             solving=show_progress("trees"),
             learning=show_progress("epochs"),
         )
@@ -129,12 +139,13 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
     return learn
 
 
-def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> Callable[[], _Outcome]:
+def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
     """Open folders of ego trees; what is returned learns from them."""
     from pcs_racing_agents.approximator.from_ego import check_ego_target, ego_score_table, train_on_ego
     from pcs_racing_agents.approximator.from_trees import trees_identity
     from pcs_racing_agents.approximator.metrics import score_table
     from pcs_racing_agents.jobs import show_progress
+    from pcs_racing_agents.tasks import in_other_processes, run_one
     from pcs_racing_agents.trees import load_ego_trees
     from pcs_racing_agents.trees.ego import join_ego
     from pcs_racing_agents.trees.ego_storage import KIND
@@ -145,15 +156,17 @@ def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> 
     _check_one_game(folders, made)
     trees = join_ego([load_ego_trees(folder) for folder in folders])
 
-    def learn() -> _Outcome:
-        trained = train_on_ego(
-            trees,
-            trees_identity(made[0]),
-            settings,
+    def learn(executor: Executor | None) -> _Outcome:
+        elsewhere = in_other_processes(executor)
+        train = partial(
+            train_on_ego,
+            identity=trees_identity(made[0]),
+            settings=settings,
             name=name,
             about=_about(made),
-            learning=show_progress("epochs"),
+            learning=show_progress("epochs") if elsewhere is None else None,
         )
+        trained = run_one(train, trees, elsewhere, "learning")
         table = ego_score_table(score_table(trained.rows, {}), trained.roots)
         scores = [
             {"strategy": who, "root": i, "utility": value}

@@ -19,6 +19,7 @@ from pcs_racing_agents.ppo.layers import Layers
 from pcs_racing_agents.ppo.parts import Part
 from pcs_racing_agents.ppo.plain_state import pack, unpack
 from pcs_racing_agents.ppo.settings import DriveSettings, Settings
+from pcs_racing_agents.torch_alone import torch_alone
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
@@ -82,19 +83,15 @@ def check_packages() -> None:
 
 @contextmanager
 def own_randomness() -> Iterator[None]:
-    """Keep the process's random generators and torch's threads as they were; in between, one thread."""
-    import torch
-
-    kept = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        random.setstate(kept[0])
-        np.random.set_state(kept[1])  # noqa: NPY002
-        torch.set_rng_state(kept[2])
-        torch.set_num_threads(threads)
+    """Keep the process's random generators as they were; in between they and torch belong to one thread alone."""
+    with torch_alone() as torch:
+        kept = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
+        try:
+            yield
+        finally:
+            random.setstate(kept[0])
+            np.random.set_state(kept[1])  # noqa: NPY002
+            torch.set_rng_state(kept[2])
 
 
 def make_learner(settings: Settings, parts: Sequence[Part], seed: int, activation: str, limit: float) -> Learner:

@@ -1,16 +1,12 @@
-"""The training with one seed: everything that it depends on is in its checkpoint."""
+"""The training with one seed: everything that it depends on is in its state, which any process can go on from."""
 
-import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
-from pcs_racing.errors import InputError
-from pcs_racing_agents.chunk_files import Arrays, read_chunk, write_chunk
-from pcs_racing_agents.jobs import JobError, Progress
+from pcs_racing_agents.chunk_files import Arrays
 from pcs_racing_agents.ppo.curves import Curve
 from pcs_racing_agents.ppo.layers import Layers
 from pcs_racing_agents.ppo.learner import (
@@ -18,6 +14,7 @@ from pcs_racing_agents.ppo.learner import (
     actor_layers,
     learn_once,
     make_learner,
+    own_randomness,
     restore_learner,
     store_learner,
 )
@@ -25,19 +22,16 @@ from pcs_racing_agents.ppo.level import Level
 from pcs_racing_agents.ppo.scores import Cell, Score, total
 from pcs_racing_agents.ppo.settings import Settings
 
-__all__ = ["SeedRun", "train_seed"]
-
-_log = logging.getLogger("pcs_racing_agents")
+__all__ = ["Record", "Trainer"]
 
 
 @dataclass
-class SeedRun:
-    """A training under way.
+class Record:
+    """What came of a training so far.
 
     Attributes
     ----------
     seed : int
-    learner : Learner
     weights : mapping of str to int
         How often each opponent is met.
     steps : list of int
@@ -55,7 +49,6 @@ class SeedRun:
     """
 
     seed: int
-    learner: Learner
     weights: Mapping[str, int]
     steps: list[int] = field(default_factory=list)
     scores: list[dict[Cell, Score]] = field(default_factory=list)
@@ -75,16 +68,24 @@ class SeedRun:
         """Mean worth in the best of them."""
         return total(self.scores[self.best_at], self.weights).worth
 
-    def judge(self, level: Level) -> None:
+    @property
+    def last_worth(self) -> float:
+        """Mean worth in the last of them."""
+        return total(self.scores[-1], self.weights).worth
+
+    @property
+    def made(self) -> int:
+        """Steps made up to the last update."""
+        return int(self.updates[-1][0]) if self.updates else 0
+
+    def add(self, steps: int, scores: dict[Cell, Score], layers: Layers) -> None:
         """Add an evaluation, and keep the weights if none was better."""
-        layers = actor_layers(self.learner)
-        self.steps.append(self.learner.model.num_timesteps)
-        self.scores.append(level.judge(layers))
-        worth = total(self.scores[-1], self.weights).worth
-        if len(self.scores) == 1 or worth > self.best_worth:
+        self.steps.append(steps)
+        self.scores.append(scores)
+        if len(self.scores) == 1 or self.last_worth > self.best_worth:
             self.best_at, self.best = len(self.scores) - 1, layers
 
-    def store(self) -> Arrays:
+    def arrays(self) -> Arrays:
         """Everything, as arrays; there must have been an evaluation and an update."""
         arrays = {
             "curve.steps": np.array(self.steps, np.int64),
@@ -97,88 +98,92 @@ class SeedRun:
         }
         for key, values in self.best._asdict().items():
             arrays |= {f"best.{key}.{i}": value for i, value in enumerate(values)}
-        return arrays | {f"learner.{key}": value for key, value in store_learner(self.learner).items()}
+        return arrays
 
-    def restore(self, arrays: Arrays) -> None:
-        """Go on from what `store` returned."""
+    @classmethod
+    def from_arrays(cls, seed: int, weights: Mapping[str, int], arrays: Arrays) -> "Record":
+        """Return what `arrays` took apart."""
         cells = [Cell(*(str(text) for text in row)) for row in arrays["curve.cells"]]
-        self.steps = arrays["curve.steps"].tolist()
-        self.scores = [
-            {cell: Score(int(row[0]), *row[1:].tolist()) for cell, row in zip(cells, rows, strict=True)}
-            for rows in arrays["curve.scores"]
-        ]
-        self.updates = [tuple(row) for row in arrays["updates"].tolist()]
-        self.best_at, self.seconds = int(arrays["best_at"]), float(arrays["seconds"])
-        self.finished = bool(arrays["finished"])
         count = sum(key.startswith("best.weights.") for key in arrays)
-        self.best = Layers(*(tuple(arrays[f"best.{key}.{i}"] for i in range(count)) for key in Layers._fields))
-        prefix = "learner."
-        restore_learner(
-            self.learner, {key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)}
+        return cls(
+            seed,
+            weights,
+            steps=arrays["curve.steps"].tolist(),
+            scores=[
+                {cell: Score(int(row[0]), *row[1:].tolist()) for cell, row in zip(cells, rows, strict=True)}
+                for rows in arrays["curve.scores"]
+            ],
+            updates=[tuple(row) for row in arrays["updates"].tolist()],
+            best_at=int(arrays["best_at"]),
+            best=Layers(*(tuple(arrays[f"best.{key}.{i}"] for i in range(count)) for key in Layers._fields)),
+            seconds=float(arrays["seconds"]),
+            finished=bool(arrays["finished"]),
         )
 
 
-def train_seed(
-    level: Level,
-    settings: Settings,
-    seed: int,
-    path: Path,
-    mark: str,
-    checkpoint_seconds: float,
-    progress: Progress | None,
-    number: int,
-) -> SeedRun:
-    """Train with one seed, from the start or from its checkpoint."""
-    learner = make_learner(settings, level.parts(), seed, level.activation, level.limit)
-    run = SeedRun(seed, learner, settings.opponents)
-    arrays = _checkpoint(path, mark)
-    if arrays is not None:
-        run.restore(arrays)
-    begin, before = time.monotonic(), run.seconds
-    kept = begin
-    everything = settings.steps * len(settings.seeds)
+@dataclass(frozen=True, eq=False)
+class Trainer:
+    """What trains with a seed, piece by piece; it travels to other processes together with the level.
 
-    def tell(what: str) -> None:
-        steps = settings.steps if run.finished else min(learner.model.num_timesteps, settings.steps)
-        if progress is not None:
-            progress(number * settings.steps + steps, everything, f"seed {seed}, {what}")
+    Attributes
+    ----------
+    level : Level
+    settings : Settings
+    seconds : float
+        Length of a piece; it has no influence on the result, nor has the process that does it.
+    told : callable, optional
+        Called with the record at the beginning of a piece and after every update.
+    """
 
-    if not run.scores:
-        run.judge(level)
-    what = f"worth {total(run.scores[-1], run.weights).worth:.3f}"
-    tell(what)
-    while not run.finished:
+    level: Level
+    settings: Settings
+    seconds: float
+    told: Callable[[Record], None] | None = None
+
+    def __call__(self, piece: tuple[int, Arrays | None]) -> Arrays:
+        """Train with a seed from the start, or from the state in which another piece has stopped, for some time."""
+        seed, state = piece
+        level, settings = self.level, self.settings
+        with own_randomness():
+            learner = make_learner(settings, level.parts(), seed, level.activation, level.limit)
+            record = Record(seed, settings.opponents)
+            if state is not None:
+                record = Record.from_arrays(seed, settings.opponents, state)
+                restore_learner(learner, _under(state))
+            begin, before = time.monotonic(), record.seconds
+            if not record.scores:
+                _judge(level, learner, record)
+            self._tell(record)
+            spent = 0.0
+            while not record.finished and (spent == 0.0 or spent < self.seconds):
+                self._update(learner, record)
+                spent = time.monotonic() - begin
+                record.seconds = before + spent
+                self._tell(record)
+            return record.arrays() | {f"learner.{key}": value for key, value in store_learner(learner).items()}
+
+    def _update(self, learner: Learner, record: Record) -> None:
+        settings = self.settings
         figures = learn_once(learner)
         steps = learner.model.num_timesteps
-        run.updates.append((float(steps), *figures.values()))
+        record.updates.append((float(steps), *figures.values()))
         # An evaluation is due where a multiple of the interval was crossed, and at the end.
-        if steps // settings.evaluate_every > run.steps[-1] // settings.evaluate_every or steps >= settings.steps:
-            run.judge(level)
-            what = f"worth {total(run.scores[-1], run.weights).worth:.3f}"
-        since = len(run.scores) - 1 - run.best_at
-        run.finished = steps >= settings.steps or (0 < settings.patience <= since)
-        now = time.monotonic()
-        run.seconds = before + now - begin
-        if run.finished or now - kept >= checkpoint_seconds:
-            _write_checkpoint(path, run.store(), mark)
-            kept = now
-        tell(what)
-    return run
+        if steps // settings.evaluate_every > record.steps[-1] // settings.evaluate_every or steps >= settings.steps:
+            _judge(self.level, learner, record)
+        since = len(record.scores) - 1 - record.best_at
+        record.finished = steps >= settings.steps or (0 < settings.patience <= since)
+
+    def _tell(self, record: Record) -> None:
+        if self.told is not None:
+            self.told(record)
 
 
-def _checkpoint(path: Path, mark: str) -> Arrays | None:
-    """Read a checkpoint; None if there is none, or it is damaged, which is told."""
-    if not path.exists():
-        return None
-    try:
-        return read_chunk(path, mark)
-    except InputError as error:
-        _log.warning("%s; this seed begins again", error)
-        return None
+def _judge(level: Level, learner: Learner, record: Record) -> None:
+    layers = actor_layers(learner)
+    record.add(learner.model.num_timesteps, level.judge(layers), layers)
 
 
-def _write_checkpoint(path: Path, arrays: Arrays, mark: str) -> None:
-    try:
-        write_chunk(path, arrays, mark)
-    except OSError as error:
-        raise JobError(f"can't write {path}: {error.strerror}; mend that and start the same again to go on") from None
+def _under(state: Arrays) -> Arrays:
+    """The learner's part of a state."""
+    prefix = "learner."
+    return {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}

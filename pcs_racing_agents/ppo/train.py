@@ -1,12 +1,14 @@
 """Training by PPO: from settings to weights and curves, in a folder that a stopped training goes on in.
 
 Between two updates everything that a training depends on is plain arrays: the races under way with their generators,
-the networks, the optimiser, and the random generators of the process. They are written to a checkpoint every few
-seconds. A training that was stopped therefore ends with the same weights, to the bit, as one that was not (on the same
-machine and versions; torch promises no more).
+the networks, the optimiser, and the random generators of the process. Every few seconds a training stops and goes on
+from these arrays, here or in another process; they are kept as a checkpoint. A training that was stopped, or that went
+from one worker to another, therefore ends with the same weights, to the bit, as one that was not (on the same machine
+and versions; torch promises no more).
 """
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,16 +16,17 @@ from typing import Any
 from pcs_racing.archive import PolicyArchive
 from pcs_racing.files import write_atomically
 from pcs_racing.game_config import GameConfig
-from pcs_racing_agents.chunk_files import fingerprint
+from pcs_racing_agents.chunk_files import Arrays
 from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.jobs import Progress, open_job
 from pcs_racing_agents.ppo.curves import Curve, write_curve
 from pcs_racing_agents.ppo.layers import Layers
-from pcs_racing_agents.ppo.learner import FIGURES, check_packages, own_randomness
+from pcs_racing_agents.ppo.learner import FIGURES, check_packages
 from pcs_racing_agents.ppo.level import Level, make_level
 from pcs_racing_agents.ppo.scores import Cell, Score, total
-from pcs_racing_agents.ppo.seed_run import SeedRun, train_seed
+from pcs_racing_agents.ppo.seed_run import Record, Trainer
 from pcs_racing_agents.ppo.settings import DuelSettings, Settings, load_ppo_settings
+from pcs_racing_agents.tasks import in_other_processes
 
 __all__ = ["Trained", "train_ppo"]
 
@@ -70,6 +73,7 @@ def train_ppo(
     folder: str | Path,
     *,
     name: str | None = None,
+    executor: Executor | None = None,
     progress: Progress | None = None,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
     policies: PolicyArchive | None = None,
@@ -84,11 +88,17 @@ def train_ppo(
         A shipped configuration's name, a YAML file, or settings.
     folder : str or Path
         A new or empty folder, or that of the same training. It gets ``policy/`` (the weights, what describes them, and
-        every evaluation as ``curve.csv``), ``updates.csv`` (figures of every update) and a checkpoint for each seed.
+        every evaluation as ``curve.csv``), ``updates.csv`` (figures of every update) and a checkpoint for each seed in
+        ``chunks/``.
     name : str, optional
         Of the policy; by default the one under which the agent ``ppo`` or the driver ``ppo-drive`` looks for it.
+    executor : Executor, optional
+        Where to train: processes and workers of a cluster train with several seeds side by side, in pieces that end
+        with a checkpoint. Threads are not used, since torch's random generator belongs to the process. It has no
+        influence on the result.
     progress : callable, optional
-        Called after every update as ``progress(steps, of all seeds, what)``.
+        Called after every update, and where other processes train after every piece, as ``progress(steps, of all seeds,
+        what)``.
     checkpoint_seconds : float
         Time between two checkpoints; it has no influence on the result.
     policies : PolicyArchive, optional
@@ -122,14 +132,24 @@ def train_ppo(
     check_packages()
     level = make_level(settings, archive=policies, rules=rules)
     identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **level.identity}
-    with open_job(folder, "ppo", identity) as job, own_randomness():
-        runs = []
-        for number, seed in enumerate(settings.seeds):
-            path = job.folder / f"seed-{seed}.npz"
-            run = train_seed(
-                level, settings, seed, path, fingerprint(identity, seed), checkpoint_seconds, progress, number
-            )
-            runs.append(run)
+    elsewhere = in_other_processes(executor)
+    steps = dict.fromkeys(settings.seeds, 0)
+
+    def tell(record: Record) -> None:
+        steps[record.seed] = settings.steps if record.finished else min(record.made, settings.steps)
+        if progress is not None:
+            what = f"seed {record.seed}, worth {record.last_worth:.3f}"
+            progress(sum(steps.values()), settings.steps * len(steps), what)
+
+    def read(index: int, state: Arrays) -> Record:
+        return Record.from_arrays(settings.seeds[index], settings.opponents, state)
+
+    trainer = Trainer(level, settings, checkpoint_seconds, tell if elsewhere is None else None)
+    with open_job(folder, "ppo", identity) as job:
+        states = job.run_chains(
+            "seed", trainer, settings.seeds, executor=elsewhere, told=lambda index, state: tell(read(index, state))
+        )
+        runs = [read(index, state) for index, state in enumerate(states)]
         run = max(runs, key=lambda run: run.best_worth)  # of equals the first
         curves = tuple(run.curve for run in runs)
         _write_updates(runs, job.folder / "updates.csv")
@@ -152,7 +172,7 @@ def train_ppo(
 # What is told of it
 
 
-def _write_updates(runs: Sequence[SeedRun], file: Path) -> None:
+def _write_updates(runs: Sequence[Record], file: Path) -> None:
     rows = [",".join(("seed", "steps", *FIGURES, "reward"))]
     rows += [
         f"{run.seed},{int(row[0])},{','.join(f'{value:.6g}' for value in row[1:])}"

@@ -18,7 +18,7 @@ import numpy as np
 from pcs_racing.errors import ConfigError, InputError
 from pcs_racing.game import RaceGame
 from pcs_racing.race import race_seeds
-from pcs_racing_agents.approximator import RegretNetwork, Rows, game_identity, join_rows, train_network
+from pcs_racing_agents.approximator import GameIdentity, RegretNetwork, Rows, game_identity, join_rows, train_network
 from pcs_racing_agents.approximator.settings import TrainSettings
 from pcs_racing_agents.configuration import check_wholes, load_settings
 from pcs_racing_agents.jobs import Arrays, Job, Progress
@@ -28,6 +28,7 @@ from pcs_racing_agents.strategies.agent import Agent, Competitor
 from pcs_racing_agents.strategies.blind import Blend
 from pcs_racing_agents.strategies.network import FromNetwork
 from pcs_racing_agents.strategies.setting import Setting
+from pcs_racing_agents.tasks import completed, each, in_other_processes
 from pcs_racing_agents.tournament.matches import game_between
 
 __all__ = ["ResponseSettings", "learn_response", "load_response_settings"]
@@ -184,12 +185,10 @@ def learn_response(
     network: RegretNetwork | None = None
 
     def fit(members: int) -> RegretNetwork:
-        joined = join_rows(rows)
-        found = [
-            train_network(joined, identity, settings.train_settings(i), name=name, target="advantage")[0]
-            for i in range(members)
-        ]
-        return merge_networks(found, name)
+        learn = partial(_learn, join_rows(rows), identity, name)
+        wanted = [settings.train_settings(i) for i in range(members)]
+        found = dict(completed(each(learn, wanted), in_other_processes(executor), f"learning {name}"))
+        return merge_networks([found[i] for i in range(members)], name)
 
     steps = games[0].config.moves
     for round_ in range(settings.rounds):
@@ -207,6 +206,10 @@ def learn_response(
     rest = {key: value for key, value in network.training.items() if key != "rows"}
     summary = {"rows": sum(len(part) for part in rows), "worth": settings.worth, **rest}
     return replace(network, training=summary)
+
+
+def _learn(rows: Rows, identity: GameIdentity, name: str, settings: TrainSettings) -> RegretNetwork:
+    return train_network(rows, identity, settings, name=name, target="advantage")[0]
 
 
 def _agent(name: str, strategy: Any, setting: Setting, seed: int) -> Agent:

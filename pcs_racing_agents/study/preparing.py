@@ -1,23 +1,35 @@
 """The stages before the races: the archive, the trees, and everybody who learns from something."""
 
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pcs_racing_agents.approximator.identity import GameIdentity
 from pcs_racing_agents.approximator.network_files import load_network
-from pcs_racing_agents.approximator.settings import load_train_settings
+from pcs_racing_agents.approximator.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.configuration import plain_settings
-from pcs_racing_agents.jobs import open_job
+from pcs_racing_agents.jobs import Progress, open_job, run_parts
 from pcs_racing_agents.rollouts.learner import learn_response, load_response_settings
 from pcs_racing_agents.strategies.fits import save_fit
 from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.synthesis.diverse import select_diverse
-from pcs_racing_agents.trees.storage import StoredTrees, build_trees, load_trees
+from pcs_racing_agents.tasks import completed, each, in_other_processes
+from pcs_racing_agents.trees.storage import StoredTrees, load_trees, open_trees
+from pcs_racing_agents.trees.tree import RaceTree
+
+if TYPE_CHECKING:
+    from pcs_racing_agents.approximator.from_trees import Trained
 
 __all__ = [
     "choose_blind",
     "learn_responses",
     "make_the_archive",
+    "play_on_circuits",
     "play_trees",
     "stored_trees",
     "train_networks",
@@ -43,17 +55,41 @@ def make_the_archive(study: Study) -> None:
 
 def play_trees(study: Study) -> None:
     """Play game trees on every circuit that is learned on."""
-    for number, name in enumerate(study.config.circuits):
-        if study.config.pairs > 0:
-            build_trees(
-                study.tree_game(name),
-                study.folder / "trees" / name,
-                pairs=study.config.pairs,
-                seeds_per_pair=study.config.seeds,
-                seed=study.config.seed + TREE_SEED + number,
-                executor=study.executor,
-                progress=study.progress(f"trees on {name}"),
+    if study.config.pairs > 0:
+        play_on_circuits(study, "trees", study.config.pairs, TREE_SEED)
+
+
+def play_on_circuits(study: Study, stage: str, pairs: int, seed: int) -> dict[str, StoredTrees]:
+    """Play game trees on every circuit that is learned on, those of all circuits side by side.
+
+    Parameters
+    ----------
+    study : Study
+    stage : str
+        Whose folder gets a folder for each circuit.
+    pairs : int
+        Trees on each circuit.
+    seed : int
+        Added to the study's, and to the number of the circuit.
+    """
+    config = study.config
+    folders = {name: study.folder / stage / name for name in config.circuits}
+    with ExitStack() as opened:
+        parts = [
+            opened.enter_context(
+                open_trees(
+                    study.tree_game(name),
+                    folder,
+                    pairs=pairs,
+                    seeds_per_pair=config.seeds,
+                    seed=config.seed + seed + number,
+                    one_thread=study.executor is not None,
+                )
             )
+            for number, (name, folder) in enumerate(folders.items())
+        ]
+        run_parts(parts, executor=study.executor, progress=study.progress("trees"), keep=False)
+    return {name: load_trees(folder, study.archive) for name, folder in folders.items()}
 
 
 def stored_trees(study: Study) -> list[StoredTrees]:
@@ -64,30 +100,68 @@ def stored_trees(study: Study) -> list[StoredTrees]:
 
 
 def train_networks(study: Study) -> None:
-    """Train a network for every target; the trees held out are the same for all."""
+    """Train a network for every target, side by side where there are processes; all have the same trees held out."""
     from pcs_racing_agents.approximator.curves import write_curves
-    from pcs_racing_agents.approximator.from_trees import train_on_trees, trees_identity
+    from pcs_racing_agents.approximator.from_trees import trees_identity
 
+    config = study.config
+    missing = [name for name in config.targets if not (study.network(name) / "learning_curves.csv").is_file()]
     stored = stored_trees(study)
-    if not stored:
+    if not stored or not missing:
         return
-    places = [(trees, i) for trees in stored for i in range(len(trees))]
-    pairs = np.concatenate([np.asarray(trees.settings["pairs"]) for trees in stored])
-    for target in study.config.targets:
-        folder = study.network(target)
-        if (folder / "learning_curves.csv").is_file():
-            continue
-        trained = train_on_trees(
+    settings = [load_train_settings(config.training, target=name, seed=config.seed) for name in missing]
+    elsewhere = in_other_processes(study.executor)
+    training = _Training(
+        trees=stored if elsewhere is None else [list(trees) for trees in stored],  # others may not see the files
+        pairs=np.concatenate([np.asarray(trees.settings["pairs"]) for trees in stored]),
+        identity=trees_identity(stored[0].settings),
+        about={"tracks": ", ".join(config.circuits)},
+        progress=study.progress if elsewhere is None else None,
+    )
+    told = None if elsewhere is None else study.progress("networks")
+    for done, (i, trained) in enumerate(completed(each(training, settings), elsewhere, "networks"), start=1):
+        trained.network.save(study.network(missing[i]))
+        write_curves(trained.fit, study.network(missing[i]) / "learning_curves.csv")
+        if told is not None:
+            told(done, len(missing), missing[i])
+
+
+@dataclass(frozen=True, eq=False)
+class _Training:
+    """What trains one network on a study's trees, here or in another process.
+
+    Attributes
+    ----------
+    trees : sequence of sequence of RaceTree
+        Of each circuit.
+    pairs : ndarray, shape (trees, 2)
+        Their starting policies.
+    identity : GameIdentity
+    about : dict
+        What the networks are to know of their training.
+    progress : callable, optional
+        Makes a progress function for epochs.
+    """
+
+    trees: Sequence[Sequence[RaceTree]]
+    pairs: NDArray[np.int64]
+    identity: GameIdentity
+    about: dict[str, str | int | float | bool]
+    progress: Callable[[str], Progress | None] | None
+
+    def __call__(self, settings: TrainSettings) -> "Trained":
+        from pcs_racing_agents.approximator.from_trees import train_on_trees
+
+        places = [(trees, i) for trees in self.trees for i in range(len(trees))]
+        return train_on_trees(
             lambda number: places[number][0][places[number][1]],
-            pairs,
-            trees_identity(stored[0].settings),
-            load_train_settings(study.config.training, target=target, seed=study.config.seed),
-            name=target,
-            about={"tracks": ", ".join(study.config.circuits)},
-            learning=study.progress(f"epochs ({target})"),
+            self.pairs,
+            self.identity,
+            settings,
+            name=settings.target,
+            about=self.about,
+            learning=None if self.progress is None else self.progress(f"epochs ({settings.target})"),
         )
-        trained.network.save(folder)
-        write_curves(trained.fit, folder / "learning_curves.csv")
 
 
 def choose_blind(study: Study) -> None:
@@ -156,6 +230,7 @@ def train_ppo_baseline(study: Study) -> None:
         settings,
         study.folder / "ppo" / "training",
         name="ppo",
+        executor=study.executor,
         progress=study.progress("steps (ppo)"),
         policies=study.archive,
         rules=config.game,

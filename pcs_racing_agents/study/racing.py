@@ -2,7 +2,9 @@
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import product
 from typing import NamedTuple
 
@@ -16,11 +18,12 @@ from pcs_racing_agents.approximator.metrics import Play, TreeScore, score_trees
 from pcs_racing_agents.jobs import open_job
 from pcs_racing_agents.strategies.agent import Agent
 from pcs_racing_agents.strategies.fits import save_fit
-from pcs_racing_agents.study.preparing import stored_trees
+from pcs_racing_agents.study.preparing import play_on_circuits, stored_trees
 from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.tasks import Work, completed
 from pcs_racing_agents.tournament.best_reply import best_reply
-from pcs_racing_agents.tournament.cells import Cell, play_cell
-from pcs_racing_agents.trees.storage import StoredTrees, build_trees
+from pcs_racing_agents.tournament.cells import Cell, plan_cell, play_cells
+from pcs_racing_agents.trees.storage import StoredTrees
 from pcs_racing_agents.trees.tree import RaceTree
 
 __all__ = ["StudyCell", "cells", "judge_on_trees", "race_cells", "race_rivals"]
@@ -32,7 +35,7 @@ MIXING_SEED = 6_000_000
 
 
 def race_cells(study: Study) -> None:
-    """Drive the races of every cell of the table."""
+    """Drive the races of every cell of the tables, all of them side by side."""
     for _ in cells(study):
         pass
 
@@ -54,25 +57,28 @@ class StudyCell(NamedTuple):
 
 
 def cells(study: Study) -> Iterator[StudyCell]:
-    """Return every cell; races that were driven are read, the others driven."""
+    """Return every cell; races that were driven are read, the others driven before the first cell is there."""
     config = study.config
-    settings = {"archive": study.archive.content_hash}
+    games, agents = cache(study.game), cache(study.agent)
+    places, plans = [], []
     for number, (table, (tracks, opponents, arms, lines)) in enumerate(config.tables.items()):
-        with open_job(study.folder / "races" / table, "races", settings) as job:
-            for track, opponent, arm in product(tracks, opponents, arms):
-                cell = play_cell(
-                    study.game(track),
-                    study.agent(arm),
-                    study.agent(opponent),
+        for track, opponent, arm in product(tracks, opponents, arms):
+            places.append((table, track, opponent, arm))
+            plans.append(
+                plan_cell(
+                    games(track),
+                    agents(arm),
+                    agents(opponent),
                     egos=config.egos,
                     opponents=config.variants,
                     lines=lines,
                     seed=config.seed + CELL_SEED + 100 * number + opponents.index(opponent),
-                    job=job,
-                    executor=study.executor,
-                    progress=study.progress(f"races: {arm} against {opponent} on {track}"),
                 )
-                yield StudyCell(table, track, opponent, arm, cell)
+            )
+    with open_job(study.folder / "races" / "job", "races", {"archive": study.archive.content_hash}) as job:
+        played = play_cells(plans, job=job, executor=study.executor, progress=study.progress("races of the tables"))
+        for place, cell in zip(places, played, strict=True):
+            yield StudyCell(*place, cell)
 
 
 def race_rivals(study: Study) -> None:
@@ -124,41 +130,64 @@ def judge_on_trees(study: Study) -> None:
     config = study.config
     if config.pairs == 0 or not stored_trees(study):
         return
+    held_out = play_on_circuits(study, "exploitability", max(2, config.pairs // 4), HELD_OUT_SEED)
     agents = [agent for agent in map(study.agent, config.every_arm) if isinstance(agent, Agent)]
+    judges = [_Judge.of(study.tree_game(track), agents, trees) for track, trees in held_out.items()]
+    work = (
+        Work((track, i), judge, tree)
+        for (track, trees), judge in zip(held_out.items(), judges, strict=True)
+        for i, tree in enumerate(trees)
+    )
+    lost = dict(completed(partial(next, work, None), study.executor, "judging"))
     rows: list[tuple[object, ...]] = [("track", "agent", "tree", *TreeScore._fields)]
-    for number, track in enumerate(config.circuits):
-        trees = build_trees(
-            study.tree_game(track),
-            study.folder / "exploitability" / track,
-            pairs=max(2, config.pairs // 4),
-            seeds_per_pair=config.seeds,
-            seed=config.seed + HELD_OUT_SEED + number,
-            executor=study.executor,
-            progress=study.progress(f"trees on {track}"),
-        )
-        judged = [agent for agent in agents if _in_trees(agent, trees)]
-        plays = {agent.name: _play(agent) for agent in judged}
-        for name, scores in score_trees(plays, (trees[i] for i in range(len(trees)))).items():
-            rows += [(track, name, i, *(f"{value:.6g}" for value in score)) for i, score in enumerate(scores)]
-        game = study.tree_game(track)
-        for agent in agents:
-            if agent.name not in plays and _certain(agent, trees):
-                rows += [(track, agent.name, i, *_by_replies(game, agent, tree)) for i, tree in enumerate(trees)]
+    for track, trees in held_out.items():
+        rows += [(track, name, i, *lost[track, i][name]) for name in lost[track, 0] for i in range(len(trees))]
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     write_atomically(study.folder / "exploitability.csv", lambda file: file.write(text.getvalue().encode()))
 
 
-def _by_replies(game: RaceGame, agent: Agent, tree: RaceTree) -> tuple[str, ...]:
-    """Judge an agent that stays where it is, at the root of a tree; what only the tree could tell is left open."""
-    start = Starts(np.array([tree.start_s]), np.array([tree.side]))
-    found = [
-        best_reply(game, agent, policies=tree.policies, start=start, seeds=tree.seeds, car=car) for car in range(2)
-    ]
-    # The value of the game is what one role wins and the other loses: it is not in the mean of both.
-    lost, random = -0.5 * (found[0].best + found[1].best), 0.5 * (found[0].random + found[1].random)
-    values = {"lost_to_best_response": lost, "against_random": random}
-    return tuple(f"{values[name]:.6g}" if name in values else "" for name in TreeScore._fields)
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    """What judges agents on a circuit's trees, one at a time; it travels to other processes together with the game.
+
+    Attributes
+    ----------
+    game : RaceGame
+    in_trees : tuple of Agent
+        Those whose moves the trees know.
+    certain : tuple of Agent
+        Others that draw nothing.
+    """
+
+    game: RaceGame
+    in_trees: tuple[Agent, ...]
+    certain: tuple[Agent, ...]
+
+    @classmethod
+    def of(cls, game: RaceGame, agents: Sequence[Agent], trees: StoredTrees) -> "_Judge":
+        """Look at what agents do in some trees."""
+        in_trees = tuple(agent for agent in agents if _in_trees(agent, trees))
+        others = (agent for agent in agents if agent not in in_trees)
+        return cls(replace(game, threads=1), in_trees, tuple(agent for agent in others if _certain(agent, trees)))
+
+    def __call__(self, tree: RaceTree) -> dict[str, tuple[str, ...]]:
+        """Return what each agent loses on a tree."""
+        plays = {agent.name: _play(agent) for agent in self.in_trees}
+        scores = {name: tuple(f"{x:.6g}" for x in row[0]) for name, row in score_trees(plays, [tree]).items()}
+        return scores | {agent.name: self._by_replies(agent, tree) for agent in self.certain}
+
+    def _by_replies(self, agent: Agent, tree: RaceTree) -> tuple[str, ...]:
+        """Judge an agent that stays where it is, at the root of a tree; what only the tree could tell is left open."""
+        start = Starts(np.array([tree.start_s]), np.array([tree.side]))
+        found = [
+            best_reply(self.game, agent, policies=tree.policies, start=start, seeds=tree.seeds, car=car)
+            for car in range(2)
+        ]
+        # The value of the game is what one role wins and the other loses: it is not in the mean of both.
+        lost, random = -0.5 * (found[0].best + found[1].best), 0.5 * (found[0].random + found[1].random)
+        values = {"lost_to_best_response": lost, "against_random": random}
+        return tuple(f"{values[name]:.6g}" if name in values else "" for name in TreeScore._fields)
 
 
 def _play(agent: Agent) -> Play:

@@ -5,7 +5,7 @@ games in the paper. Everything but the ego's decisions is the same in the cells 
 policies, opponents, lines, sides and noise.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -20,9 +20,9 @@ from pcs_racing_agents.jobs import Job, Progress
 from pcs_racing_agents.strategies.agent import Competitor, as_competitor
 from pcs_racing_agents.tournament.matches import Matches, game_between, variant_count
 from pcs_racing_agents.tournament.rows import RaceRow, race_rows
-from pcs_racing_agents.tournament.runner import Pairing, play_pairings
+from pcs_racing_agents.tournament.runner import Pairing, each_pairing
 
-__all__ = ["Cell", "Units", "draw_units", "play_cell"]
+__all__ = ["Cell", "CellPlan", "Units", "draw_units", "plan_cell", "play_cell", "play_cells"]
 
 LINE_SETS = 8  # a circuit has so many times the start lines that a pair of variants meets on
 
@@ -59,6 +59,30 @@ class Units:
         """What makes a race the same race in the cells of two egos: ego variant, opponent variant, line, side."""
         columns = (*self.variants.T.tolist(), self.line.tolist(), self.starts.side.tolist())
         return list(zip(*columns, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class CellPlan:
+    """A cell before it is played; made by :func:`plan_cell`.
+
+    Attributes
+    ----------
+    arena : RaceGame
+        The game in which the two meet.
+    ego, opponent : Competitor
+    units : Units
+    """
+
+    arena: RaceGame
+    ego: Competitor
+    opponent: Competitor
+    units: Units
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Names of ego and opponent."""
+        first, second = (str(getattr(who, "name", type(who).__name__)) for who in (self.ego, self.opponent))
+        return first, second
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,21 +201,76 @@ def play_cell(
     InputError
         If somebody does not fit the game, or a number is impossible.
     """
+    plan = plan_cell(game, ego, opponent, egos=egos, opponents=opponents, lines=lines, seed=seed)
+    name = "-".join((game.track.name, *plan.names))
+    (cell,) = play_cells([plan], name=name, job=job, executor=executor, progress=progress)
+    return cell
+
+
+def plan_cell(
+    game: RaceGame,
+    ego: Competitor | Policy,
+    opponent: Competitor | Policy,
+    *,
+    egos: int | Sequence[int] = 20,
+    opponents: int | Sequence[int] = 20,
+    lines: int = 5,
+    seed: int = 0,
+) -> CellPlan:
+    """Check who is to race in a cell, and draw its races; see :func:`play_cell`.
+
+    Raises
+    ------
+    InputError
+        If somebody does not fit the game, or a number is impossible.
+    """
     cars = (as_competitor(ego), as_competitor(opponent))
     units = draw_units(game, *cars, egos=egos, opponents=opponents, lines=lines, seed=seed)
-    arena = game_between(game, *cars)
-    names = [str(getattr(who, "name", type(who).__name__)) for who in cars]
-    pairing = Pairing(game.track, *cars, units.variants, units.starts, units.seeds)
-    matches = play_pairings(
-        [pairing],
-        arena.archive,
-        arena.config,
-        name=f"{game.track.name}-{names[0]}-{names[1]}",
-        job=job,
-        executor=executor,
-        progress=progress,
-    )[0]
-    return Cell(names[0], names[1], game.track.name, units, matches, arena.move_names)
+    return CellPlan(game_between(game, *cars), *cars, units)
+
+
+def play_cells(
+    plans: Sequence[CellPlan],
+    *,
+    name: str = "cells",
+    job: Job | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Iterator[Cell]:
+    """Play several cells side by side, and yield them one by one.
+
+    Parameters
+    ----------
+    plans : sequence of CellPlan
+        All of one archive and one set of rules.
+    name : str
+        Of this part of the job's work.
+    job, executor, progress
+        As for :func:`play_cell`. With a job memory does not grow with the cells: they are read from its chunks.
+
+    Raises
+    ------
+    InputError
+        If the cells are of different games.
+    """
+    if not plans:
+        return
+    arena = plans[0].arena
+    for plan in plans:
+        if (plan.arena.config, plan.arena.archive.content_hash) != (arena.config, arena.archive.content_hash):
+            raise InputError(
+                f"the game on {plan.arena.track.name!r} has another archive or other rules than that on "
+                f"{arena.track.name!r}; cells that are played together must be alike"
+            )
+    pairings = [
+        Pairing(plan.arena.track, plan.ego, plan.opponent, plan.units.variants, plan.units.starts, plan.units.seeds)
+        for plan in plans
+    ]
+    played = each_pairing(
+        pairings, arena.archive, arena.config, name=name, job=job, executor=executor, progress=progress
+    )
+    for plan, matches in zip(plans, played, strict=True):
+        yield Cell(*plan.names, plan.arena.track.name, plan.units, matches, plan.arena.move_names)
 
 
 def _variants(what: str, wanted: int | Sequence[int], available: int, seed: int, stream: int) -> NDArray[np.int64]:

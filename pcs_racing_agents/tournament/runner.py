@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
@@ -21,6 +21,7 @@ from pcs_racing.track import Track, load_track
 from pcs_racing_agents.chunk_files import fingerprint
 from pcs_racing_agents.jobs import Arrays, Job, Progress
 from pcs_racing_agents.strategies.agent import Competitor, competitor_hash
+from pcs_racing_agents.tasks import in_other_processes
 from pcs_racing_agents.tournament.matches import Matches, join_matches, play_games
 
 __all__ = ["Pairing", "each_pairing", "play_pairings"]
@@ -153,7 +154,7 @@ def _task(
     track, starts = pairing.track, pairing.starts.take(rows)
     policies, seeds = pairing.policies[rows], pairing.seeds[rows]
     # Other processes read the map again (from a cache): its arrays are too many to send along with every task.
-    elsewhere = executor is not None and not isinstance(executor, ThreadPoolExecutor) and track.folder is not None
+    elsewhere = in_other_processes(executor) is not None
     return _Task(
         content_hash=fingerprint(
             _track_hash(track),

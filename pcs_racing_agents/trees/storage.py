@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, overload
@@ -13,12 +14,12 @@ from pcs_racing.archive import PolicyArchive
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
 from pcs_racing_agents.job_folders import read_job
-from pcs_racing_agents.jobs import Progress, chunk_file, open_job, read_chunk
+from pcs_racing_agents.jobs import Part, Progress, chunk_file, open_job, read_chunk, run_parts
 from pcs_racing_agents.trees.build import build_tree, check_game
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
 
-__all__ = ["StoredTrees", "build_trees", "game_settings", "load_trees", "read_settings"]
+__all__ = ["StoredTrees", "build_trees", "game_settings", "load_trees", "open_trees", "read_settings"]
 
 KIND = "game trees"
 NAME = "tree"
@@ -82,6 +83,43 @@ def build_trees(
     InputError
         If a number, pair or game is impossible, or the folder holds something else.
     """
+    with open_trees(
+        game, folder, pairs=pairs, seeds_per_pair=seeds_per_pair, seed=seed, one_thread=executor is not None
+    ) as part:
+        run_parts([part], executor=executor, progress=progress, keep=False)
+    return load_trees(folder)
+
+
+@contextmanager
+def open_trees(
+    game: RaceGame,
+    folder: str | Path,
+    *,
+    pairs: int | ArrayLike = 20,
+    seeds_per_pair: int | None = None,
+    seed: int = 0,
+    one_thread: bool = True,
+) -> Iterator[Part]:
+    """Open the folder of :func:`build_trees` for as long as a ``with`` block lasts.
+
+    Parameters
+    ----------
+    game, folder, pairs, seeds_per_pair, seed
+        As for :func:`build_trees`.
+    one_thread : bool
+        Whether a tree is played on one core: where an executor plays several at a time.
+
+    Yields
+    ------
+    Part
+        The trees as tasks, so that those of several folders can be played side by side
+        (:func:`pcs_racing_agents.jobs.run_parts`).
+
+    Raises
+    ------
+    InputError
+        As for :func:`build_trees`.
+    """
     check_game(game)
     chosen = _checked_pairs(game.archive, pairs, seed)
     seeds = default_seeds(game) if seeds_per_pair is None else seeds_per_pair
@@ -91,10 +129,9 @@ def build_trees(
         raise InputError(f"seeds_per_pair is {seeds}, but there is no steering noise: every seed drives the same")
     settings = {**game_settings(game), "pairs": chosen, "seeds_per_pair": int(seeds), "seed": int(seed)}
     tasks = [_Task(pair, i, int(seeds), int(seed)) for i, pair in enumerate(chosen)]
-    builder = _Builder(game if executor is None else replace(game, threads=1))
+    builder = _Builder(replace(game, threads=1) if one_thread else game)
     with open_job(folder, KIND, settings) as job:
-        job.run(NAME, builder, tasks, executor=executor, progress=progress, keep=False)
-    return load_trees(folder)
+        yield Part(job, NAME, builder, tasks)
 
 
 def game_settings(game: RaceGame) -> dict[str, Any]:

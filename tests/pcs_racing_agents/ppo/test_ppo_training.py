@@ -44,7 +44,7 @@ def stop_after(updates):
 
 def state_of(folder, seed=0):
     """The last checkpoint, without the clock."""
-    arrays = read_chunk(folder / f"seed-{seed}.npz")
+    arrays = read_chunk(folder / f"chunks/seed-{seed:05d}.npz")
     return {key: array for key, array in arrays.items() if key != "seconds"}
 
 
@@ -82,7 +82,7 @@ def test_a_finished_training_is_only_read(settings, trained, monkeypatch):
 def test_a_damaged_checkpoint_is_made_again(settings, trained, tmp_path, caplog):
     with pytest.raises(StopError):
         train_ppo(settings["drive"], tmp_path, progress=stop_after(2), checkpoint_seconds=0.0)
-    file = tmp_path / "seed-0.npz"
+    file = tmp_path / "chunks" / "seed-00000.npz"
     file.write_bytes(file.read_bytes()[:-300])
     with caplog.at_level(logging.WARNING):
         train_ppo(settings["drive"], tmp_path)
@@ -155,7 +155,8 @@ def test_the_network_decides_as_stable_baselines_does(settings, trained):
     from pcs_racing_agents.ppo.learner import actor_layers, make_learner, own_randomness, restore_learner
 
     run = trained["duel"]
-    arrays = {key: a for key, a in read_chunk(run.folder.parent / "seed-0.npz").items() if key.startswith("learner.")}
+    state = read_chunk(run.folder.parent / "chunks" / "seed-00000.npz")
+    arrays = {key: array for key, array in state.items() if key.startswith("learner.")}
     with own_randomness():
         learner = make_learner(settings["duel"], run.level.parts(), 0, "relu", 1e6)
         restore_learner(learner, {key.removeprefix("learner."): array for key, array in arrays.items()})
