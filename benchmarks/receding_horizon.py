@@ -2,6 +2,7 @@
 
     nice python benchmarks/receding_horizon.py --out out/receding
     python benchmarks/receding_horizon.py --race contest --seconds 8 --starts 5
+    python benchmarks/receding_horizon.py --seconds 8 --searches "depth 1, network" "depth 2, network"
 
 Agents race never-switch, random-moves and "always more of the first axis" from the same start lines, start policies and
 noise, on four circuits. Time is that of one core. With --out a stopped run goes on where it was.
@@ -10,6 +11,7 @@ noise, on four circuits. Time is that of one core. With --out a stopped run goes
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -123,10 +125,10 @@ def play(task: Task) -> dict[str, Any]:
     return {"score": played.score, "fault": played.fault[:, 0], "time": np.array(time_taken, np.float64)}
 
 
-def tasks_of(race: str, seconds: float, starts: int) -> list[Task]:
+def tasks_of(race: str, seconds: float, starts: int, wanted: Sequence[str]) -> list[Task]:
     setting = setting_of(race, seconds)
     constant = [f"always {move}" for move in setting.moves[:-1]]
-    searches = [name for name in SEARCHES if name not in LEFT_OUT.get((race, seconds), ())]
+    searches = [name for name in wanted if name not in LEFT_OUT.get((race, seconds), ())]
     try:
         receding_horizon(setting, leaf="network")
     except UnknownNameError as error:
@@ -175,13 +177,17 @@ def main() -> None:
     parser.add_argument("--race", nargs="+", choices=tuple(ARCHIVES), default=list(ARCHIVES), help="rules")
     parser.add_argument("--seconds", nargs="+", type=float, default=[8.0, 4.0, 2.0], help="between two decisions")
     parser.add_argument("--starts", type=int, default=20, help="on each of four circuits (default: 20)")
+    parser.add_argument(
+        "--searches", nargs="+", choices=tuple(SEARCHES), default=list(SEARCHES), metavar="NAME",
+        help="only these, beside agents that don't search",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, help="folder that keeps results, to go on with (default: none)")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         for race in options.race:
             for seconds in options.seconds:
                 folder = (options.out or Path(scratch)) / f"{race}-{seconds:g}"
-                tasks = tasks_of(race, seconds, options.starts)
+                tasks = tasks_of(race, seconds, options.starts, options.searches)
                 about = {"archive": setting_of(race, seconds).archive.content_hash, "tasks": [list(t) for t in tasks]}
                 with open_job(folder, "receding-horizon", about) as job:
                     found = job.run("games", partial(play), tasks, progress=show_progress("cells"))
