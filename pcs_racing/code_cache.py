@@ -8,7 +8,9 @@ import hashlib
 import json
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 __all__ = ["forget_stale_code"]
 
@@ -26,35 +28,37 @@ def forget_stale_code(package: Path) -> None:
     """
     note = package / "__pycache__" / "numba_sources.json"
     try:
-        now = _digests(package)
-        before = _read(note)
-        if before == now:
+        sources = sorted({*package.rglob("*.py"), *Path(__file__).parent.rglob("*.py")})
+        stamps = {str(source): [(status := source.stat()).st_size, status.st_mtime_ns] for source in sources}
+        noted = _read(note)
+        if noted.get("stamps") == stamps:  # reading them takes a third of a second at every start
             return
+        now, before = _digests(sources), noted.get("digests", {})
         for module in now:
             if before.get(module) != now[module]:
                 for cached in package.rglob(f"__pycache__/{module}.*.nb[ci]"):
                     cached.unlink(missing_ok=True)
         note.parent.mkdir(exist_ok=True)
         temporary = note.with_suffix(f".{os.getpid()}.tmp")
-        temporary.write_text(json.dumps(now))
+        temporary.write_text(json.dumps({"stamps": stamps, "digests": now}))
         os.replace(temporary, note)
     except OSError:
         return  # not ours to write to: an installation, whose files never change one by one
 
 
-def _read(note: Path) -> dict[str, str]:
+def _read(note: Path) -> dict[str, dict[str, Any]]:
     """What was noted last time; nothing if it can't be read."""
     try:
         found = json.loads(note.read_text())
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return found if isinstance(found, dict) and all(isinstance(part, dict) for part in found.values()) else {}
 
 
-def _digests(package: Path) -> dict[str, str]:
-    """For every module of a package: a digest of its source and of all sources that it imports."""
+def _digests(sources: Sequence[Path]) -> dict[str, str]:
+    """For every module: a digest of its source and of all sources that it imports."""
     texts: dict[str, str] = {}
-    for source in sorted({*package.rglob("*.py"), *Path(__file__).parent.rglob("*.py")}):
+    for source in sources:
         # Modules of one name in two folders are taken for one: a little too much is thrown away then, never too little.
         texts[source.stem] = texts.get(source.stem, "") + source.read_text(encoding="utf-8")
     imports = {

@@ -66,6 +66,18 @@ def test_cached_code_stays_while_nothing_changes(package):
     assert cached(package) == {"base", "top", "other"}
 
 
+def test_sources_are_read_again_only_when_size_or_time_of_one_changed(package):
+    base = package / "base.py"
+    status = base.stat()
+    base.write_text("A = 3\n")
+    os.utime(base, ns=(status.st_atime_ns, status.st_mtime_ns))
+    forget_stale_code(package)
+    assert cached(package) == {"base", "top", "other"}
+    os.utime(base)
+    forget_stale_code(package)
+    assert cached(package) == {"other"}
+
+
 def test_a_change_drops_the_module_and_those_that_import_it(package):
     (package / "base.py").write_text("A = 2\n")
     forget_stale_code(package)
