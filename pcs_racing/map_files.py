@@ -31,6 +31,7 @@ Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 
 MAX_PIXELS = 64_000_000
+MAX_POINTS = 100_000  # of a line: 10 km with a point every 0.1 m
 PICTURE_FORMATS = ("PNG", "PPM", "BMP")
 CENTERLINE_COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 RACELINE_COLUMNS = ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2")
@@ -144,7 +145,7 @@ def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
 
 
 def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str) -> Floats:
-    """Rows of finite numbers, shape (K, columns); lines that begin with '#' are left out."""
+    """Rows of finite numbers, shape (K, columns), 10 to 100,000; lines that begin with '#' are left out."""
     try:
         lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -154,7 +155,7 @@ def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str)
         if not text.strip() or text.lstrip().startswith("#"):
             continue
         try:
-            row = [float(value) for value in text.split(separator)]
+            row = [float(value) for value in text.split(separator, len(columns))]
         except ValueError:
             row = []
         if len(row) != len(columns) or not all(map(math.isfinite, row)):
@@ -163,6 +164,8 @@ def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str)
                 f"{separator!r}: {', '.join(columns)}"
             )
         rows.append(row)
+        if len(rows) > MAX_POINTS:
+            raise MapError(f"{file} has more than {MAX_POINTS} points: a point every few centimetres is enough")
     if len(rows) < 10:
         raise MapError(f"{file} has {len(rows)} points: at least 10 are needed")
     return np.array(rows)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing import frenet
 from pcs_racing.compilation import compiled
-from pcs_racing.errors import MapError, UnknownNameError
+from pcs_racing.errors import InputError, MapError, UnknownNameError
 from pcs_racing.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
 from pcs_racing.grid import distance_to_walls
 from pcs_racing.mapping.clearance import wall_clearance
@@ -218,6 +218,8 @@ _loaded: dict[Path, _Loaded] = {}
 
 
 def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
+    if not isinstance(name_or_path, str | os.PathLike):
+        raise InputError(f"track is {name_or_path!r:.80}; it must be the name of a circuit or the path of a map")
     path = Path(name_or_path)
     if isinstance(name_or_path, str) and path.name == name_or_path:
         try:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-__all__ = ["mutations", "strategy"]
+__all__ = ["NUMBERS", "ODD", "WORDS", "mutations"]
 
 NUMBERS = (
     "0", "-0", "1", "-1", "0.5", "1e9", "1e999", "-1e999", "nan", ".nan", "inf", ".inf", "-.inf", "1e-320", "9" * 30, "9" * 400,
@@ -184,44 +184,3 @@ def _spoiled(rng: random.Random, array: Any) -> Any:
         )
         out.flat[rng.randrange(out.size)] = value
     return out
-
-
-def strategy(seeds: list[bytes], kind: str) -> Any:
-    """Return a strategy of hypothesis for inputs of a kind: structures with the names that are in the seeds."""
-    from hypothesis import strategies as st
-
-    text = st.text(max_size=20) | st.sampled_from([*NUMBERS, *WORDS])
-    leaf = st.none() | st.booleans() | st.integers() | st.floats() | text | st.sampled_from(ODD)
-    value = st.recursive(
-        leaf, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(text, inner, max_size=3), max_leaves=8
-    )
-    if kind in ("yaml", "json"):
-        load: Callable[[bytes], Any] = yaml.safe_load if kind == "yaml" else json.loads
-        known = [load(seed) for seed in seeds]
-
-        def filled(parts: tuple[int, dict[str, Any]]) -> bytes:
-            which, changes = parts
-            base = known[which % len(known)]
-            base = {**base, **changes} if isinstance(base, dict) else changes
-            text = yaml.safe_dump(base, sort_keys=False) if kind == "yaml" else json.dumps(base)
-            return text.encode("utf-8", "surrogatepass")
-
-        names = sorted({str(key) for base in known if isinstance(base, dict) for key in base})
-        keys = st.sampled_from(names) | text if names else text
-        return st.tuples(st.integers(0, 5), st.dictionaries(keys, value, min_size=1, max_size=3)).map(filled)
-    if kind == "text":
-        words = sorted(
-            {part for seed in seeds for part in seed.decode().replace("=", " = ").replace(":", " : ").split()}
-        )
-        parts = st.lists(st.sampled_from([*words, ":", "=", ","]) | text, max_size=8)
-        return parts.map(lambda found: "".join(found).encode("utf-8", "surrogatepass"))
-    if kind == "csv":
-        heads = [seed.decode().splitlines()[0] for seed in seeds]
-        cells = st.lists(st.floats().map(str) | text, min_size=1, max_size=24)
-        rows = st.lists(cells, min_size=8, max_size=14)
-        return st.tuples(st.sampled_from(heads), st.sampled_from(",;"), rows).map(
-            lambda parts: "\n".join([parts[0], *(parts[1].join(row) for row in parts[2])]).encode(
-                "utf-8", "surrogatepass"
-            )
-        )
-    return st.binary(max_size=300)

@@ -8,7 +8,6 @@ digest would be tested. What takes values (options, actions, seeds) gets values 
 import hashlib
 import io
 import json
-import struct
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,17 +17,23 @@ from typing import Any
 
 import numpy as np
 import yaml
+from fuzz_environments import (
+    drive_envs,
+    drive_inputs,
+    drive_options,
+    duel_envs,
+    duel_inputs,
+    game_options,
+    head_to_head_inputs,
+    opponents,
+    race_options,
+    small_game,
+)
 from PIL import Image
 
-from pcs_racing import RaceGame, load_game_config, load_race_config, load_state, load_track, parse_policy, read_replay
+from pcs_racing import load_race_config, load_state, load_track, parse_policy, read_replay
 from pcs_racing.archive import PolicyArchive, load_archive
 from pcs_racing.archive import shipped_folder as archives_folder
-from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.drive_batch import DriveOptions
-from pcs_racing.envs.drive_vector import DriveVectorEnv
-from pcs_racing.envs.duel import DuelEnv
-from pcs_racing.envs.duel_vector import DuelVectorEnv
-from pcs_racing.envs.opponents import parse_opponents
 from pcs_racing.game_state import load_game, save_game
 from pcs_racing.map_files import CENTERLINE_COLUMNS, RACELINE_COLUMNS, parse_csv, parse_grid, parse_info, parse_ros_yaml
 from pcs_racing.maps import find_map, read_map, shipped_folder
@@ -46,6 +51,8 @@ from pcs_racing_agents.jobs import chunk_file, open_job
 from pcs_racing_agents.ppo.curves import COLUMNS, read_curve
 from pcs_racing_agents.ppo.driver import read_driver, save_driver
 from pcs_racing_agents.ppo.layers import Layers
+from pcs_racing_agents.ppo.plain_state import pack as pack_state
+from pcs_racing_agents.ppo.plain_state import unpack as unpack_state
 from pcs_racing_agents.ppo.settings import load_ppo_settings
 from pcs_racing_agents.rollouts.learner import load_response_settings
 from pcs_racing_agents.strategies.fits import load_fit, shipped_fits
@@ -55,7 +62,8 @@ from pcs_racing_agents.study.cell_races import read_races
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.report_inputs import read_curves, read_losses
 from pcs_racing_agents.synthesis.config import load_archive_config
-from pcs_racing_agents.trees import build_trees, load_trees
+from pcs_racing_agents.trees import build_ego_trees, build_trees, ego_values, load_ego_trees, load_trees
+from pcs_racing_agents.viewing.race_columns import packed_columns, race_columns, read_lines
 
 __all__ = ["TARGETS", "Target"]
 
@@ -201,13 +209,6 @@ def _unsigned(path: Path) -> bytes:
 
 
 @cache
-def small_game() -> RaceGame:
-    return RaceGame(
-        load_track("Tarnfjord"), load_archive("default"), load_game_config("paper", moves=1, step_seconds=0.5)
-    )
-
-
-@cache
 def some_trees() -> Path:
     folder = scratch() / "trees"
     build_trees(small_game(), folder, pairs=1, seed=0)
@@ -234,6 +235,51 @@ def tree_chunk(data: bytes) -> object:
 def _tree_chunk() -> bytes:
     _tree_manifest()
     return _unsigned(chunk_file(some_trees(), "tree", 0))
+
+
+@cache
+def some_ego_trees() -> Path:
+    folder = scratch() / "ego-trees"
+    build_ego_trees(small_game(), folder, roots=2, seed=0)
+    return folder
+
+
+@cache
+def _ego_manifest() -> bytes:
+    return (some_ego_trees() / "job.yaml").read_bytes()
+
+
+def ego_manifest(data: bytes) -> object:
+    (some_ego_trees() / "job.yaml").write_bytes(data)
+    return load_ego_trees(some_ego_trees())
+
+
+def ego_chunk(data: bytes) -> object:
+    (some_ego_trees() / "job.yaml").write_bytes(_ego_manifest())
+    trees = _read_signed(data, chunk_file(some_ego_trees(), "ego", 0), lambda path: load_ego_trees(some_ego_trees()))
+    return [trees.observations(k) for k in range(trees.moves)], ego_values(trees)  # type: ignore[attr-defined]
+
+
+def _ego_chunk() -> bytes:
+    _ego_manifest()
+    return _unsigned(chunk_file(some_ego_trees(), "ego", 0))
+
+
+def checkpoint(data: bytes) -> object:
+    """What environments remember, in a checkpoint of training."""
+    return unpack_state(unpack_arrays(data), _remembered())
+
+
+@cache
+def _remembered() -> Any:
+    game = small_game().reset(games=1)
+    return {"games": game, "generators": [np.random.default_rng(1).bit_generator.state], "moves": (np.zeros(2), None)}
+
+
+def _checkpoint() -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **pack_state(_remembered()))
+    return buffer.getvalue()
 
 
 def _chunk() -> bytes:
@@ -336,161 +382,6 @@ def replay_json(data: bytes) -> object:
     return as_file(read_replay, "race.json")(data)
 
 
-# Values drawn from bytes
-
-
-class Draw:
-    """Values out of bytes; when they are used up it goes on with zeros."""
-
-    ODD: tuple[Any, ...] = (
-        None, True, False, 0, 1, -1, 2, 3, 255, 10**9, -(10**9), 2**31, 2**63, 2**64, -(2**63) - 1, 10**30,
-        0.0, 0.5, 1.0, -0.0, 1e-300, 1e300, -1e300, float("nan"), float("inf"), -float("inf"), 0.1, 0.02, 2.5,
-        "", "a", "paper", "contest", "lattice", "nan", "0", "\x00", "\ud800", "../..", "/", "a" * 300, b"", b"abc",
-        [], {}, (), [1, 2], (0.5, 1.0), [[]], {"a": 1}, {1: 2}, [None], np.float32(0.5), np.int64(3), np.array(1.0),
-        np.array([1, 2]), np.array([], np.float32), np.array(["x"]), np.array([None], object), 1j, range(3), object,
-    )  # fmt: skip
-
-    def __init__(self, data: bytes) -> None:
-        self.data, self.at = data, 0
-
-    def byte(self) -> int:
-        self.at += 1
-        return self.data[self.at - 1] if self.at <= len(self.data) else 0
-
-    def number(self) -> float:
-        self.at += 8
-        return float(struct.unpack("<d", self.data[self.at - 8 : self.at].ljust(8, b"\0"))[0])
-
-    def choice(self, values: Any) -> Any:
-        return values[(self.byte() + 256 * self.byte()) % len(values)]
-
-    def value(self, likely: tuple[Any, ...] = ()) -> Any:
-        kind = self.byte() % 8
-        if kind < 3 and likely:
-            return self.choice(likely)
-        if kind == 3:
-            return self.number()
-        if kind == 4:
-            return self.byte() - 128
-        if kind == 5:
-            return [self.choice(self.ODD) for _ in range(self.byte() % 4)]
-        if kind == 6:
-            return self.data[self.at : self.at + self.byte() % 20].decode("latin-1")
-        return self.choice(self.ODD)
-
-    def keywords(self, likely: dict[str, tuple[Any, ...]]) -> dict[str, Any]:
-        """Some of the arguments, and now and then one that does not exist."""
-        names = list(likely)
-        chosen = {self.choice(names) for _ in range(1 + self.byte() % 4)}
-        values = {name: self.value(likely[name]) for name in sorted(chosen)}
-        return values | ({"unknown": 1} if self.byte() == 255 else {})
-
-
-GAME = {
-    "race": ("paper", "contest"), "moves": (1, 4, 100, 101), "step_seconds": (0.1, 8.0, 0.15, 600), "epsilon": (0.5, [0.1, 0.5]),
-    "stay": (True, False), "utility": ("lead", "win", "lead-at-crash"), "fault_penalty": (0.0, 1.5), "discount": (1, 0.5),
-    "characteristics": (["restraint"], ("aggressiveness", "restraint"), "pace"), "mask_duplicates": (True,),
-}  # fmt: skip
-RACE = {
-    "name": ("mine",), "duration": (0.1, 40.0, 3600), "start": ("side-by-side", "staggered", "rolling"),
-    "start_gap": (0.8, 1.4), "start_spacing": (0.9, 0.4), "start_speed": (0, 15), "start_lines": (1, 1000),
-    "steering_noise": (0.01,), "noise_time": (0.28,), "speed_range": ([0.5, 1.0], (0.1, 3)), "stay_move": (True,),
-    "crash_rule": ("nobody", "fault-loses"), "aggressiveness": ("lead", "pace"), "ittc_horizon": (10.0,),
-}  # fmt: skip
-DRIVE = {
-    "track": ("Pipkin", "pipkin"), "opponent": (None, "lattice", "pure-pursuit", "lattice:pace=0.8", ["lattice", "lattice:pace=0.9"]),
-    "race": ("paper", "contest"), "duration": (1.0, 0.1, None), "time_step": (0.1, 0.02, 1.0), "top_speed": (8.0, 20),
-    "beams": (0, 1, 108, 100_000, 100_001), "fov": (4.7, 6.28), "max_range": (30.0, 0.1), "lidar_noise": (0.0, 0.1),
-    "look_ahead": ((0.0, 1.0), [2.0], ()), "normalize": (True, False), "progress_reward": (1.0,), "rivalry": (0.5,),
-    "crash_penalty": (10.0, 0), "start_lines": (1, 100, 1000),
-}  # fmt: skip
-
-
-def game_options(data: bytes) -> object:
-    return load_game_config(**{"source": "paper", **Draw(data).keywords(GAME)})
-
-
-def race_options(data: bytes) -> object:
-    return load_race_config("paper", **Draw(data).keywords(RACE))
-
-
-def drive_options(data: bytes) -> object:
-    try:
-        return DriveOptions(**Draw(data).keywords(DRIVE))
-    except TypeError as error:  # Python's own word for an argument that does not exist
-        if "unexpected keyword" not in str(error):
-            raise
-        return None
-
-
-def drive_envs(data: bytes) -> object:
-    """Environments made of odd arguments, and a first step in them."""
-    draw = Draw(data)
-    options = {"track": "Pipkin", "opponent": None, "num_envs": draw.value((1, 2, 3))} | draw.keywords(DRIVE)
-    if "unknown" not in options:
-        DriveOptions(**{key: value for key, value in options.items() if key != "num_envs"})
-    env = DriveVectorEnv(**options, threads=draw.value((None, 1, 2)))
-    env.reset(seed=1)
-    result = env.step(np.zeros((env.num_envs, 2), np.float32))
-    env.close()
-    return result
-
-
-@cache
-def driven() -> tuple[DriveEnv, DriveVectorEnv]:
-    return DriveEnv("Pipkin", "pure-pursuit"), DriveVectorEnv(3, track="Pipkin", opponent=None, threads=1)
-
-
-def drive_inputs(data: bytes) -> object:
-    """Actions, seeds and options of the control level."""
-    draw = Draw(data)
-    env, envs = driven()
-    what = draw.byte() % 8
-    if what == 0:
-        return env.reset(seed=draw.value((0, 1, None)), options=draw.value((None, {})))
-    if what == 1:
-        return envs.reset(seed=draw.value((0, [1, 2, 3], [None, 1, 2], None)), options=draw.value((None, {})))
-    env.reset(seed=0)
-    if what < 4:
-        return env.step(draw.value(([0.0, 0.5], np.zeros(2, np.float32), [draw.number(), draw.number()])))
-    if what == 7:
-        return env.set_state(draw.value((env.get_state(),)))
-    envs.reset(seed=0)
-    numbers = [[draw.number(), draw.number()] for _ in range(3)]
-    with np.errstate(all="ignore"):
-        short = np.array(numbers, np.float32)
-    return envs.step(draw.value((numbers, np.zeros((3, 2)), short)))
-
-
-@cache
-def dueled() -> tuple[DuelEnv, DuelVectorEnv]:
-    settings = {"track": "Pipkin", "moves": 2, "step_seconds": 0.1}
-    return DuelEnv(**settings), DuelVectorEnv(2, threads=1, **settings)
-
-
-def duel_inputs(data: bytes) -> object:
-    """Moves and seeds of the strategy level."""
-    draw = Draw(data)
-    env, envs = dueled()
-    what = draw.byte() % 6
-    if what == 0:
-        return env.reset(seed=draw.value((0, 1, None)), options=draw.value((None, {})))
-    if what == 1:
-        return envs.reset(seed=draw.value((0, [1, 2], [None, 1], None)), options=draw.value((None, {})))
-    env.reset(seed=0)
-    if what < 4:
-        return env.step(draw.value((0, 3, 4, -1, np.int64(1), np.array(2), np.array([1]), 1.0)))
-    envs.reset(seed=0)
-    return envs.step(draw.value(([0, 1], np.array([3, 2]), [4, 0], [[1], [1]], [0.0, 1.0])))
-
-
-def opponents(data: bytes) -> object:
-    draw = Draw(data)
-    moves = small_game().move_names
-    names = ("never-switch", "random-moves", "always-restraint+", "lattice:pace=0.9", "lane-switcher:3")
-    return parse_opponents(draw.value((*names, [(1, names[0]), (draw.number(), names[1])], [draw.value(names)])), moves)
-
-
 # Texts
 
 
@@ -552,6 +443,12 @@ def results_table(data: bytes) -> object:
     folder = _copied(tournament_folder(), "table")
     (folder / "results.csv").write_bytes(data)
     return open_results(folder), read_races(folder / "results.csv")
+
+
+def viewed_table(data: bytes) -> object:
+    file = scratch() / "viewed.csv"
+    file.write_bytes(data)
+    return packed_columns(race_columns(read_lines(file), file))
 
 
 CURVE = (
@@ -630,6 +527,9 @@ TARGETS: dict[str, Target] = {
     "chunk, signed": Target(signed_chunk, lambda: [_chunk()], "npz"),
     "tree manifest": Target(tree_manifest, lambda: [_tree_manifest()], "yaml"),
     "tree chunk, signed": Target(tree_chunk, lambda: [_tree_chunk()], "npz"),
+    "ego tree manifest": Target(ego_manifest, lambda: [_ego_manifest()], "yaml"),
+    "ego tree chunk, signed": Target(ego_chunk, lambda: [_ego_chunk()], "npz"),
+    "ppo checkpoint": Target(checkpoint, lambda: [_checkpoint()], "npz"),
     "job manifest": Target(job_folder, lambda: [_job()], "yaml"),
     "race state": Target(
         as_file(load_state, "race.npz"),
@@ -653,6 +553,7 @@ TARGETS: dict[str, Target] = {
     "ppo config": Target(as_file(load_ppo_settings, "ppo.yaml"), configs("ppo"), "yaml"),
     "response config": Target(as_file(load_response_settings, "response.yaml"), configs("response"), "yaml"),
     "results table": Target(results_table, texts(RESULTS), "csv"),
+    "results in the viewer": Target(viewed_table, texts(RESULTS), "csv"),
     "results manifest": Target(results_manifest, lambda: [(tournament_folder() / "job.yaml").read_bytes()], "yaml"),
     "exploitability table": Target(
         as_file(read_losses, "losses.csv"),
@@ -687,8 +588,12 @@ TARGETS: dict[str, Target] = {
     "drive actions and seeds": Target(
         drive_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
     ),
+    "duel environments": Target(duel_envs, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
     "duel actions and seeds": Target(
         duel_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
+    ),
+    "head-to-head inputs": Target(
+        head_to_head_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
     ),
 }
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.archive import PolicyArchive, load_archive
 from pcs_racing.envs.drive_batch import check_batch
-from pcs_racing.envs.opponents import NEVER_SWITCH, Opponent, choose, parse_opponents
+from pcs_racing.envs.opponents import NEVER_SWITCH, Opponent, checked_move, choose, parse_opponents
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame, make_game, with_opponent
 from pcs_racing.game_config import GameConfig
@@ -168,14 +168,10 @@ class DuelBatch:
                 self._deterministic,
             )
             for row, move, memory in zip(rows, chosen, memories, strict=True):
-                value = np.asarray(move)
-                fine = value.shape == () and value.dtype.kind in "iu" and 0 <= value < masks.shape[1]
-                if not fine:
-                    raise InputError(
-                        f"environment {row}: opponent {opponent.name!r} chose {move!r}; it must be a whole number from "
-                        f"0 to {masks.shape[1] - 1}"
-                    )
-                replies[row] = int(value)
+                try:
+                    replies[row] = checked_move(opponent, move, self.game.move_names)
+                except InputError as error:
+                    raise InputError(f"environment {row}: {error}") from None
                 self.memories[row] = memory
         return replies
 

@@ -16,6 +16,9 @@ __all__ = ["NEVER_SWITCH", "RANDOM_MOVES", "Opponent", "Predictor", "parse_oppon
 NEVER_SWITCH = "never-switch"
 RANDOM_MOVES = "random-moves"
 ALWAYS = "always-"
+STAY = "stay"
+IF_LAST_STAY = "; if its last is 'stay', which these rules do not offer, make the environment with stay=True"
+IF_STAY = "; if it means 'stay', which these rules do not offer, make the environment with stay=True"
 
 Observation = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -96,13 +99,28 @@ def _one(given: Any, weight: float, moves: Sequence[str]) -> Opponent:
     if isinstance(given, Policy):
         return Opponent(given.name, weight, driver=given)
     if isinstance(given, Predictor) and not isinstance(given, type):
-        return Opponent(str(getattr(given, "name", type(given).__name__)), weight, player=given)
+        _check_moves(given, moves)
+        return Opponent(_name(given), weight, player=given)
     if callable(given) and not isinstance(given, type):
         return Opponent(str(getattr(given, "__name__", type(given).__name__)), weight, player=given)
     raise InputError(
         f"opponent {given!r} is no opponent; it must be a name, a policy, an object with predict(observation, state, "
         "episode_start, deterministic), a function of (observation, generator), or a list of (weight, opponent)"
     )
+
+
+def _check_moves(given: Predictor, moves: Sequence[str]) -> None:
+    """Refuse a model that was trained with more moves than there are; others show it when they make such a move."""
+    count = getattr(getattr(given, "action_space", None), "n", None)
+    if isinstance(count, int | np.integer) and count > len(moves):
+        raise InputError(
+            f"opponent {_name(given)!r} chooses among {count} moves, and here are {len(moves)} ({', '.join(moves)})"
+            + (IF_LAST_STAY if count == len(moves) + 1 and STAY not in moves else "")
+        )
+
+
+def _name(given: Any) -> str:
+    return str(getattr(given, "name", type(given).__name__))
 
 
 def _by_name(name: str, weight: float, moves: Sequence[str]) -> Opponent:
@@ -157,12 +175,46 @@ def choose(
     if not isinstance(player, Predictor):
         return [player(seen, rng) for seen, rng in zip(observations, rngs, strict=True)]
     if all(memory is None for memory in memories):
-        moves, memory = player.predict(observations, None, np.ones(len(rngs), np.bool_), deterministic)
+        moves, memory = _asked(opponent, observations, None, np.ones(len(rngs), np.bool_), deterministic)
         if memory is None:
-            return list(np.asarray(moves).reshape(len(rngs)))
+            return list(moves)
     chosen = []
     for i, seen in enumerate(observations):  # one that remembers is asked game by game
         first = np.array([memories[i] is None])
-        move, memories[i] = player.predict(seen[None], memories[i], first, deterministic)
-        chosen.append(np.asarray(move).reshape(1)[0])
+        moves, memories[i] = _asked(opponent, seen[None], memories[i], first, deterministic)
+        chosen.append(moves[0])
     return chosen
+
+
+def _asked(
+    opponent: Opponent, observations: Observation, memory: Any, first: Mask, deterministic: bool
+) -> tuple[NDArray[Any], Any]:
+    """What a predictor answers: a move for each observation, and what it wants to be handed again."""
+    answer = opponent.player.predict(observations, memory, first, deterministic)  # type: ignore[union-attr]
+    try:
+        moves, after = answer
+        return np.asarray(moves).reshape(len(observations)), after
+    except (TypeError, ValueError):
+        raise InputError(
+            f"opponent {opponent.name!r}: predict returned {answer!r:.80}; it must return a pair: "
+            f"{len(observations)} moves, and a state or None"
+        ) from None
+
+
+def checked_move(opponent: Opponent, move: Any, moves: Sequence[str]) -> int:
+    """Return a move that an opponent chose as the number that it is.
+
+    Raises
+    ------
+    InputError
+        If it is no move of the game.
+    """
+    try:
+        value = np.asarray(move)
+    except (TypeError, ValueError):  # lists of different lengths
+        value = np.empty(0, object)
+    if value.shape != () or value.dtype.kind not in "iu" or not 0 <= value < len(moves):
+        known = f"it must be a whole number from 0 to {len(moves) - 1} ({', '.join(moves)})"
+        stay = value.shape == () and value.dtype.kind in "iu" and value == len(moves) and STAY not in moves
+        raise InputError(f"opponent {opponent.name!r} chose {move!r:.80}; {known}{IF_STAY if stay else ''}")
+    return int(value)

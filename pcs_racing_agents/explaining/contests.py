@@ -4,7 +4,6 @@ What a folder holds says who raced whom, from where, and with which noise; an ag
 told apart by its digest, and a race that comes out otherwise by its lead.
 """
 
-import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +20,7 @@ from pcs_racing.game_config import GameConfig
 from pcs_racing.race import Starts
 from pcs_racing.race_config import RaceConfig
 from pcs_racing.track import load_track
+from pcs_racing_agents.csv_files import read_csv
 from pcs_racing_agents.job_folders import read_job
 from pcs_racing_agents.strategies.agent import Competitor, competitor_hash
 from pcs_racing_agents.strategies.setting import make_setting
@@ -189,13 +189,9 @@ def open_results(folder: str | Path) -> Results:
         if above is not None and above["kind"] == "study":
             study = Study(_study_config(above["settings"]), place.resolve().parent, quiet=True)
             file = place.resolve().with_suffix(".csv")
-    try:
-        with open(file, newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream))
-    except OSError as error:
-        raise InputError(f"can't read {file}: {error.strerror}; it is written when all races are driven") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{file} is damaged: {error}") from None
+    if not file.exists():
+        raise InputError(f"there is no {file}; it is written when all races are driven")
+    rows = read_csv(file).rows()
     missing = {*CELL, "race", "lead", "ego_variant", "opponent_variant", "start_s"} - set(rows[0] if rows else ())
     if missing:
         raise InputError(f"{file} holds no races with {', '.join(sorted(missing))}")

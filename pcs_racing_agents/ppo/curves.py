@@ -10,6 +10,7 @@ import numpy as np
 
 from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
+from pcs_racing_agents.csv_files import read_csv
 from pcs_racing_agents.ppo.scores import Cell, Score, total
 
 __all__ = ["Curve", "read_curve", "write_curve", "write_picture", "write_tensorboard"]
@@ -58,20 +59,16 @@ def read_curve(file: Path) -> list[Curve]:
         If it is something else.
     """
     found: dict[int, dict[int, dict[Cell, Score]]] = {}
-    try:
-        with open(file, encoding="utf-8", newline="") as stream:
-            for row in csv.DictReader(stream, strict=True):
-                if tuple(row) != COLUMNS:
-                    raise InputError(f"{file} has columns {', '.join(row)}; a curve has {', '.join(COLUMNS)}")
-                score = Score(int(row["races"]), *(float(row[key]) for key in Score._fields[1:]))
-                cell = Cell(*(row[key] for key in Cell._fields))
-                found.setdefault(int(row["seed"]), {}).setdefault(int(row["steps"]), {})[cell] = score
-    except OSError as error:
-        raise InputError(f"can't read {file}: {error.strerror}") from None
-    except (ValueError, TypeError, csv.Error) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{file} is no learning curve: {error}") from None
+    table = read_csv(file)
+    if table.columns != COLUMNS:
+        raise InputError(f"{file} has columns {', '.join(table.columns)}; a curve has {', '.join(COLUMNS)}")
+    for number, row in table.lines():
+        try:
+            score = Score(int(row["races"]), *(float(row[key]) for key in Score._fields[1:]))
+            cell = Cell(*(row[key] for key in Cell._fields))
+            found.setdefault(int(row["seed"]), {}).setdefault(int(row["steps"]), {})[cell] = score
+        except ValueError as error:
+            raise InputError(f"{file}, line {number} is none of a learning curve: {error}") from None
     return [Curve(seed, tuple(moments), tuple(moments.values())) for seed, moments in found.items()]
 
 

@@ -1,6 +1,5 @@
 """What the table of a study needs of its races: from cells that were played, or from their lines in a file."""
 
-import csv
 from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
@@ -9,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.errors import InputError
+from pcs_racing_agents.csv_files import read_csv
 from pcs_racing_agents.tournament.cells import Cell
 from pcs_racing_agents.tournament.statistics import score
 
@@ -95,24 +95,20 @@ def read_races(path: str | Path, seeds: Collection[int] | None = None) -> dict[K
     """
     cells: dict[Key, list[tuple[float, ...]]] = {}
     seed_of: dict[Key, int] = {}
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                raise InputError(f"{path} has no column {missing[0]!r}; it must be a results.csv of races")
-            for row in reader:
-                race, seed = _race(row, path, reader)
-                key = (row["track"], row["opponent"], row["ego"])
-                if seeds is None or seed in seeds:
-                    if seed_of.setdefault(key, seed) != seed:
-                        raise InputError(
-                            f"{path}: {key[2]} raced {key[1]} on {key[0]} with seeds {seed_of[key]} and {seed}, which "
-                            "are of different tables; say which with seeds"
-                        )
-                    cells.setdefault(key, []).append(race)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"can't read {path}: {error}") from None
+    table = read_csv(path)
+    missing = [name for name in COLUMNS if name not in table.columns]
+    if missing:
+        raise InputError(f"{path} has no column {missing[0]!r}; it must be a results.csv of races")
+    for number, row in table.lines():
+        race, seed = _race(row, f"{path}, line {number}")
+        key = (row["track"], row["opponent"], row["ego"])
+        if seeds is None or seed in seeds:
+            if seed_of.setdefault(key, seed) != seed:
+                raise InputError(
+                    f"{path}: {key[2]} raced {key[1]} on {key[0]} with seeds {seed_of[key]} and {seed}, which are of "
+                    "different tables; say which with seeds"
+                )
+            cells.setdefault(key, []).append(race)
     found = {}
     for key, rows in cells.items():
         won, tied, crash, own, ego, opponent, start, side = np.array(rows).T
@@ -122,19 +118,19 @@ def read_races(path: str | Path, seeds: Collection[int] | None = None) -> dict[K
     return found
 
 
-def _race(row: dict[str, str], path: str | Path, reader: "csv.DictReader[str]") -> tuple[tuple[float, ...], int]:
+def _race(row: dict[str, str], where: str) -> tuple[tuple[float, ...], int]:
     """Return the numbers of a race, and its seed."""
     known = (("winner", ("ego", "opponent", "")), ("crash", CRASHES), ("fault", FAULTS))
     for name, values in known:
         if row[name] not in values:
-            raise InputError(f"{path}, line {reader.line_num}: {name} is {row[name]!r}; it must be one of {values}")
+            raise InputError(f"{where}: {name} is {row[name]!r}; it must be one of {values}")
     try:
         labels = [float(row[name]) for name in ("ego_variant", "opponent_variant", "start_s", "side")]
         seed = int(row["seed"])
         if not all(abs(label) < 1e9 for label in labels):
             raise ValueError
     except (TypeError, ValueError):
-        raise InputError(f"{path}, line {reader.line_num} is no race: a number is missing") from None
+        raise InputError(f"{where} is no race: a number is missing") from None
     crash = row["crash"] != ""
     tied = row["winner"] == "" and not crash
     return (row["winner"] == "ego", tied, crash, row["fault"] in ("ego", "both"), *labels), seed

@@ -1,6 +1,5 @@
 """What the stages of a study left behind, as the report wants it."""
 
-import csv
 import platform
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.errors import InputError
+from pcs_racing_agents.csv_files import read_csv
 from pcs_racing_agents.job_folders import package_version
 from pcs_racing_agents.study.table import StudyTable
 
@@ -165,16 +165,11 @@ def software() -> dict[str, str]:
 
 
 def _rows(path: str | Path, wanted: Sequence[str]) -> list[dict[str, str]]:
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            rows, known = list(reader), reader.fieldnames or ()
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"can't read {path}: {error}") from None
-    missing = [name for name in wanted if name not in known]
+    table = read_csv(path)
+    missing = [name for name in wanted if name not in table.columns]
     if missing:
         raise InputError(f"{path} has no column {missing[0]!r}")
-    return rows
+    return table.rows()
 
 
 def _number(text: str | None, path: str | Path) -> float:

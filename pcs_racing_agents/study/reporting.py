@@ -1,6 +1,5 @@
 """The last stage: one line for every race, the tables, and the page."""
 
-import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
@@ -8,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing_agents.configuration import plain_settings
+from pcs_racing_agents.csv_files import read_csv
 from pcs_racing_agents.ppo.curves import read_curve
 from pcs_racing_agents.strategies.agent import Agent
 from pcs_racing_agents.strategies.blind import Blend, Schedule, Walk
@@ -166,8 +167,10 @@ def _rivals(study: Study) -> RoundRobin | None:
     file = study.folder / "rivals.csv"
     if not file.is_file():
         return None
-    with open(file, newline="", encoding="utf-8") as lines:
-        rows = list(csv.DictReader(lines))
+    rows = read_csv(file).rows()
+    missing = {"ego", "opponent", "winner", "crash", "track", "race"} - set(rows[0] if rows else ())
+    if missing or not all(row["race"].isdecimal() for row in rows):
+        raise InputError(f"{file} holds no races; delete it, and the stage that wrote it writes it again")
     return round_robin(
         study.config.rivals,
         [row["ego"] for row in rows],

@@ -19,7 +19,7 @@ from pcs_racing.archive import PolicyArchive, load_archive
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
 from pcs_racing.game import RaceGame, make_game
-from pcs_racing.reading import plain_yaml
+from pcs_racing.reading import parse_yaml
 from pcs_racing.track import Track, load_track
 from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.job_folders import claim_folder
@@ -219,8 +219,16 @@ def stage_seconds(study: Study) -> dict[str, float]:
     for name in STAGES:
         file = study.folder / name / DONE
         if file.is_file():
-            seconds[name] = float(plain_yaml(file.read_bytes())["seconds"])
+            seconds[name] = _seconds(file)
     return seconds
+
+
+def _seconds(file: Path) -> float:
+    note = parse_yaml(file, file.read_bytes())
+    found = note.get("seconds") if isinstance(note, dict) else None
+    if isinstance(found, bool) or not isinstance(found, int | float) or not 0.0 <= found < 1e9:
+        raise InputError(f"{file} is damaged: seconds are {found!r:.80}; delete it, and the stage runs again")
+    return float(found)
 
 
 def _run_stage(study: Study, stage: Stage) -> None:

@@ -35,6 +35,10 @@ OPPONENTS = {
 KEEP = -1
 """In place of an opponent's move: keep the policy."""
 
+_WHOLE = ("policies", "seeds", "replies", "payoffs", "driven")  # the other arrays stand once for each level
+_TYPES = {"own": "f", "leads": "f", "estimates": "f", "over": "b", "payoffs": "f"}  # others: whole numbers
+
+MOST_ROOTS = 10**6
 BLOCK = 64  # roots driven together: some thousand races in the last step
 
 
@@ -140,7 +144,7 @@ class EgoTrees:
         Raises
         ------
         InputError
-            If an array is missing or not finite.
+            If an array is missing, of another type or shape than the others say, or not finite.
         """
         try:
             moves = arrays["replies"].shape[1]
@@ -152,12 +156,35 @@ class EgoTrees:
             }
         except (KeyError, IndexError) as error:
             raise InputError(f"{where} holds no ego trees: {error} is missing") from None
-        for name, array in arrays.items():
-            if array.dtype.kind not in "biuf":
-                raise InputError(f"{where}: {name} is of type {array.dtype}; a tree holds numbers")
-            if not np.isfinite(array).all():
-                raise InputError(f"{where}: {name} holds NaN or infinity; every number of a tree must be finite")
-        return cls(**values)
+        trees = cls(**values)
+        _check_shapes(trees.arrays(), moves, where)
+        return trees
+
+
+def _check_shapes(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) -> None:
+    """Refuse arrays from which no situation could be told."""
+    payoffs, own = arrays["payoffs"].shape, arrays["own_0"].shape if moves else ()
+    roots = len(arrays["seeds"]) if arrays["seeds"].ndim == 1 else 0
+    options = round(payoffs[1] ** (1.0 / moves)) if moves and len(payoffs) == 2 else 0
+    if roots == 0 or options == 0 or options**moves != payoffs[1] or len(own) != 3 or own[2] == 0:
+        raise InputError(
+            f"{where}: seeds of shape {arrays['seeds'].shape}, replies of {arrays['replies'].shape}, payoffs of "
+            f"{payoffs} and own_0 of {own} are no ego trees"
+        )
+    axes = own[2]
+    for name, array in arrays.items():
+        kind, _, number = name.rpartition("_") if name not in _WHOLE else (name, "", "0")
+        shapes: dict[str, tuple[int, ...]] = {"policies": (roots, 2), "replies": (roots, moves), "estimates": (2, axes)}
+        shapes |= {"payoffs": (roots, options**moves), "seeds": (roots,), "driven": (roots,), "own": (axes,)}
+        shape = shapes.get(kind, ())
+        if name not in _WHOLE:
+            shape = (roots, options ** int(number), *shape)
+        if array.shape != shape:
+            raise InputError(f"{where}: {name} has shape {array.shape}; it must have {shape}")
+        if array.dtype.kind not in _TYPES.get(kind, "iu"):
+            raise InputError(f"{where}: {name} is of type {array.dtype}; ego trees have another one there")
+        if not np.isfinite(array).all():
+            raise InputError(f"{where}: {name} holds NaN or infinity; every number of a tree must be finite")
 
 
 def join_ego(parts: list[EgoTrees]) -> EgoTrees:
@@ -246,7 +273,11 @@ def check_ego(game: RaceGame, roots: int, opponent: str | ArrayLike, seed: int, 
         If there is no such opponent.
     """
     check_game(game)
-    for what, value, least, most in (("roots", roots, 1, 10**6), ("first", first, 0, 2**40), ("seed", seed, 0, 2**64)):
+    for what, value, least, most in (
+        ("roots", roots, 1, MOST_ROOTS),
+        ("first", first, 0, 2**40),
+        ("seed", seed, 0, 2**64),
+    ):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
             raise InputError(f"{what} is {value!r}; it must be a whole number from {least} to {most}")
     if isinstance(opponent, str) and opponent not in OPPONENTS:

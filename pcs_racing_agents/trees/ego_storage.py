@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
 from pcs_racing_agents.jobs import Progress, chunk_file, open_job, read_chunk
-from pcs_racing_agents.trees.ego import EgoTrees, check_ego, join_ego, play_ego
+from pcs_racing_agents.trees.ego import MOST_ROOTS, EgoTrees, check_ego, join_ego, play_ego
 from pcs_racing_agents.trees.storage import MAKE_AGAIN, game_settings, read_settings
 
 __all__ = ["build_ego_trees", "load_ego_trees"]
@@ -88,13 +88,27 @@ def load_ego_trees(folder: str | Path) -> EgoTrees:
     InputError
         If the folder holds none, or a file is missing or damaged.
     """
-    settings = read_settings(folder, KIND)
-    parts = []
-    for i in range(-(-int(settings["roots"]) // ROOTS)):
+    roots = read_settings(folder, KIND).get("roots")
+    if type(roots) is not int or not 1 <= roots <= MOST_ROOTS:
+        raise InputError(
+            f"{Path(folder) / 'job.yaml'}: roots are {roots!r:.80}; they must be a whole number from 1 to {MOST_ROOTS}"
+        )
+    parts: list[EgoTrees] = []
+    for i in range(-(-roots // ROOTS)):
         file = chunk_file(folder, NAME, i)
         try:
             arrays = read_chunk(file)
         except InputError as error:
             raise InputError(f"{error}; {MAKE_AGAIN}") from None
-        parts.append(EgoTrees.from_arrays(arrays, str(file)))
+        part = EgoTrees.from_arrays(arrays, str(file))
+        wanted = min(ROOTS, roots - i * ROOTS)
+        if len(part) != wanted:
+            raise InputError(f"{file} holds {len(part)} roots; there should be {wanted}: {MAKE_AGAIN}")
+        if parts and (part.moves, part.options, part.own[0].shape[2]) != (
+            parts[0].moves,
+            parts[0].options,
+            parts[0].own[0].shape[2],
+        ):
+            raise InputError(f"{file} holds {part!r}, the files before {parts[0]!r}: {MAKE_AGAIN}")
+        parts.append(part)
     return join_ego(parts)

@@ -1,6 +1,5 @@
 """The races of a results file as columns: checked line by line, and packed for a page that lists them."""
 
-import csv
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.errors import InputError
 from pcs_racing.packing import pack
+from pcs_racing_agents.csv_files import read_csv
 
 __all__ = ["Labels", "RaceColumns", "packed_columns", "race_columns", "read_lines"]
 
@@ -90,15 +90,9 @@ def read_lines(path: str | os.PathLike[str]) -> list[dict[str, str]]:
     Raises
     ------
     InputError
-        If it can't be read.
+        If it can't be read, or a line is damaged.
     """
-    try:
-        with open(path, newline="", encoding="utf-8") as stream:
-            return list(csv.DictReader(stream))
-    except OSError as error:
-        raise InputError(f"can't read {path}: {error.strerror}") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path} is damaged: {error}") from None
+    return read_csv(path).rows()
 
 
 def race_columns(lines: Sequence[Mapping[str, str]], where: str | Path) -> RaceColumns:
