@@ -23,6 +23,9 @@ def add(commands: Commands) -> None:
     parser.add_argument("--config", required=True, metavar="NAME", help=f"settings: a YAML file or one of {configs}")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of the environment for each seed, at most")
     parser.add_argument("--seeds", type=int, nargs="+", metavar="N", help="train with each of them and keep the best")
+    parser.add_argument(
+        "--checkpoint", type=float, default=20.0, metavar="S", help="time between two checkpoints in s (default: 20)"
+    )
     parser.add_argument("--name", help="name of the policy (default: the one that the zoo looks for)")
     parser.add_argument("--tensorboard", action="store_true", help="write the curves for TensorBoard, too")
     parser.add_argument("--no-picture", action="store_true", help="draw no learning curves")
@@ -51,7 +54,12 @@ def run(arguments: argparse.Namespace) -> None:
             raise ModuleNotFoundError(f'the curves need {package}: pip install "pcs-racing[{extra}]"')
     with executor_from(arguments) as executor:
         trained = train_ppo(
-            settings, arguments.out, name=arguments.name, executor=executor, progress=show_progress("steps")
+            settings,
+            arguments.out,
+            name=arguments.name,
+            executor=executor,
+            progress=show_progress("steps"),
+            checkpoint_seconds=arguments.checkpoint,
         )
     if arguments.tensorboard:
         write_tensorboard(trained.curves, settings.opponents, arguments.out / "tensorboard")

@@ -34,7 +34,7 @@ def pack(value: Any) -> Arrays:
             arrays[path] = leaf
         else:
             plain[path] = leaf.item() if isinstance(leaf, np.generic) else leaf
-    return {**arrays, PLAIN: np.frombuffer(json.dumps(plain).encode(), np.uint8)}
+    return {**arrays, PLAIN: np.frombuffer(json.dumps(plain, sort_keys=True).encode(), np.uint8)}
 
 
 def unpack(arrays: Arrays, like: Any) -> Any:

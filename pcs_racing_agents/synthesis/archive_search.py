@@ -29,7 +29,7 @@ __all__ = ["REFERENCE", "ArchiveSearch", "News", "Told"]
 
 Floats = NDArray[np.float64]
 
-BLOCK = 8  # policies of a task
+BLOCK = 2  # policies of a task: a generation of 32 keeps 16 cores busy
 REFERENCE = -0.1  # worst point of a hypervolume: a tenth of the scouts' range below their worst
 
 

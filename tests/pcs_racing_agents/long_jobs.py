@@ -2,11 +2,31 @@
 
 from pathlib import Path
 
+from pcs_racing_agents.chunk_files import fingerprint, read_chunk
+
 SYNTHESIS = (
     "{duration: 4.0, final_duration: 4.0, segment_seconds: 2.0, scouts: 12, opponents: 1, starts: 1, candidates: 12,"
     " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, fewest: 2}"
 )
 TREES = ["--archive", "default", "--track", "Pipkin", "--moves", "2", "--step", "2"]
+
+
+PPO = """
+level: drive
+tracks: [Pipkin]
+races: [paper]
+opponents: {"lattice:pace=0": 1, pure-pursuit: 1}
+duration: 1.0
+steps: 1600
+envs: 8
+rollout: 20
+batch_size: 32
+epochs: 2
+hidden: [8]
+value_hidden: [8]
+evaluate_every: 800
+evaluation_races: 4
+"""
 
 
 def commands(folder: Path) -> dict[str, list[str]]:
@@ -15,10 +35,11 @@ def commands(folder: Path) -> dict[str, list[str]]:
     Parameters
     ----------
     folder : Path
-        For the settings of the synthesis.
+        For the settings of the synthesis and of PPO.
     """
-    settings = folder / "small.yaml"
+    settings, ppo = folder / "small.yaml", folder / "ppo.yaml"
     settings.write_text(SYNTHESIS)
+    ppo.write_text(PPO)
     search = ["--config", str(settings), "--track", "Pipkin", "--generations", "6", "--population", "6"]
     return {
         "synthesize": ["synthesize", *search, "--name", "small"],
@@ -28,14 +49,24 @@ def commands(folder: Path) -> dict[str, list[str]]:
             "tournament", "--track", "Pipkin", "--agents", "random-moves", "cfr-argmax", "lane-switcher",
             "--races", "4", "--duration", "16",
         ],
+        "ppo": ["ppo", "--config", str(ppo), "--seeds", "0", "1", "2", "--checkpoint", "0", "--no-picture"],
     }  # fmt: skip
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Return what a command left, by path: all but the locks and TensorBoard's curves, which hold times."""
+    """Return what a command left, by path: all but times, which are in locks, TensorBoard's curves and checkpoints."""
     found = {str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()}
     return {
-        name: file.read_bytes()
+        name: _without_times(file)
         for name, file in found.items()
         if file.name != ".lock" and "tensorboard" not in Path(name).parts
     }
+
+
+def _without_times(file: Path) -> bytes:
+    if file.suffix != ".npz" or "chunks" not in file.parts:
+        return file.read_bytes()
+    arrays = read_chunk(file)
+    if "seconds" not in arrays:
+        return file.read_bytes()
+    return fingerprint({key: array for key, array in arrays.items() if key != "seconds"}).encode()

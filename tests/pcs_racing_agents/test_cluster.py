@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from long_jobs import commands, files
+from long_jobs import TREES, commands, files
 
 from pcs_racing import InputError
 from pcs_racing_agents import executors
@@ -88,9 +88,26 @@ def wait_for(condition: Callable[[], bool]) -> None:
 # Results
 
 
-@pytest.mark.parametrize("what", ["synthesize", "tree", "ego trees", "tournament"])
-def test_a_cluster_gives_the_same_bytes_as_threads(cluster, tmp_path, what):
-    command = commands(tmp_path)[what]
+@pytest.fixture(scope="module")
+def long_commands(tmp_path_factory) -> dict[str, list[str]]:
+    """Every long command; those that train learn from a few trees."""
+    folder = tmp_path_factory.mktemp("settings")
+    assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
+    assert main(["tree", *TREES, "--ego", "12", "--out", str(folder / "ego")]) == 0
+    few = ["--epochs", "3", "--hidden", "8", "--name", "small", "--no-tensorboard", "--no-picture"]
+    training = {what: ["train", str(folder / what), *few] for what in ("trees", "ego")}
+    return {**commands(folder), "train": training["trees"], "train on ego trees": training["ego"]}
+
+
+@pytest.mark.parametrize(
+    "what", ["synthesize", "tree", "ego trees", "tournament", "train", "train on ego trees", "ppo"]
+)
+def test_a_cluster_gives_the_same_bytes_as_threads(cluster, long_commands, tmp_path, what):
+    if "train" in what:
+        pytest.importorskip("torch")
+    if what == "ppo":
+        pytest.importorskip("stable_baselines3")
+    command = long_commands[what]
     assert main([*command, "--out", str(tmp_path / "here"), "--executor", "threads"]) == 0
     cluster_options = ["--executor", "dask", "--scheduler", cluster.address]
     assert main([*command, "--out", str(tmp_path / "there"), *cluster_options]) == 0
@@ -170,6 +187,33 @@ def test_a_killed_worker_loses_nothing(cluster, tmp_path):
     cluster.add_worker()
     assert killed[0] < len(tasks)  # there was work left
     assert files(tmp_path / "job") == undisturbed(tasks, tmp_path / "undisturbed")
+
+
+def test_a_worker_killed_while_ppo_learns_costs_a_piece_at_most(cluster, long_commands, tmp_path):
+    pytest.importorskip("stable_baselines3")
+    from pcs_racing_agents.ppo.train import train_ppo
+
+    config = long_commands["ppo"][2]
+    seeds = (0, 1, 2)
+    undisturbed = train_ppo(config, tmp_path / "undisturbed", seeds=seeds)
+    told = []
+
+    def kill_one(done, total, what):
+        if not told:
+            victim = cluster.workers.pop(0)  # each of the three workers trains with a seed
+            victim.send_signal(signal.SIGKILL)
+            victim.wait()
+        told.append(done)
+
+    with make_executor("dask", address=cluster.address) as executor:
+        executor._client.wait_for_workers(3, timeout=PATIENCE)
+        train_ppo(
+            config, tmp_path / "killed", seeds=seeds, executor=executor, progress=kill_one, checkpoint_seconds=0.0
+        )
+    cluster.add_worker()
+    assert told[0] < told[-1] == 4800  # there was work left
+    assert undisturbed.curves[0].steps == (0, 800, 1600)
+    assert files(tmp_path / "killed") == files(tmp_path / "undisturbed")
 
 
 def test_a_killed_scheduler_is_told_in_a_line_and_another_goes_on(cluster, tmp_path):

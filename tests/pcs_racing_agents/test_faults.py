@@ -55,10 +55,10 @@ def long_commands(tmp_path_factory) -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("what", ["synthesize", "tree", "train", "tournament"])
+@pytest.mark.parametrize("what", ["synthesize", "tree", "train", "ppo", "tournament"])
 def test_killed_at_random_moments_the_results_are_the_same(long_commands, tmp_path, what, seed):
-    if what == "train":
-        pytest.importorskip("torch")
+    if what in ("train", "ppo"):
+        pytest.importorskip("stable_baselines3")
     command = long_commands[what]
     whole = call(KILLED, 0, *command, "--out", tmp_path / "whole")
     assert whole.returncode == 0, whole.stderr
