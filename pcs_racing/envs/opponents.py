@@ -213,8 +213,10 @@ def checked_move(opponent: Opponent, move: Any, moves: Sequence[str]) -> int:
         value = np.asarray(move)
     except (TypeError, ValueError):  # lists of different lengths
         value = np.empty(0, object)
-    if value.shape != () or value.dtype.kind not in "iu" or not 0 <= value < len(moves):
+    whole = value.shape == () and value.dtype.kind in "iu"
+    if not whole or not 0 <= value < len(moves):
         known = f"it must be a whole number from 0 to {len(moves) - 1} ({', '.join(moves)})"
-        stay = value.shape == () and value.dtype.kind in "iu" and value == len(moves) and STAY not in moves
-        raise InputError(f"opponent {opponent.name!r} chose {move!r:.80}; {known}{IF_STAY if stay else ''}")
+        shown = int(value) if whole else move
+        hint = IF_STAY if whole and shown == len(moves) and STAY not in moves else ""
+        raise InputError(f"opponent {opponent.name!r} chose {shown!r:.80}; {known}{hint}")
     return int(value)

@@ -30,8 +30,11 @@ from pcs_racing_agents.approximator import load_network
 from pcs_racing_agents.chunk_files import read_chunk, write_chunk
 from pcs_racing_agents.configuration import read_mapping
 from pcs_racing_agents.job_folders import claim_folder
+from pcs_racing_agents.ppo.curves import read_curve
 from pcs_racing_agents.strategies.fits import load_fit
-from pcs_racing_agents.trees import load_trees
+from pcs_racing_agents.study.cell_races import read_races
+from pcs_racing_agents.trees import load_ego_trees, load_trees
+from pcs_racing_agents.viewing.race_columns import race_columns, read_lines
 
 ROOM = 1_000_000_000  # bytes above what the process holds at the start
 GROWTH = 300_000_000  # that the most it ever held may grow by
@@ -114,6 +117,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
             ("archive", "manifest.yaml", load_archive),
             ("network", "manifest.yaml", load_network),
             ("trees", "job.yaml", load_trees),
+            ("ego trees", "job.yaml", load_ego_trees),
         ):
             place = here / f"{folder}-folder"
             place.mkdir(exist_ok=True)
@@ -151,6 +155,16 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
         yield f"a picture of {size}", lambda size=size: parse_grid(here / "x.png", png(*size), GREY)
     yield "a table of one line", lambda: parse_csv(here / "x.csv", b"1," * 4_000_000, ("x", "y"), ",")
     yield "a table of numbers that are none", lambda: parse_csv(here / "x.csv", b"nan,inf\n" * 100, ("x", "y"), ",")
+
+    yield "a table of millions of points", lambda: parse_csv(here / "x.csv", b"0,0\n" * 2_000_000, ("x", "y"), ",")
+    wide = file("wide.csv", ",".join(f"c{i}" for i in range(50_000)) + "\na" * 50_000)
+    short = file("short.csv", ",".join(f"c{i}" for i in range(900)) + "\na" * 1_000_000)
+    zero = here / "zero.csv"
+    zero.symlink_to("/dev/zero")
+    for what, path in (("wide", wide), ("short lines", short), ("without end", zero)):
+        yield f"races to view: {what}", lambda path=path: race_columns(read_lines(path), path)
+        yield f"races of a study: {what}", lambda path=path: read_races(path)
+        yield f"learning curves: {what}", lambda path=path: read_curve(path)
 
     part = {"per_unit": 1, "differences": [], "data": "A" * 10}
     for shape in ([10**9], [10**5, 10**5], [50_000_000, 0, 10**9], [1] * 1000):

@@ -8,11 +8,12 @@ import pytest
 import yaml
 from PIL import Image
 
-from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track
+from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track, make_game
 from pcs_racing.characteristics import get_characteristics
 from pcs_racing.envs.drive import checked_seed
 from pcs_racing.envs.drive_batch import DriveOptions
-from pcs_racing.map_files import parse_grid
+from pcs_racing.envs.head_to_head import HeadToHeadEnv
+from pcs_racing.map_files import CENTERLINE_COLUMNS, parse_csv, parse_grid
 from pcs_racing_agents.approximator import load_network
 from pcs_racing_agents.ppo.settings import load_ppo_settings
 from pcs_racing_agents.strategies.fits import Fit, load_fit
@@ -20,7 +21,7 @@ from pcs_racing_agents.study.cell_races import COLUMNS, read_races
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.report_inputs import LOSSES, read_curves, read_losses
 from pcs_racing_agents.synthesis.config import ArchiveConfig
-from pcs_racing_agents.trees import load_trees
+from pcs_racing_agents.trees import EgoTrees, load_ego_trees, load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
 
 NAMES = ("x" * 300, "../" + "x" * 5000, "a\x00b", "a\nb", "\ud800", "")
@@ -149,6 +150,67 @@ def test_a_tree_too_large_to_be_one():
         arrays |= {f"{name}_{k}": arrays[f"{name}_0"] for name in ("leads", "estimates", "over")}
     with pytest.raises(InputError, match="leaves"):
         tree_from_arrays(arrays, 12, "it")
+
+
+def ego_trees() -> dict[str, np.ndarray]:
+    """Two roots, one move of two choices."""
+    return {
+        "policies": np.zeros((2, 2), np.int64), "seeds": np.ones(2, np.uint64), "replies": np.zeros((2, 1), np.int64),
+        "paths_0": np.zeros((2, 1), np.int64), "paths_1": np.zeros((2, 2), np.int64), "own_0": np.zeros((2, 1, 3)),
+        "leads_0": np.zeros((2, 1)), "estimates_0": np.zeros((2, 1, 2, 3), np.float32),
+        "over_0": np.zeros((2, 1), np.bool_), "payoffs": np.zeros((2, 2), np.float32), "driven": np.ones(2, np.int64),
+    }  # fmt: skip
+
+
+def test_the_ego_trees_that_the_next_test_breaks_are_sound():
+    trees = EgoTrees.from_arrays(ego_trees(), "it")
+    assert (len(trees), trees.moves, trees.options, trees.observations(0).shape[:2]) == (2, 1, 2, (2, 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("replies", np.zeros(2, np.int64)), ("replies", np.zeros((2, 0), np.int64)), ("replies", np.zeros((1, 1), int)),
+        ("payoffs", np.zeros((2, 0), np.float32)), ("payoffs", np.zeros(2, np.float32)), ("payoffs", np.zeros((2, 3))),
+        ("payoffs", np.full((2, 2), np.nan)), ("payoffs", np.zeros((2, 2), np.int64)), ("own_0", np.zeros((2, 1))),
+        ("own_0", np.zeros((2, 1, 0))), ("own_0", np.zeros((1, 1, 3))), ("estimates_0", np.zeros((2, 1, 3, 2))),
+        ("leads_0", np.array("a")), ("leads_0", np.zeros((2, 1, 1))), ("over_0", np.zeros((2, 1))),
+        ("over_0", np.zeros((2, 2), np.bool_)), ("seeds", np.array(1, np.uint64)), ("seeds", np.zeros(0, np.uint64)),
+        ("paths_1", np.zeros((2, 4), np.int64)), ("policies", np.zeros((2, 3), np.int64)), ("driven", np.zeros(())),
+    ],
+)  # fmt: skip
+def test_ego_trees_of_other_types_and_shapes(name, array):
+    with pytest.raises(InputError, match="it"):
+        EgoTrees.from_arrays({**ego_trees(), name: array}, "it")
+
+
+@pytest.mark.parametrize("roots", [None, "x" * 300, [1], True, 0, 1.5, 10**9])
+def test_manifests_of_ego_trees_that_say_something_else(tmp_path, roots):
+    (tmp_path / "job.yaml").write_text(yaml.safe_dump({"kind": "ego trees", "settings": {"roots": roots}}))
+    with pytest.raises(InputError, match="roots are"):
+        load_ego_trees(tmp_path)
+
+
+@pytest.mark.parametrize("track", [5, 0.5, None, ["Pipkin"], {"a": 1}, b"Pipkin"])
+def test_tracks_that_are_no_name(track):
+    with pytest.raises(InputError, match="track is"):
+        make_game(track)
+
+
+def test_lists_of_different_lengths_for_two_players():
+    env = HeadToHeadEnv("Pipkin", moves=1, step_seconds=0.1)
+    with pytest.raises(InputError, match="option policies"):
+        env.reset(seed=0, options={"policies": [[0], [1, 2]]})
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="action of car_0"):
+        env.step({"car_0": [[0], [1, 2]], "car_1": 0})
+
+
+def test_a_line_of_a_map_with_more_points_than_any_has():
+    rows = b"\n".join([b"0,0,1,1"] * 100_001)
+    with pytest.raises(InputError, match="more than 100000 points"):
+        parse_csv(Path("x.csv"), rows, CENTERLINE_COLUMNS, ",")
+    assert len(parse_csv(Path("x.csv"), rows[8:], CENTERLINE_COLUMNS, ",")) == 100_000
 
 
 def test_a_picture_of_one_row():

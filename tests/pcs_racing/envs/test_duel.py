@@ -250,6 +250,56 @@ def wrong_move(observation, generator):
 wrong_move.__name__ = "wrong"
 
 
+class Chooses:
+    """A model that always answers the same."""
+
+    def __init__(self, answer, moves=None):
+        self.answer = answer
+        if moves is not None:
+            self.action_space = gym.spaces.Discrete(moves)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.answer
+
+
+def test_an_opponent_that_stays_needs_rules_with_that_move():
+    """4 is "stay" where it is a move: the rules "paper" do not offer it."""
+    stays = Chooses((np.array([4]), None))
+    env = DuelEnv(opponent=stays, **SHORT)
+    env.reset(seed=0)
+    with pytest.raises(InputError, match=r"opponent 'Chooses' chose 4; .* 0 to 3 .*'stay'.*stay=True"):
+        env.step(0)
+    env = DuelEnv(opponent=stays, stay=True, **SHORT)
+    env.reset(seed=0)
+    assert env.step(0)[4]["opponent_move"] == "stay"
+
+
+def test_a_model_of_a_game_with_more_moves_is_refused_when_the_environment_is_made():
+    for kind in (DuelEnv, DuelVectorEnv):
+        with pytest.raises(InputError, match=r"'Chooses' chooses among 5 moves, and here are 4 .*stay=True"):
+            kind(opponent=Chooses((np.array([0]), None), moves=5), **SHORT)
+    with pytest.raises(InputError, match="among 8 moves") as caught:
+        DuelEnv(opponent=Chooses((np.array([0]), None), moves=8), **SHORT)
+    assert "stay=True" not in str(caught.value)
+    DuelEnv(opponent=Chooses((np.array([0]), None), moves=5), stay=True, **SHORT)
+    DuelEnv(opponent=Chooses((np.array([0]), None), moves=4), stay=True, **SHORT)  # it never stays
+
+
+@pytest.mark.parametrize("answer", [(np.array([0, 1]), None), np.array([0]), None, ([[0], [1, 2]], None), 3])
+def test_what_a_model_answers_is_checked(answer):
+    env = DuelEnv(opponent=Chooses(answer), **SHORT)
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="'Chooses': predict returned"):
+        env.step(0)
+
+
+def test_what_a_function_answers_is_checked():
+    env = DuelEnv(opponent=lambda observation, generator: [[0], [1, 2]], **SHORT)
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="chose"):
+        env.step(0)
+
+
 def test_after_the_end_comes_a_reset_and_unknown_options_are_ignored():
     env = DuelEnv(**SHORT)
     episode(env, 1)
