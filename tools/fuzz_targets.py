@@ -45,7 +45,7 @@ from pcs_racing_agents.approximator.network_files import read_network
 from pcs_racing_agents.approximator.network_files import shipped_folder as networks_folder
 from pcs_racing_agents.approximator.settings import load_train_settings
 from pcs_racing_agents.chunk_files import fingerprint, read_chunk, write_chunk
-from pcs_racing_agents.configuration import shipped_configs
+from pcs_racing_agents.configuration import plain_settings, shipped_configs
 from pcs_racing_agents.explaining.contests import open_results
 from pcs_racing_agents.jobs import chunk_file, open_job
 from pcs_racing_agents.ppo.curves import COLUMNS, read_curve
@@ -62,6 +62,7 @@ from pcs_racing_agents.study.cell_races import read_races
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.report_inputs import read_curves, read_losses
 from pcs_racing_agents.synthesis.config import load_archive_config
+from pcs_racing_agents.tournament.play import plan_tournament, tournament_settings
 from pcs_racing_agents.trees import build_ego_trees, build_trees, ego_values, load_ego_trees, load_trees
 from pcs_racing_agents.viewing.race_columns import packed_columns, race_columns, read_lines
 
@@ -417,26 +418,33 @@ def texts(*values: str) -> Callable[[], list[bytes]]:
 RESULTS = (
     "ego,opponent,track,race,start_s,side,seed,lead,winner,crash,fault,ego_overtakes,opponent_overtakes,duration,"
     "ego_variant,opponent_variant,ego_path,opponent_path,ego_moves,opponent_moves\n"
-    "a,b,Pipkin,0,12.5,0,0,1.5,ego,,,1,0,40.0,3,4,3 5,4 4,restraint +,stay\n"
-    "a,b,Pipkin,1,12.5,1,0,-1.5,,wall,ego,1,0,12.0,3,4,3 5,4 4,restraint +,stay\n"
+    "never-switch,random-moves,Pipkin,0,12.5,0,0,1.5,ego,,,1,0,40.0,3,4,3 5,4 4,restraint +,stay\n"
+    "never-switch,random-moves,Pipkin,1,12.5,1,0,-1.5,,wall,ego,1,0,12.0,3,4,3 5,4 4,restraint +,stay\n"
 )
 
 
 @cache
 def tournament_folder() -> Path:
+    plan = plan_tournament([load_track("Pipkin")], ["never-switch", "random-moves"], races_per_pair=2)
     folder = scratch() / "tournament"
-    folder.mkdir(exist_ok=True)
-    settings = {"seed": 0, "races_per_pair": 2, "tracks": {"Pipkin": "0"}, "agents": {"a": "0", "b": "0"}}
-    manifest = {"format": "pcs-racing job", "version": 1, "kind": "tournament", "package": "0", "settings": settings}
-    (folder / "job.yaml").write_text(yaml.safe_dump(manifest))
-    (folder / "results.csv").write_text(RESULTS)
+    with open_job(folder, "tournament", tournament_settings(plan)):
+        (folder / "results.csv").write_text(RESULTS)
     return folder
+
+
+@cache
+def results_manifests() -> list[bytes]:
+    folder = scratch() / "study"
+    with open_job(folder, "study", plain_settings(load_study_config("quick"))):
+        pass
+    return [(place / "job.yaml").read_bytes() for place in (tournament_folder(), folder)]
 
 
 def results_manifest(data: bytes) -> object:
     folder = _copied(tournament_folder(), "manifest")
     (folder / "job.yaml").write_bytes(data)
-    return open_results(folder)
+    results = open_results(folder)
+    return results.contest(results.row(0))
 
 
 def results_table(data: bytes) -> object:
@@ -554,7 +562,7 @@ TARGETS: dict[str, Target] = {
     "response config": Target(as_file(load_response_settings, "response.yaml"), configs("response"), "yaml"),
     "results table": Target(results_table, texts(RESULTS), "csv"),
     "results in the viewer": Target(viewed_table, texts(RESULTS), "csv"),
-    "results manifest": Target(results_manifest, lambda: [(tournament_folder() / "job.yaml").read_bytes()], "yaml"),
+    "results manifest": Target(results_manifest, results_manifests, "yaml"),
     "exploitability table": Target(
         as_file(read_losses, "losses.csv"),
         texts(

@@ -114,7 +114,7 @@ class Results:
             if self.study is not None and not self.tournament:
                 return self._of_study(self.study, row)
             return self._of_tournament(row["track"], row["ego"], row["opponent"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{self.folder / MANIFEST} is damaged: {error!r}") from None
@@ -245,7 +245,9 @@ def _game_config(values: Mapping[str, Any]) -> GameConfig:
     return GameConfig(**{**_tuples(values), "race": RaceConfig(**_tuples(values["race"])), "stay": None})
 
 
-def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
+def _tuples(values: Any) -> dict[str, Any]:
+    if not isinstance(values, Mapping):
+        raise InputError(f"{MANIFEST} holds {values!r:.80} where settings should be")
     return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
 
 
