@@ -86,19 +86,22 @@ def _texts(seeds: tuple[bytes, ...], kind: str) -> st.SearchStrategy[bytes]:
 
 
 def _tables(seeds: tuple[bytes, ...], kind: str) -> st.SearchStrategy[bytes]:
-    """Tables with the seeds' first line, and some of their cells."""
-    rows = [line.split(mark) for seed in seeds for line in seed.decode().splitlines() for mark in (",", ";")]
-    known = [row for row in rows if len(row) > 1][:40]
+    """Tables with a seed's first line, and its rows, some with another cell or mark."""
     cell = st.floats().map(str) | st.integers().map(str) | TEXT
 
     @st.composite
     def table(draw: st.DrawFn) -> bytes:
-        lines = [draw(st.sampled_from(seeds)).decode().splitlines()[0]]
-        for _ in range(draw(st.integers(0, 14))):
-            row = list(draw(st.sampled_from(known)))
-            if draw(st.booleans()):
+        known = draw(st.sampled_from(seeds)).decode().splitlines()
+        mark = ";" if known[0].count(";") > known[0].count(",") else ","
+        lines = known[:1]
+        for line in known[1:][: draw(st.integers(0, 100))]:
+            change = draw(st.integers(0, 15))
+            row = line.split(mark)
+            if change == 0:
                 row[draw(st.integers(0, len(row) - 1))] = draw(cell)
-            lines.append(draw(st.sampled_from(",,,;")).join(row))
+            elif change == 1:
+                row = draw(st.lists(cell, max_size=len(row) + 1))
+            lines.append((draw(st.sampled_from(",;\t")) if change == 2 else mark).join(row))
         return "\n".join(lines).encode("utf-8", "surrogatepass")
 
     return table()
@@ -120,8 +123,10 @@ def _arrays(seeds: tuple[bytes, ...], kind: str) -> st.SearchStrategy[bytes]:
             how = draw(st.integers(0, 3))
             if how == 0:
                 arrays[name] = draw(ARRAY)
-            elif how == 1 and old.dtype.kind in "biuf":  # of the right kind
-                arrays[name] = draw(arrays_of.arrays(old.dtype, old.shape)) if old.size <= 12 else old[:-1]
+            elif how == 1 and old.dtype.kind in "biuf" and old.size:  # of the right kind and shape, with other numbers
+                new = arrays_of.arrays(old.dtype, draw(st.integers(1, min(3, old.size))))
+                at = draw(st.integers(0, old.size - 1))
+                arrays[name] = np.concatenate([old.flat[:at], draw(new), old.flat])[: old.size].reshape(old.shape)
             elif how == 2 and old.size:
                 shape = draw(st.permutations(old.shape))
                 arrays[name] = old.reshape(shape)
