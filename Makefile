@@ -52,7 +52,8 @@ coverage: $(VENV)/test.stamp
 	$(RUN) -m coverage report --include "pcs_racing_agents/*"
 
 fuzz: $(VENV)/test.stamp
-	$(RUN) tools/fuzz.py run --minutes 20
+	$(RUN) tools/fuzz.py run --minutes 10
+	$(RUN) tools/fuzz.py run --minutes 10 --engine hypothesis
 
 benchmark-history: $(VENV)/test.stamp
 	$(RUN) benchmarks/record.py --check
