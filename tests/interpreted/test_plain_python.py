@@ -44,17 +44,34 @@ def test_a_second_of_racing(stadium, rival):
     assert ended.time[0] > 0.3
 
 
-@pytest.mark.parametrize("action", [(0.0, 1.0), (1.0, 0.0), (-1.0, 0.5)])
-def test_a_car_that_is_not_steered_around_the_bend_hits_the_wall(stadium, action):
+@pytest.mark.parametrize(
+    ("rival", "action"),
+    [(None, (0.0, 1.0)), (None, (1.0, 0.0)), ("pure-pursuit", (0.0, 1.0)), ("lattice", (-1.0, 0.5))],
+)
+def test_a_car_that_is_not_steered_around_the_bend_hits_the_wall(stadium, rival, action):
     """Full speed straight on, and the steering held to either side; noise on the steering saves nobody."""
-    env = DriveEnv(stadium, None, race=load_race_config("contest", start="staggered", start_gap=0.9), duration=2.4)
+    race = load_race_config("contest", start="staggered", start_gap=0.9, speed_range=(0.3, 1.0))
+    env = DriveEnv(stadium, rival, race=race, duration=2.4)
     env.reset(seed=3)
     over = False
     while not over:
         *_, over, late, info = env.step(np.array(action, np.float32))
         assert not late
     assert info["crash"] == "wall"
+    assert info["opponent_crash"] == "none"
     assert info["at_fault"]
+
+
+def test_a_lap_alone(stadium):
+    """By the observation's documented order: back to the race line, at 4 m/s."""
+    env = DriveEnv(stadium, None, duration=13.0)
+    seen, info = env.reset(seed=1)
+    over = late = False
+    while not (over or late):
+        steer = 0.6 * -seen[7] - 0.35 * seen[6] + 0.33 * seen[12]
+        seen, _, over, late, info = env.step(np.array([steer / 0.4189, 0.0], np.float32))
+    assert late
+    assert info["progress"] > stadium.length
 
 
 def pure_pursuit(**parameters):

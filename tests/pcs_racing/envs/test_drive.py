@@ -325,3 +325,64 @@ def test_a_policy_object_drives_as_its_text_does():
     policy = get_planner("lattice").policy({"pace": 0.2})
     by_text = episode(DriveEnv(opponent="lattice:pace=0.2"), 6)[0]
     np.testing.assert_array_equal(episode(DriveEnv(opponent=policy), 6)[0], by_text)
+
+
+def test_a_frame_of_the_first_of_many_races():
+    envs = DriveVectorEnv(2, opponent=None, render_mode="rgb_array")
+    with pytest.raises(InputError, match="before reset"):
+        envs.render()
+    envs.reset(seed=0)
+    alone = DriveEnv(opponent=None, render_mode="rgb_array")
+    alone.reset(seed=0)
+    (frame,) = envs.render()
+    np.testing.assert_array_equal(frame, alone.render())
+    envs.close()
+    with pytest.raises(InputError, match="render_mode is None"):
+        DriveVectorEnv(2, opponent=None).render()
+
+
+def test_a_window_follows_the_race(monkeypatch):
+    pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    shown = []
+    monkeypatch.setattr("pcs_racing.rendering.Renderer._show", lambda self, frame: shown.append(frame))
+    for env in (DriveEnv(opponent=None, render_mode="human"), DriveVectorEnv(2, opponent=None, render_mode="human")):
+        shown.clear()
+        env.reset(seed=0)
+        env.step(np.full(env.action_space.shape, 0.3))
+        assert len(shown) == 2
+        assert (shown[0] != shown[1]).any()
+        env.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"threads": 0}, "threads is 0; it must be a whole number from 1, or None"),
+        ({"threads": True}, "threads is True"),
+        ({"normalize": "yes"}, "normalize is 'yes'; it must be true or false"),
+        ({"opponent": ["lattice", 7]}, "opponent 7 is no policy"),
+        ({"num_envs": 100_000, "beams": 10_000}, "100000 environments see .* take fewer environments or beams"),
+    ],
+)
+def test_impossible_batches_are_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
+        DriveVectorEnv(**arguments)
+
+
+def test_states_of_something_else_are_refused():
+    envs = DriveVectorEnv(2, opponent=["lattice", "lattice:pace=0"])
+    envs.reset(seed=0)
+    state = envs.get_state()
+    for wrong, message in (
+        ("yesterday", "state is a str; it must be what get_state returned"),
+        (state._replace(opponents=np.array([0, 2])), r"opponents array\(\[0, 2\]\) are not among the 2"),
+        (DriveVectorEnv(3, opponent=None).get_state(), "not one of 2 races with these planners"),
+    ):
+        with pytest.raises(InputError, match=message):
+            envs.set_state(wrong)
+    np.testing.assert_array_equal(envs.get_state().races.cars, state.races.cars)  # nothing was changed
+    with pytest.raises(InputError, match="state is a NoneType"):
+        DriveEnv(opponent=None).set_state(None)
+    with pytest.raises(InputError, match=r"seed is 1\.5; it must be a whole number, a list of them, or None"):
+        envs.reset(seed=1.5)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from pcs_racing import InputError, UnknownNameError
+from pcs_racing import InputError, UnknownNameError, get_planner
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.duel_vector import SelfPlayVectorEnv
 from pcs_racing.envs.registration import register_environments
@@ -316,3 +316,51 @@ def test_a_frame_shows_the_game():
     env.step(0)
     assert (env.render() != first).any()
     env.close()
+
+
+def test_a_window_follows_the_game(monkeypatch):
+    pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    shown = []
+    monkeypatch.setattr("pcs_racing.rendering.Renderer._show", lambda self, frame: shown.append(frame))
+    env = DuelEnv(render_mode="human", **SHORT)
+    env.reset(seed=0)
+    env.step(0)
+    assert len(shown) == 2
+    assert (shown[0] != shown[1]).any()
+    env.close()
+    with pytest.raises(InputError, match="render_mode is None"):
+        DuelEnv(**SHORT).render()
+
+
+def test_a_policy_object_races_as_its_text_does():
+    policy = get_planner("lattice").policy({"pace": 0.9})
+    env = DuelEnv(opponent=policy, **SHORT)
+    assert [opponent.name for opponent in env.opponents] == [policy.name]
+    for mine, theirs in zip(episode(env, 4), episode(DuelEnv(opponent="lattice:pace=0.9", **SHORT), 4), strict=True):
+        np.testing.assert_array_equal(mine[0], theirs[0])
+
+
+def test_states_of_something_else_are_refused():
+    envs = DuelVectorEnv(2, **SHORT)
+    envs.reset(seed=0)
+    seen = envs.set_state(envs.get_state())
+    other = DuelVectorEnv(2, step_seconds=1.0, moves=2)
+    other.reset(seed=0)
+    more = DuelVectorEnv(3, **SHORT)
+    more.reset(seed=0)
+    for wrong, message in (
+        ("yesterday", "state is a str; it must be what get_state returned"),
+        (other.get_state(), "the state's games have 2 moves, these 3"),
+        (more.get_state(), "the state is not one of 2 games"),
+    ):
+        with pytest.raises(InputError, match=message):
+            envs.set_state(wrong)
+    np.testing.assert_array_equal(envs.set_state(envs.get_state()), seen)
+    with pytest.raises(InputError, match="state is a str"):
+        DuelEnv(**SHORT).set_state("yesterday")
+
+
+def test_in_self_play_there_is_no_other_opponent():
+    with pytest.raises(InputError, match="opponent is 'random-moves'; in self-play both cars belong to the agent"):
+        SelfPlayVectorEnv(2, opponent="random-moves", **SHORT)

@@ -8,7 +8,7 @@ from pcs_racing import InputError, UnknownNameError
 sb3 = pytest.importorskip("stable_baselines3")
 
 from pcs_racing.envs.duel import DuelEnv  # noqa: E402
-from pcs_racing.envs.sb3 import make_sb3_vec_env  # noqa: E402
+from pcs_racing.envs.sb3 import SB3VecEnv, make_sb3_vec_env  # noqa: E402
 
 SHORT = {"step_seconds": 0.5, "moves": 2}
 
@@ -98,3 +98,20 @@ def test_unknown_kinds_and_attributes_are_named():
     with pytest.raises(InputError, match="'track' can't be set"):
         env.set_attr("track", "Pipkin")
     env.close()
+
+
+def test_methods_of_the_batch_and_its_frame():
+    env = make_sb3_vec_env("drive", 2, opponent=None, render_mode="rgb_array")
+    env.reset()
+    (frame, *others) = env.get_images()
+    assert frame.shape == (640, 960, 3)
+    assert not others  # only the first race is drawn
+    assert env.env_method("get_state", indices=[0])[0].opponents.shape == (2,)
+    with pytest.raises(AttributeError, match="the control level has no action masks"):
+        env.env_method("action_masks")
+    assert make_sb3_vec_env("drive", 2, opponent=None).get_images() == [None]
+
+
+def test_other_environments_are_refused():
+    with pytest.raises(InputError, match="envs is a DuelEnv; it must be a DuelVectorEnv or a DriveVectorEnv"):
+        SB3VecEnv(DuelEnv(**SHORT))
