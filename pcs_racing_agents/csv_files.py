@@ -5,6 +5,7 @@ import io
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 from pcs_racing.errors import InputError
 from pcs_racing.reading import read_limited
@@ -28,17 +29,17 @@ class CsvTable:
 
     path: str
     columns: tuple[str, ...]
-    _text: str = field(repr=False)
+    _data: bytes = field(repr=False)
 
-    def lines(self) -> Iterator[tuple[int, dict[str, str]]]:
-        """Go through the table: for every line its number in the file, and its values by column; empty ones left out.
+    def values(self) -> Iterator[tuple[int, list[str]]]:
+        """Go through the table: for every line its number in the file, and its values; empty ones left out.
 
         Raises
         ------
         InputError
             At a line that has more or fewer values than there are columns, or that is no CSV.
         """
-        reader = csv.reader(io.StringIO(self._text, newline=""), strict=True)
+        reader = _reader(self._data)
         try:
             next(reader, None)
             for values in reader:
@@ -48,9 +49,13 @@ class CsvTable:
                         f"than the {len(self.columns)} that the first line names"
                     )
                 if values:
-                    yield reader.line_num, dict(zip(self.columns, values, strict=True))
+                    yield reader.line_num, values
         except csv.Error as error:
             raise InputError(f"{self.path}, line {reader.line_num} is damaged: {error}") from None
+
+    def lines(self) -> Iterator[tuple[int, dict[str, str]]]:
+        """Go through the table as :meth:`values`, with the values by column."""
+        return ((number, dict(zip(self.columns, values, strict=True))) for number, values in self.values())
 
     def rows(self) -> list[dict[str, str]]:
         """Return all lines."""
@@ -67,12 +72,18 @@ def read_csv(path: str | os.PathLike[str]) -> CsvTable:
     """
     name = os.fspath(path)
     try:
-        text = read_limited(path, MAX_BYTES, "a table").decode("utf-8-sig")
-        columns = tuple(next(csv.reader(io.StringIO(text, newline=""), strict=True), ()))
+        data = read_limited(path, MAX_BYTES, "a table")
+        data.decode("utf-8-sig")  # all of it is text
+        columns = tuple(next(_reader(data), ()))
     except OSError as error:
         raise InputError(f"can't read {name}: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{name} is damaged: {error}") from None
     if len(columns) > MAX_COLUMNS:
         raise InputError(f"{name} has {len(columns)} columns; a table of races has at most {MAX_COLUMNS}")
-    return CsvTable(name, columns, text)
+    return CsvTable(name, columns, data)
+
+
+def _reader(data: bytes) -> Any:
+    """A reader that decodes as it goes: the text of a large table would take four times the memory of its bytes."""
+    return csv.reader(io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=""), strict=True)

@@ -63,8 +63,9 @@ from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.report_inputs import read_curves, read_losses
 from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.tournament.play import plan_tournament, tournament_settings
+from pcs_racing_agents.tournament.result_lines import read_lines
 from pcs_racing_agents.trees import build_ego_trees, build_trees, ego_values, load_ego_trees, load_trees
-from pcs_racing_agents.viewing.race_columns import packed_columns, race_columns, read_lines
+from pcs_racing_agents.viewing.race_columns import packed_columns, race_columns
 
 __all__ = ["TARGETS", "Target"]
 
@@ -456,7 +457,7 @@ def results_table(data: bytes) -> object:
 def viewed_table(data: bytes) -> object:
     file = scratch() / "viewed.csv"
     file.write_bytes(data)
-    return packed_columns(race_columns(read_lines(file), file))
+    return packed_columns(race_columns(read_lines(file)))
 
 
 CURVE = (

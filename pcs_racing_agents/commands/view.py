@@ -55,12 +55,13 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the page, or serve it."""
-    from pcs_racing_agents.viewing.race_columns import race_columns, read_lines
+    from pcs_racing_agents.tournament.result_lines import read_lines
+    from pcs_racing_agents.viewing.race_columns import race_columns
 
     target = _check(arguments)
     results, file = _find(arguments.results)
     lines = results.rows if results is not None else read_lines(file)
-    columns = race_columns(lines, file)
+    columns = race_columns(lines)
     picks = _picks(arguments, columns, results)
     if arguments.serve:
         assert results is not None  # _picks has checked

@@ -20,7 +20,6 @@ from pcs_racing.game_config import GameConfig
 from pcs_racing.race import Starts
 from pcs_racing.race_config import RaceConfig
 from pcs_racing.track import load_track
-from pcs_racing_agents.csv_files import read_csv
 from pcs_racing_agents.job_folders import read_job
 from pcs_racing_agents.strategies.agent import Competitor, competitor_hash
 from pcs_racing_agents.strategies.setting import make_setting
@@ -30,6 +29,7 @@ from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.tournament.cells import draw_units
 from pcs_racing_agents.tournament.matches import variant_count
 from pcs_racing_agents.tournament.play import plan_tournament
+from pcs_racing_agents.tournament.result_lines import ResultLines, read_lines
 from pcs_racing_agents.tournament.schedule import Schedule, draw_schedule
 
 __all__ = ["Contest", "Results", "open_results", "planned_contest"]
@@ -68,7 +68,7 @@ class Results:
     folder : Path
     settings : Mapping
         What they depend on, out of ``job.yaml``; of a tournament.
-    rows : list of dict
+    rows : ResultLines
         Lines of ``results.csv``.
     study : Study, optional
         The study that they belong to: its agents are not those of the zoo.
@@ -78,7 +78,7 @@ class Results:
 
     folder: Path
     settings: Mapping[str, Any]
-    rows: list[dict[str, str]]
+    rows: ResultLines
     study: Study | None
     tournament: bool
 
@@ -95,11 +95,16 @@ class Results:
         return self.rows[number]
 
     @cached_property
-    def cells(self) -> dict[tuple[str, ...], list[dict[str, str]]]:
-        """Lines by the pair, track and seed that they belong to, in the order of the file."""
-        found: dict[tuple[str, ...], list[dict[str, str]]] = {}
-        for row in self.rows:
-            found.setdefault(tuple(row[key] for key in CELL), []).append(row)
+    def cells(self) -> dict[tuple[str, ...], NDArray[np.intp]]:
+        """Numbers of the lines by the pair, track and seed that they belong to, in the order of the file."""
+        columns = [self.rows.columns[name] for name in CELL]
+        places = np.array([column.places for column in columns])
+        _, first, cell = np.unique(places, axis=1, return_index=True, return_inverse=True)
+        cell = cell.reshape(-1)
+        lines = np.split(np.argsort(cell, kind="stable"), np.cumsum(np.bincount(cell))[:-1])
+        found = {}
+        for k in np.argsort(first).tolist():
+            found[tuple(column.words[column.places[first[k]]] for column in columns)] = lines[k]
         return found
 
     def contest(self, row: Mapping[str, str]) -> Contest:
@@ -127,10 +132,10 @@ class Results:
         InputError
             If it did not race here, or as :meth:`contest`.
         """
-        firsts = [lines[0] for lines in self.cells.values()]
+        firsts = [self.rows[int(lines[0])] for lines in self.cells.values()]
         found = [row for row in firsts if agent in (row["ego"], row["opponent"])]
         if not found:
-            names = sorted({row[car] for row in self.rows for car in ("ego", "opponent")})
+            names = sorted({row[car] for row in firsts for car in ("ego", "opponent")})
             raise InputError(f"{agent!r} did not race in {self.folder}; there are {', '.join(names)}")
         for row in found:
             for car, name in enumerate((row["ego"], row["opponent"])):
@@ -140,7 +145,10 @@ class Results:
     def _of_study(self, study: Study, row: Mapping[str, str]) -> Contest:
         """Cells have variants and lines of their own, which all their lines together tell."""
         cell = self.cells[tuple(row[key] for key in CELL)]
-        variants = [sorted({int(line[key]) for line in cell}) for key in ("ego_variant", "opponent_variant")]
+        variants = []
+        for name in ("ego_variant", "opponent_variant"):
+            words, places = self.rows.columns[name]
+            variants.append(sorted({int(words[place]) for place in places[cell].tolist()}))
         lines = len(cell) // max(1, 2 * len(variants[0]) * len(variants[1]))
         game, cars = study.game(row["track"]), (study.agent(row["ego"]), study.agent(row["opponent"]))
         seed = int(row["seed"])
@@ -191,10 +199,10 @@ def open_results(folder: str | Path) -> Results:
             file = place.resolve().with_suffix(".csv")
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
-    rows = read_csv(file).rows()
-    missing = {*CELL, "race", "lead", "ego_variant", "opponent_variant", "start_s"} - set(rows[0] if rows else ())
-    if missing:
-        raise InputError(f"{file} holds no races with {', '.join(sorted(missing))}")
+    rows = read_lines(file)
+    missing = {*CELL, "race", "lead", "ego_variant", "opponent_variant", "start_s"} - set(rows.columns)
+    if missing or not len(rows):
+        raise InputError(f"{file} holds no races{' with ' if missing else ''}{', '.join(sorted(missing))}")
     return Results(place, manifest["settings"], rows, study, manifest["kind"] == "tournament")
 
 

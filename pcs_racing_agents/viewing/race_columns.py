@@ -1,21 +1,19 @@
 """The races of a results file as columns: checked line by line, and packed for a page that lists them."""
 
 import math
-import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.errors import InputError
 from pcs_racing.packing import pack
-from pcs_racing_agents.csv_files import read_csv
+from pcs_racing_agents.tournament.result_lines import Labels, ResultLines
 
-__all__ = ["Labels", "RaceColumns", "packed_columns", "race_columns", "read_lines"]
+__all__ = ["RaceColumns", "packed_columns", "race_columns"]
 
 WINNERS = ("", "ego", "opponent")
 CRASHES = ("", "wall", "car")
@@ -25,22 +23,7 @@ LONGEST_TEXT = 300
 MOST_RACES = 2_000_000
 
 Floats = NDArray[np.float64]
-Counts = NDArray[np.int64]
-
-
-class Labels(NamedTuple):
-    """A column of words.
-
-    Attributes
-    ----------
-    words : tuple of str
-        Each of them once, in the order in which they first occur.
-    places : ndarray, shape (N,), int64
-        Which of them stands in each line.
-    """
-
-    words: tuple[str, ...]
-    places: Counts
+Counts = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +40,9 @@ class RaceColumns:
         Number within the pair; seed of the tournament (as a label: seeds may be larger than 2^53).
     start_s, lead, duration : ndarray, shape (N,)
         Metres, metres (of the ego), seconds; duration is NaN where the file does not tell.
-    side, winner, crash, fault : ndarray, shape (N,), int64
+    side, winner, crash, fault : ndarray, shape (N,), int32
         Side of the ego; places in ``WINNERS``, ``CRASHES`` and ``FAULTS``.
-    overtakes, variants, switches : ndarray, shape (2, N), int64
+    overtakes, variants, switches : ndarray, shape (2, N), int32
         Of both cars; ``switches`` counts how often the policy changed.
     """
 
@@ -84,125 +67,98 @@ class RaceColumns:
         return len(self.race)
 
 
-def read_lines(path: str | os.PathLike[str]) -> list[dict[str, str]]:
-    """Read the lines of a results file that stands by itself.
-
-    Raises
-    ------
-    InputError
-        If it can't be read, or a line is damaged.
-    """
-    return read_csv(path).rows()
-
-
-def race_columns(lines: Sequence[Mapping[str, str]], where: str | Path) -> RaceColumns:
+def race_columns(lines: ResultLines) -> RaceColumns:
     """Return the races that a results file holds.
 
     Parameters
     ----------
-    lines : sequence of mapping
-        As ``csv.DictReader`` gives them. Columns that only tell details may be missing.
-    where : str or Path
-        How errors call the file.
+    lines : ResultLines
+        Columns that only tell details may be missing.
 
     Raises
     ------
     InputError
-        If there are no races or too many, a column is missing, or a line is damaged; the first such line is named.
+        If there are no races or too many, a column is missing, or a line is damaged: the first that says what is wrong
+        is named.
     """
-    if not lines:
-        raise InputError(f"{where} holds no races")
+    if not len(lines):
+        raise InputError(f"{lines.where} holds no races")
     if len(lines) > MOST_RACES:
-        raise InputError(f"{where} holds {len(lines)} races; a page lists at most {MOST_RACES}")
-    there = lines[0].keys()
+        raise InputError(f"{lines.where} holds {len(lines)} races; a page lists at most {MOST_RACES}")
+    there = lines.columns
     missing = [name for name in NEEDED if name not in there]
     if missing:
-        raise InputError(f"{where} has no column {missing[0]!r}; it must be a results.csv of races")
-    for number, line in enumerate(lines):
-        # A line that is too short leaves None, one that is too long the rest under the key None.
-        if None in line or None in line.values():
-            raise InputError(
-                f"{_line(where, number)} is damaged: it has more or fewer values than the first line names"
-            )
+        raise InputError(f"{lines.where} has no column {missing[0]!r}; it must be a results.csv of races")
+    nothing = Labels(("",), np.zeros(len(lines), np.uint8))
 
     def words(*names: str) -> Labels:
-        return _labels(lines, names, where)
+        for name in names:
+            for word in there.get(name, nothing).words:
+                if len(word) > LONGEST_TEXT:
+                    raise lines.damaged(name, word, f"{len(word)} characters long")
+        return _joined([there.get(name, nothing) for name in names])
 
     def numbers(name: str, low: float, high: float, otherwise: float | None = None) -> Floats:
-        return _numbers(lines, name, low, high, otherwise, where)
+        if otherwise is not None and name not in there:
+            return np.full(len(lines), otherwise)
+        values = np.array([_number(word) for word in there[name].words])
+        wrong = np.flatnonzero(~((values >= low) & (values <= high)))  # NaN is wrong, too
+        if wrong.size:
+            word = there[name].words[wrong[0]]
+            raise lines.damaged(name, word, f"{word!r:.60}; it must be a number from {low:g} to {high:g}")
+        return values[there[name].places]
 
     def choice(name: str, values: tuple[str, ...]) -> Counts:
-        return _choice(lines, name, values, where)
+        for word in there[name].words:
+            if word not in values:
+                known = ", ".join(value or "nothing" for value in values)
+                raise lines.damaged(name, word, f"{word!r:.60}; it must be {known}")
+        return np.array([values.index(word) for word in there[name].words], np.int32)[there[name].places]
 
     def both(name: str, high: float) -> Counts:
-        return np.array([numbers(f"{car}_{name}", 0, high, otherwise=0) for car in ("ego", "opponent")], np.int64)
+        return np.array([numbers(f"{car}_{name}", 0, high, otherwise=0) for car in ("ego", "opponent")], np.int32)
+
+    def switches(name: str) -> Counts:
+        paths = there.get(name, nothing)
+        return np.array([_switches(path) for path in paths.words], np.int32)[paths.places]
 
     return RaceColumns(
         agents=words("ego", "opponent"),
         track=words("track"),
         preset=words("preset"),
         moves=words("ego_moves", "opponent_moves"),
-        race=numbers("race", 0, 2**31).astype(np.int64),
+        race=numbers("race", 0, 2**31 - 1).astype(np.int32),
         seed=words("seed"),
         start_s=numbers("start_s", -1e6, 1e6),
         lead=numbers("lead", -1e6, 1e6),
         duration=numbers("duration", 0.0, 1e6, otherwise=math.nan),
-        side=numbers("side", 0, 1).astype(np.int64),
+        side=numbers("side", 0, 1).astype(np.int32),
         winner=choice("winner", WINNERS),
         crash=choice("crash", CRASHES),
         fault=choice("fault", FAULTS),
         overtakes=both("overtakes", 1e6),
         variants=both("variant", 1e6),
-        switches=np.array([[_switches(line.get(f"{car}_path", "")) for line in lines] for car in ("ego", "opponent")]),
+        switches=np.array([switches(f"{car}_path") for car in ("ego", "opponent")]),
     )
 
 
-def _line(where: str | Path, number: int) -> str:
-    """Name a race both ways: as a line of the file, and as ``explain`` counts."""
-    return f"{where}, line {number + 2} (race {number}),"
+def _joined(columns: Sequence[Labels]) -> Labels:
+    """One column as it is, shape (N,); several with the words of all of them, shape (C, N)."""
+    if len(columns) == 1:
+        return Labels(columns[0].words, columns[0].places.astype(np.int32))
+    words: dict[str, int] = {}
+    places = [
+        np.array([words.setdefault(word, len(words)) for word in column.words], np.int32)[column.places]
+        for column in columns
+    ]
+    return Labels(tuple(words), np.array(places))
 
 
-def _labels(lines: Sequence[Mapping[str, str]], names: Iterable[str], where: str | Path) -> Labels:
-    found: dict[str, int] = {}
-    columns = []
-    for name in names:
-        column = []
-        for number, line in enumerate(lines):
-            word = line.get(name, "")
-            if len(word) > LONGEST_TEXT:
-                raise InputError(f"{_line(where, number)} is damaged: {name} is {len(word)} characters long")
-            column.append(found.setdefault(word, len(found)))
-        columns.append(column)
-    places = np.array(columns, np.int64)
-    return Labels(tuple(found), places if len(places) > 1 else places[0])
-
-
-def _numbers(
-    lines: Sequence[Mapping[str, str]], name: str, low: float, high: float, otherwise: float | None, where: str | Path
-) -> Floats:
-    if otherwise is not None and name not in lines[0]:
-        return np.full(len(lines), otherwise)
-    values = np.empty(len(lines))
-    for number, line in enumerate(lines):
-        try:
-            values[number] = float(line[name])
-        except ValueError:
-            values[number] = math.nan
-        if not low <= values[number] <= high:  # false for NaN, too
-            raise InputError(
-                f"{_line(where, number)} is damaged: {name} is {line[name]!r:.60}; it must be a number from {low:g} to "
-                f"{high:g}"
-            )
-    return values
-
-
-def _choice(lines: Sequence[Mapping[str, str]], name: str, values: tuple[str, ...], where: str | Path) -> Counts:
-    place = {value: i for i, value in enumerate(values)}
-    for number, line in enumerate(lines):
-        if line[name] not in place:
-            known = ", ".join(value or "nothing" for value in values)
-            raise InputError(f"{_line(where, number)} is damaged: {name} is {line[name]!r:.60}; it must be {known}")
-    return np.array([place[line[name]] for line in lines], np.int64)
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
 
 
 def _switches(path: str) -> int:

@@ -33,8 +33,9 @@ from pcs_racing_agents.job_folders import claim_folder
 from pcs_racing_agents.ppo.curves import read_curve
 from pcs_racing_agents.strategies.fits import load_fit
 from pcs_racing_agents.study.cell_races import read_races
+from pcs_racing_agents.tournament.result_lines import read_lines
 from pcs_racing_agents.trees import load_ego_trees, load_trees
-from pcs_racing_agents.viewing.race_columns import race_columns, read_lines
+from pcs_racing_agents.viewing.race_columns import race_columns
 
 ROOM = 1_000_000_000  # bytes above what the process holds at the start
 GROWTH = 300_000_000  # that the most it ever held may grow by
@@ -162,7 +163,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     zero = here / "zero.csv"
     zero.symlink_to("/dev/zero")
     for what, path in (("wide", wide), ("short lines", short), ("without end", zero)):
-        yield f"races to view: {what}", lambda path=path: race_columns(read_lines(path), path)
+        yield f"races to view: {what}", lambda path=path: race_columns(read_lines(path))
         yield f"races of a study: {what}", lambda path=path: read_races(path)
         yield f"learning curves: {what}", lambda path=path: read_curve(path)
 

@@ -59,6 +59,7 @@ class Browser:
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         self._listen(self._session)
         self.call("Page.enable", self._session)
+        self.call("Performance.enable", self._session, timeDomain="threadTicks")
 
     def _listen(self, session):
         for method in ("Runtime.enable", "Log.enable"):
@@ -113,6 +114,19 @@ class Browser:
         )
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
+
+    def thread_seconds(self):
+        """Processor time of the page's main thread."""
+        return self._metric("TaskDuration")
+
+    def heap_megabytes(self):
+        """Memory of the page's objects, those without use put away."""
+        self.call("HeapProfiler.collectGarbage", self._session)
+        return self._metric("JSHeapUsedSize") / 1e6
+
+    def _metric(self, name):
+        metrics = self.call("Performance.getMetrics", self._session)["metrics"]
+        return next(metric["value"] for metric in metrics if metric["name"] == name)
 
     def wait(self, expression):
         end = time.monotonic() + PATIENCE

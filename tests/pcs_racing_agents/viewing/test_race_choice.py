@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pcs_racing_agents.tournament.result_lines import lines_of
 from pcs_racing_agents.viewing.race_choice import OUTCOMES, choose_races, outcomes
 from pcs_racing_agents.viewing.race_columns import race_columns
 
@@ -20,7 +21,7 @@ def columns_of(races):
     ]
     for line in lines:
         line |= {"start_s": "0", "side": "0", "preset": "paper"}
-    return race_columns(lines, "here")
+    return race_columns(lines_of(lines, "here"))
 
 
 def test_outcomes_are_told_by_agent():

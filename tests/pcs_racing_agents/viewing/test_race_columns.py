@@ -8,7 +8,8 @@ import pytest
 
 from pcs_racing.errors import InputError
 from pcs_racing.packing import unpack
-from pcs_racing_agents.viewing.race_columns import packed_columns, race_columns, read_lines
+from pcs_racing_agents.tournament.result_lines import lines_of, read_lines
+from pcs_racing_agents.viewing.race_columns import packed_columns, race_columns
 
 
 @pytest.fixture
@@ -16,8 +17,14 @@ def lines(tournament_folder):
     return read_lines(tournament_folder[0] / "results.csv")
 
 
+@pytest.fixture
+def rows(lines):
+    """The lines one by one, to be spoilt."""
+    return list(lines)
+
+
 def test_columns_hold_what_was_raced(lines, tournament_folder):
-    columns = race_columns(lines, "results.csv")
+    columns = race_columns(lines)
     rows = tournament_folder[1].rows
     assert len(columns) == len(rows) == 18
     for number, row in enumerate(rows):
@@ -33,7 +40,7 @@ def test_columns_hold_what_was_raced(lines, tournament_folder):
 
 
 def test_packing_loses_nothing_that_is_shown(lines):
-    columns = race_columns(lines, "results.csv")
+    columns = race_columns(lines)
     packed = packed_columns(columns)
     assert packed["length"] == 18
     values = {name: unpack(column) for name, column in packed["columns"].items()}
@@ -45,14 +52,14 @@ def test_packing_loses_nothing_that_is_shown(lines):
     assert packed["seeds"] == ["2"]
 
 
-def test_what_only_tells_details_may_be_missing(lines):
+def test_what_only_tells_details_may_be_missing(rows):
     bare = [
-        {name: line[name] for name in line if not name.endswith(("moves", "path", "variant", "overtakes"))}
-        for line in lines
+        {name: row[name] for name in row if not name.endswith(("moves", "path", "variant", "overtakes"))}
+        for row in rows
     ]
     for line in bare:
         del line["duration"], line["preset"]
-    columns = race_columns(bare, "results.csv")
+    columns = race_columns(lines_of(bare, "here"))
     assert np.isnan(columns.duration).all()
     assert columns.overtakes.sum() == 0
     assert (unpack(packed_columns(columns)["columns"]["duration"]) == -1).all()
@@ -71,19 +78,18 @@ def test_what_only_tells_details_may_be_missing(lines):
         ("race", "-1", "race is '-1'"),
         ("ego_variant", "1e9", "ego_variant is '1e9'"),
         ("ego", "x" * 301, "ego is 301 characters long"),
-        ("lead", None, "more or fewer values"),
-        (None, ["more"], "more or fewer values"),
     ],
 )
-def test_a_damaged_line_is_named(lines, column, value, message):
-    lines[5][column] = value
+def test_a_damaged_line_is_named(rows, column, value, message):
+    for number in (5, 9):  # the first of them is told
+        rows[number][column] = value
     with pytest.raises(InputError) as refused:
-        race_columns(lines, "results.csv")
+        race_columns(lines_of(rows, "results.csv"))
     assert message in str(refused.value)
-    assert "line 7" in str(refused.value)
+    assert "results.csv, line 7 (race 5), is damaged: " in str(refused.value)
 
 
-def test_files_that_hold_no_races_are_refused(tmp_path, lines):
+def test_files_that_hold_no_races_are_refused(tmp_path, rows):
     with pytest.raises(InputError, match="can't read"):
         read_lines(tmp_path / "nothing.csv")
     path = tmp_path / "results.csv"
@@ -93,7 +99,7 @@ def test_files_that_hold_no_races_are_refused(tmp_path, lines):
     path.write_text("a,b\n" + '"' + "x" * (csv.field_size_limit() + 1) + '",1\n')
     with pytest.raises(InputError, match="is damaged"):
         read_lines(path)
-    with pytest.raises(InputError, match="holds no races"):
-        race_columns([], path)
-    with pytest.raises(InputError, match="no column 'lead'"):
-        race_columns([{name: value for name, value in line.items() if name != "lead"} for line in lines], path)
+    with pytest.raises(InputError, match="here holds no races"):
+        race_columns(lines_of([], "here"))
+    with pytest.raises(InputError, match="here has no column 'lead'"):
+        race_columns(lines_of([{name: row[name] for name in row if name != "lead"} for row in rows], "here"))

@@ -10,6 +10,7 @@ from pcs_racing.errors import InputError
 from pcs_racing.replay import read_replay
 from pcs_racing_agents.explaining.contests import open_results
 from pcs_racing_agents.tournament.play import record_row
+from pcs_racing_agents.tournament.result_lines import lines_of
 from pcs_racing_agents.viewing.race_replays import PLACES, RaceDriver, circuit_values, race_values
 
 
@@ -83,7 +84,7 @@ def test_what_is_left_out_is_optional(driver, tournament_folder):
 def changed(results, number, **values):
     rows = [dict(row) for row in results.rows]
     rows[number] |= values
-    return RaceDriver(replace(results, rows=rows))
+    return RaceDriver(replace(results, rows=lines_of(rows, "here")))
 
 
 def test_a_race_that_is_another_one_is_refused(tournament_folder):

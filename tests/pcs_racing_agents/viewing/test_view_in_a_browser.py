@@ -9,6 +9,7 @@ import pytest
 
 from pcs_racing.packing import unpack
 from pcs_racing_agents.explaining.contests import open_results
+from pcs_racing_agents.tournament.result_lines import lines_of, read_lines
 from pcs_racing_agents.viewing.race_choice import Pick, choose_races
 from pcs_racing_agents.viewing.race_columns import RaceColumns, packed_columns, race_columns
 from pcs_racing_agents.viewing.race_replays import RaceDriver
@@ -149,7 +150,7 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
     rows = [
         {**row, "ego": NASTY, "track": NASTY, "ego_moves": NASTY, "preset": "<!--player--><b>"} for row in results.rows
     ]
-    columns = race_columns(rows, "here")
+    columns = race_columns(lines_of(rows, "here"))
     driver = RaceDriver(results)
     race = driver.drive(0)
     hostile = replace_texts(race.values, NASTY)
@@ -210,7 +211,7 @@ def many_races(count):
     crash = np.where(rng.random(count) < 0.2, rng.integers(1, 3, count), 0)
     lines = [{**dict.fromkeys(("winner", "crash", "fault", "preset"), ""), "ego": "a", "opponent": "b", "track": "t"}]
     lines[0] |= {"race": "0", "seed": "0", "start_s": "0", "side": "0", "lead": "0"}
-    one = race_columns(lines, "nowhere")
+    one = race_columns(lines_of(lines, "nowhere"))
     whole = {name: rng.integers(0, high, count) for name, high in (("race", 1000), ("side", 2), ("winner", 3))}
     pairs = np.sort(np.array([rng.permutation(6)[:2] for _ in range(1000)]), axis=1)[np.arange(count) % 1000].T
     return replace(
@@ -233,7 +234,7 @@ def many_races(count):
 
 
 def test_the_page_reads_what_was_packed(browser, page, tournament_folder):
-    columns = race_columns(rows_of(tournament_folder[0] / "results.csv"), "here")
+    columns = race_columns(read_lines(tournament_folder[0] / "results.csv"))
     assert isinstance(columns, RaceColumns)
     browser.open(f"{page.as_uri()}#show=list")
     for name, packed in packed_columns(columns)["columns"].items():
@@ -253,7 +254,7 @@ def test_a_phone_shows_the_list_and_then_the_race(browser, page):
 def test_a_served_page_drives_any_race(browser, tournament_folder):
     place, _ = tournament_folder
     results = open_results(place)
-    columns = race_columns(results.rows, place)
+    columns = race_columns(results.rows)
     service = RaceService(RaceDriver(results), len(columns))
     page = view_page(ViewContent("served", columns, str(place), serve=True))
     with make_server(page, service.answer) as server:
