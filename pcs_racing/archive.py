@@ -490,13 +490,14 @@ def check_epsilon(epsilon: Any) -> tuple[float, ...]:
     """
     single = isinstance(epsilon, int | float | np.integer | np.floating)
     try:
-        steps = (epsilon,) if single else tuple(epsilon)
-        good = all(not isinstance(e, bool | str) and 0.0 < float(e) <= 10.0 for e in steps)
-    except (TypeError, ValueError):
+        given = (epsilon,) if single else tuple(epsilon)
+        steps = tuple(float(e) for e in given)
+        good = all(not isinstance(e, bool | str) for e in given) and all(0.0 < e <= 10.0 for e in steps)
+    except (TypeError, ValueError, OverflowError):
         steps, good = (), False
     if not good or not steps or len(set(steps)) != len(steps):
         raise InputError(f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones")
-    return tuple(float(e) for e in steps)
+    return steps
 
 
 def shipped_folder() -> Path:

@@ -191,6 +191,13 @@ def test_manifests_of_ego_trees_that_say_something_else(tmp_path, roots):
         load_ego_trees(tmp_path)
 
 
+def test_step_sizes_of_other_types():
+    assert GameConfig(epsilon=[np.array(0.5)]) == GameConfig(epsilon=0.5)
+    for epsilon in (10**400, [np.array([0.5, 1.0])], [[0.5]], [1j], [True]):
+        with pytest.raises(InputError, match="epsilon is"):
+            GameConfig(epsilon=epsilon)
+
+
 @pytest.mark.parametrize("track", [5, 0.5, None, ["Pipkin"], {"a": 1}, b"Pipkin"])
 def test_tracks_that_are_no_name(track):
     with pytest.raises(InputError, match="track is"):
