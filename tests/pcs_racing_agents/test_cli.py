@@ -114,6 +114,22 @@ def test_agents_lists_the_zoo(run):
     assert "- Option target, by default None. The policy's index." in out
 
 
+def test_agents_tells_of_one_that_makes_the_same_move(run):
+    code, out, _ = run("agents", "always-restraint+")
+    assert code == 0
+    assert "Makes the same move again and again." in out
+    assert "With archive default in the paper race:" in out
+
+
+def test_a_tournament_without_a_folder_prints_its_table_and_writes_nothing(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["tournament", "--track", "Pipkin", "--agents", "random-moves", "never-switch", "--races", 2]
+    code, out, _ = run(*arguments, *SHORT)
+    assert code == 0
+    assert "2 races of 4 s, preset paper, on Pipkin" in out
+    assert not list(tmp_path.iterdir())
+
+
 def test_rules_from_a_file(run, tmp_path):
     rules = tmp_path / "rules.yaml"
     rules.write_text("preset: contest\nname: sprint\nduration: 2.0\n")
@@ -223,6 +239,42 @@ def test_an_error_is_one_line(run, arguments, message, tmp_path, monkeypatch):
     assert message in err
     assert err.count("\n") == 1
     assert not list(tmp_path.iterdir())  # nothing half done
+
+
+@pytest.mark.parametrize(
+    ("stopped", "code", "told"),
+    [
+        (KeyboardInterrupt(), 130, "pcs-racing: interrupted\n"),
+        (
+            PermissionError(13, "Permission denied", "results.csv"),
+            2,
+            "can't read or write results.csv: Permission denied",
+        ),
+        (OSError("no room for\n  two lines"), 2, "pcs-racing: error: no room for two lines\n"),
+    ],
+)
+def test_what_stops_a_command_is_told_in_a_line(run, monkeypatch, stopped, code, told):
+    def fails(_name):
+        raise stopped
+
+    monkeypatch.setattr("pcs_racing_agents.commands.policies.get_planner", fails)
+    found, _, err = run("policies", "lattice")
+    assert found == code
+    assert told in err
+    assert err.count("\n") == 1
+
+
+def test_a_folder_in_the_place_of_a_picture(run, tmp_path):
+    (tmp_path / "made.png").mkdir()
+    code, _, err = run("track", "show", "Pipkin", "--out", tmp_path / "made.png")
+    assert code == 2
+    assert err == f"pcs-racing: error: can't write {tmp_path / 'made.png'}: it is a folder\n"
+
+
+def test_an_error_in_the_program_itself_is_not_hidden(run, monkeypatch):
+    monkeypatch.setattr("pcs_racing_agents.commands.policies.get_planner", lambda name: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        run("policies", "lattice")
 
 
 @pytest.mark.parametrize("argument", ["--help", "race --help", "track --help", "track import --help"])
