@@ -1,56 +1,54 @@
 """What a task of each kind costs, what a cluster adds to it, and what more nodes would do for a study.
 
 python benchmarks/cluster_overhead.py
-python benchmarks/cluster_overhead.py --study out/paper
+python benchmarks/cluster_overhead.py --study paper --serial 20
 
 Tasks are measured in processor seconds of one thread, so that other work on the machine hardly matters. The overhead is
-what this process, the scheduler in it included, spends on a task that does nothing. A study's folder tells how many
-tasks there were and which of them could run at the same time: those of one wave. With several folders each stage is
-counted where it has most tasks.
+what this process, the scheduler in it included, spends on a task that does nothing. Tasks are counted from the study's
+configuration; those that can run at the same time are one wave. What a configuration does not say (how many policies
+are measured, how long a network learns, how many plans are tried) is taken from what is shipped.
 """
 
 import argparse
 import pickle
-import re
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from math import ceil
-from pathlib import Path
+from math import ceil, comb
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
-from pcs_racing import make_game
+from pcs_racing import load_archive, make_game
+from pcs_racing.registry import get_planner
+from pcs_racing_agents.approximator import Rows, game_identity, load_network, train_network
+from pcs_racing_agents.approximator.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.jobs import make_executor, open_job
+from pcs_racing_agents.ppo.level import make_level
+from pcs_racing_agents.ppo.seed_run import Trainer
+from pcs_racing_agents.ppo.settings import load_ppo_settings
 from pcs_racing_agents.rollouts import learner
+from pcs_racing_agents.rollouts.learner import load_response_settings
 from pcs_racing_agents.strategies import make_setting
+from pcs_racing_agents.strategies.agent import Agent
+from pcs_racing_agents.strategies.fits import load_fit, shipped_fits
 from pcs_racing_agents.strategies.zoo import build
+from pcs_racing_agents.study import StudyConfig, load_study_config
+from pcs_racing_agents.study.moves_made import BLOCK as REPLAYED
+from pcs_racing_agents.study.racing import _Judge
 from pcs_racing_agents.synthesis.archive_run import draw_policies, stage_scenarios
-from pcs_racing_agents.synthesis.archive_search import BLOCK
+from pcs_racing_agents.synthesis.archive_search import BLOCK as POLICIES
 from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.synthesis.evaluate import blocks, race_block
 from pcs_racing_agents.tournament import runner
 from pcs_racing_agents.tournament.cells import draw_units
-from pcs_racing_agents.trees.storage import NAME, _Builder, _Task
+from pcs_racing_agents.trees.storage import _Builder, _Task
+from pcs_racing_agents.trees.tree import tree_from_arrays
 
 CIRCUITS = ("Tarnfjord", "Vellindra", "Kestrelheim")
-KINDS = {
-    "archive": "evaluation",
-    "trees": "tree",
-    "networks": None,  # one process
-    "blind": "games",
-    "responses": "branch",
-    "races": "games",
-    "rivals": "games",
-    "exploitability": "tree",
-    "report": None,
-}
-"""What the tasks of a study's stages are."""
+ROWS = 20_000  # that a network learns from, for the time of a row
 
 
 class Cost(NamedTuple):
@@ -62,122 +60,225 @@ class Cost(NamedTuple):
     returned: int
 
 
-def cost(function: Callable[[Any], Mapping[str, Any]], tasks: Sequence[Any]) -> Cost:
+class Wave(NamedTuple):
+    """Tasks that can run at the same time: so many of a kind, each so many times as long as the one measured."""
+
+    kind: str
+    tasks: int
+    times: float = 1.0
+
+
+# What a task costs
+
+
+def size(value: Any) -> int:
+    """Bytes of what a task returned."""
+    if isinstance(value, Mapping):
+        return sum(size(item) for item in value.values())
+    return int(np.asarray(value).nbytes) if isinstance(value, np.ndarray | np.generic) else len(pickle.dumps(value))
+
+
+def cost(function: Callable[[Any], Any], tasks: Sequence[Any], *, loaded: bool = False) -> tuple[Cost, Any]:
     """Do some tasks of a kind; the first is done twice, the first time to load and compile what it needs."""
-    function(tasks[0])
+    if not loaded:
+        function(tasks[0])
     begin = time.process_time()
     results = [function(task) for task in tasks]
     seconds = (time.process_time() - begin) / len(tasks)
-    returned = sum(np.asarray(value).nbytes for value in results[0].values())
-    return Cost(seconds, len(pickle.dumps(tasks[0])), len(pickle.dumps(function)), returned)
+    return Cost(seconds, len(pickle.dumps(tasks[0])), len(pickle.dumps(function)), size(results[0])), results[0]
 
 
 def measure(moves: int) -> dict[str, Cost]:
     """Measure one task of every kind, of the sizes that the paper's study has."""
-    found = {}
+    found: dict[str, Cost] = {}
+    print("task of        processor     sent with it     sent once      returned")
 
-    def keep(kind: str, function: Callable[[Any], Mapping[str, Any]], tasks: Sequence[Any]) -> None:
-        found[kind] = cost(function, tasks)
+    def keep(kind: str, function: Callable[[Any], Any], tasks: Sequence[Any], *, loaded: bool = False) -> Any:
+        found[kind], result = cost(function, tasks, loaded=loaded)
         seconds, sent, once, returned = found[kind]
-        print(f"{kind:12} {seconds:8.2f} s  {sent:11,} B  {once:11,} B  {returned:11,} B", flush=True)
+        print(f"{kind:14} {seconds:8.2f} s  {sent:11,} B  {once:11,} B  {returned:11,} B", flush=True)
+        return result
 
-    print("task of      processor     sent with it     sent once      returned")
-    config = load_archive_config("default")
-    search = stage_scenarios(config)[0]
-    policies = draw_policies(build_family(), BLOCK, np.random.SeedSequence(0))
-    keep("evaluation", partial(race_block, threads=1), blocks(search, policies, BLOCK))
+    stages = zip(("search", "choice", "measurement"), stage_scenarios(load_archive_config("default")), strict=True)
+    policies = draw_policies(get_planner("lattice"), POLICIES, np.random.SeedSequence(0))
+    for kind, scenarios in stages:
+        keep(kind, partial(race_block, threads=1), blocks(scenarios, policies, POLICIES), loaded=kind != "search")
 
     games = [replace(make_game(track), threads=1) for track in CIRCUITS]
     game, setting = games[0], make_setting(games[0].archive, games[0].config)
-    ego, never = build("cfr-argmax", setting), build("never-switch", setting)
+    ego, never, random = (build(name, setting) for name in ("cfr-argmax", "never-switch", "random-moves"))
     units = draw_units(game, ego, never, lines=1)
     pairing = runner.Pairing(game.track, ego, never, units.variants, units.starts, units.seeds)
     with make_executor("processes", 1) as executor:
         task = runner._task(pairing, np.arange(runner.BLOCK), game.archive, game.config, executor, kept=True)
     keep("games", runner._play, [task])
 
-    random = build("random-moves", setting)
     pool = [never, random, build("lane-switcher", setting)]
     arenas = [[learner.game_between(game, random, opponent) for opponent in pool] for game in games]
     branch = partial(learner._branch, arenas, pool, [random], random, "win", len(setting.moves) - 1)
-    keep("branch", branch, [learner.BranchTask(0, 0, 2, 0, 0, learner.BLOCK, 1)])
+    steps = range(game.config.moves)
+    keep("branch", branch, [learner.BranchTask(0, 0, step, 0, 0, learner.BLOCK, 1) for step in steps])
 
     tree_game = replace(make_game("Tarnfjord", moves=moves, stay=False), threads=1)
-    small = replace(make_game("Tarnfjord", moves=1, stay=False), threads=1)
-    _Builder(small)(_Task((0, 1), 0, 1, 0))  # loads the code
-    begin = time.process_time()
-    arrays = _Builder(tree_game)(_Task((10, 20), 0, 1, 0))
-    seconds = time.process_time() - begin
-    builder = _Builder(tree_game)
-    sizes = len(pickle.dumps(_Task((10, 20), 0, 1, 0))), len(pickle.dumps(builder))
-    found["tree"] = Cost(seconds, *sizes, sum(array.nbytes for array in arrays.values()))
-    print(f"{NAME:12} {seconds:8.2f} s  {sizes[0]:11,} B  {sizes[1]:11,} B  {found['tree'].returned:11,} B", flush=True)
+    _Builder(replace(make_game("Tarnfjord", moves=1, stay=False), threads=1))(_Task((0, 1), 0, 1, 0))  # loads the code
+    arrays = keep("tree", _Builder(tree_game), [_Task((10, 20), 0, 1, 0)], loaded=True)
+    names = load_study_config("paper").every_arm
+    agents = [agent for agent in (build(_shipped(name), setting) for name in names) if isinstance(agent, Agent)]
+    tree = tree_from_arrays(arrays, moves, "the tree")
+    keep("judging", _Judge.of(tree_game, agents, [tree]), [tree])  # type: ignore[arg-type]
+
+    rng = np.random.default_rng(0)
+    shape = ROWS, len(game.observation_elements), len(game.move_names)
+    rows = Rows(
+        rng.random(shape[:2]),
+        rng.normal(size=(ROWS, shape[2])),
+        np.ones(ROWS),
+        np.arange(ROWS) % 40,
+        np.zeros(ROWS, int),
+    )
+    keep("learning", _Learn(rows, tree_game), [load_train_settings("study", epochs=4, patience=4)])
+
+    ppo = load_ppo_settings("study-paper")
+    trainer = Trainer(make_level(ppo), replace(ppo, evaluate_every=ppo.steps), 0.0)
+    state = trainer((0, None))
+    keep("update", trainer, [(0, state)], loaded=True)
+    first, _ = cost(trainer, [(0, None)], loaded=True)
+    found["evaluation"] = first._replace(seconds=first.seconds - found["update"].seconds)
+    print(f"{'evaluation':14} {found['evaluation'].seconds:8.2f} s  (in the same piece of work)", flush=True)
     return found
 
 
-def build_family() -> Any:
-    """The planner of the default archive."""
-    from pcs_racing.registry import get_planner
-
-    return get_planner("lattice")
+def _shipped(name: str) -> str:
+    """An agent of the zoo in place of one that a study makes."""
+    return "adaptive" if name == "response" else name
 
 
-def nothing(task: int) -> dict[str, int]:
-    """A task that does nothing."""
-    return {"task": task}
+@dataclass(frozen=True, eq=False)
+class _Learn:
+    rows: Rows
+    game: Any
+
+    def __call__(self, settings: TrainSettings) -> Any:
+        return train_network(self.rows, game_identity(self.game), settings, name="x")[0].weights
 
 
-def overhead(kind: str, tasks: int) -> float:
-    """Processor seconds that this process spends on a task that does nothing, its chunk included."""
+# What a cluster adds
+
+
+@dataclass(frozen=True)
+class Nothing:
+    """A task that does nothing, of some bytes; known by its number."""
+
+    content_hash: str
+    load: bytes
+
+
+def nothing(task: Nothing) -> dict[str, int]:
+    """Do nothing."""
+    return {"task": len(task.load)}
+
+
+def overhead(kind: str, tasks: int, load: int) -> float:
+    """Processor seconds that this process spends on a task of some bytes that does nothing, its chunk included."""
     with (
         tempfile.TemporaryDirectory() as folder,
         make_executor(kind, 2) as executor,
         open_job(folder, "overhead", {}) as job,
     ):
-        job.run("warm", nothing, range(20), executor=executor)
+        job.run("warm", nothing, [Nothing(f"{i}", b"") for i in range(20)], executor=executor)
+        made = [Nothing(f"{i}", np.random.default_rng(i).bytes(load)) for i in range(tasks)]
         begin = time.process_time()
-        job.run("measured", nothing, range(tasks), executor=executor, keep=False)
+        job.run("measured", nothing, made, executor=executor, keep=False)
         return (time.process_time() - begin) / tasks
 
 
-def waves(folders: Sequence[Path]) -> tuple[dict[str, list[int]], dict[str, float]]:
-    """Return for every stage the number of tasks of its waves, and its seconds where it is one process."""
-    found: dict[str, list[int]] = {}
-    alone = {}
-    for stage, kind in KINDS.items():
-        counted = []
-        for folder in folders:
-            chunks = (folder / stage).rglob("chunks/*.npz")
-            names = Counter(re.sub(r"-\d{5}$", "", str(chunk.with_suffix(""))) for chunk in chunks)
-            counted.append(list(names.values()))
-            done = folder / stage / "done.yaml"
-            if kind is None and done.is_file():
-                seconds = float(yaml.safe_load(done.read_text())["seconds"])
-                alone[stage] = min(seconds, alone.get(stage, seconds))
-        found[stage] = max(counted, key=sum)
-    return found, alone
+# What a study is made of
 
 
-def stage_seconds(tasks: Sequence[int], cost: Cost, workers: int, added: float) -> float:
-    """How long a stage takes: wave after wave, each as long as a worker's share of it, or as the scheduler needs."""
-    return sum(max(ceil(count / workers) * (cost.seconds + added), count * added) for count in tasks)
+def waves(config: StudyConfig, found: Mapping[str, Cost]) -> dict[str, list[Wave]]:
+    """Return the waves of every stage; each waits for the one before."""
+    circuits, moves = len(config.circuits), config.moves
+    stages: dict[str, list[Wave]] = {"archive": _synthesis(config)}
+    forest = [Wave("tree", circuits * config.pairs, config.seeds)] if config.pairs else []
+    stages["trees"] = forest
+    network = load_network("default-paper-regret").training
+    training = load_train_settings(config.training)
+    rows = int(network["rows"]) * circuits * config.pairs * config.seeds / int(network["trees"])
+    drawn = min(rows, training.rows_per_epoch) * int(network["epochs"])
+    stages["networks"] = [Wave("learning", len(config.targets), drawn / (4 * ROWS))] if forest else []
+    each = Wave("games", 1, config.fitting_games / runner.BLOCK)
+    places = circuits * len(config.fitting_opponents)
+    tried = int(load_fit(shipped_fits() / "default-paper-best-schedule.yaml").training["candidates"])
+    plans = [moves + 1] + [moves * moves] * ceil((tried - moves - 1) / (moves * moves))
+    stages["blind"] = [each._replace(tasks=places * count) for count in (config.fixed_targets, *plans)]
+    stages["responses"] = [wave for name in config.responses for wave in _response(config, name)]
+    stages["ppo"] = []
+    if config.ppo is not None:
+        ppo = load_ppo_settings(config.ppo)
+        updates = ppo.steps / (ppo.envs * ppo.rollout * circuits)
+        judged = 1 + ppo.steps // ppo.evaluate_every
+        stages["ppo"] = [Wave("update", len(ppo.seeds), updates), Wave("evaluation", len(ppo.seeds), judged)]
+    races = 2 * config.egos * config.variants
+    cells = [(len(t) * len(o) * len(a), races * lines) for t, o, a, lines in config.tables.values()]
+    stages["races"] = [Wave("games", sum(count * ceil(games / runner.BLOCK) for count, games in cells))]
+    rivals = comb(len(config.rivals), 2)
+    again = Wave("games", rivals, config.rival_races / runner.BLOCK)
+    stages["rivals"] = [again._replace(tasks=rivals * n) for n in (len(config.tracks), circuits)] if rivals else []
+    held_out = circuits * max(2, config.pairs // 4)
+    stages["exploitability"] = [Wave("tree", held_out, config.seeds), Wave("judging", held_out)] if forest else []
+    main = len(config.tracks) * len(config.opponents) * 2 * ceil(1000 / REPLAYED)
+    stages["report"] = [Wave("games", main, REPLAYED / runner.BLOCK)]
+    return stages
 
 
-def table(found: Mapping[str, Cost], folders: Sequence[Path], added: float, cores: int) -> None:
+def _synthesis(config: StudyConfig) -> list[Wave]:
+    if config.synthesis is None:
+        return []
+    search = load_archive_config(config.synthesis)
+    notes = load_archive("default").settings
+    measured = int(notes["policies"]) + int(notes["measurement_over_crash_limit"]) + int(notes["measurement_beaten"])
+    return [
+        Wave("search", ceil(search.scouts / POLICIES)),
+        *[Wave("search", ceil(search.population / POLICIES))] * search.generations,
+        Wave("choice", ceil(search.candidates / POLICIES)),
+        Wave("measurement", ceil(measured / POLICIES)),
+    ]
+
+
+def _response(config: StudyConfig, name: str) -> list[Wave]:
+    settings = load_response_settings(name)
+    about = load_network("default-paper-gain").training
+    found = []
+    waves = settings.rounds * config.moves
+    games = len(config.circuits) * len(config.response_pool)
+    for wave in range(1, waves + 1):
+        rows = min(50_000, games * settings.starts * wave) * int(about["epochs"])
+        members = settings.members if wave == waves else min(settings.members, 2)
+        found.append(Wave("branch", games * ceil(settings.starts / learner.BLOCK)))
+        found.append(Wave("learning", members, rows / (4 * ROWS)))
+    return found
+
+
+def table(
+    stages: Mapping[str, list[Wave]], found: Mapping[str, Cost], added: Mapping[str, float], cores: int, serial: float
+) -> None:
     """Print what one, 32 and 1,000 nodes would do."""
-    counted, alone = waves(folders)
     nodes = (1, 32, 1000)
-    print(f"\nnodes of {cores} cores, {1e3 * added:.2f} ms of the scheduler's for every task; times in s\n")
+    print(f"\nnodes of {cores} cores; times in s\n")
     print(f"{'stage':15}{'tasks':>7}{'waves':>7}{'largest':>9}{'one core':>10}" + "".join(f"{n:>9}" for n in nodes))
     totals = np.zeros(len(nodes) + 1)
-    for stage, kind in KINDS.items():
-        tasks = counted[stage]
-        if kind is None:
-            row = [alone.get(stage, 0.0)] * (len(nodes) + 1)
-        else:
-            row = [sum(tasks) * found[kind].seconds]
-            row += [stage_seconds(tasks, found[kind], n * cores, added) for n in nodes]
+
+    def took(wave: Wave, workers: int) -> float:
+        # As long as a worker's share of it, or as the scheduler needs.
+        seconds, more = found[wave.kind].seconds * wave.times, added[wave.kind]
+        return max(ceil(wave.tasks / workers) * (seconds + more), wave.tasks * more)
+
+    for stage, made in stages.items():
+        rest = serial if stage == "report" else 0.0
+        row = np.array([sum(wave.tasks * wave.times * found[wave.kind].seconds for wave in made) + rest])
+        row = np.append(row, [sum(took(wave, n * cores) for wave in made) + rest for n in nodes])
         totals += row
+        tasks = [wave.tasks for wave in made]
         print(f"{stage:15}{sum(tasks):>7}{len(tasks):>7}{max(tasks, default=0):>9}{row[0]:>10.0f}"
               + "".join(f"{value:>9.1f}" for value in row[1:]))  # fmt: skip
     print(f"{'all':38}{totals[0]:>10.0f}" + "".join(f"{value:>9.1f}" for value in totals[1:]))
@@ -186,20 +287,26 @@ def table(found: Mapping[str, Cost], folders: Sequence[Path], added: float, core
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--study", type=Path, nargs="+", help="folders of studies that are done, for the table")
+    parser.add_argument("--study", nargs="+", default=[], metavar="NAME", help="configurations, for the table")
+    parser.add_argument(
+        "--serial", type=float, default=0.0, metavar="S", help="of the report in one process (default: 0)"
+    )
     parser.add_argument("--cores", type=int, default=16, help="of a node (default: 16)")
-    parser.add_argument("--tasks", type=int, default=500, help="that do nothing, for the overhead (default: 500)")
+    parser.add_argument("--tasks", type=int, default=300, help="that do nothing, for the overhead (default: 300)")
     parser.add_argument("--moves", type=int, default=4, help="of the tree (default: 4)")
     arguments = parser.parse_args()
     found = measure(arguments.moves)
-    added = {}
+    large = 400_000
     for kind in ("serial", "threads", "processes", "dask"):
-        added[kind] = overhead(kind, arguments.tasks)
-        print(f"{kind:12} {1e3 * added[kind]:8.2f} ms a task that does nothing", flush=True)
+        least, most = (overhead(kind, arguments.tasks, load) for load in (0, large))
+        print(f"{kind:12} {1e3 * least:8.2f} ms a task that does nothing, {1e3 * most:.2f} ms one of {large:,} B")
+    added = {kind: least + (most - least) * one.sent / large for kind, one in found.items()}
     for kind, one in found.items():
-        print(f"one scheduler keeps {one.seconds / added['dask']:.0f} workers busy with tasks of the kind {kind}")
-    if arguments.study:
-        table(found, arguments.study, added["dask"], arguments.cores)
+        print(f"one scheduler keeps {one.seconds / added[kind]:.0f} workers busy with tasks of the kind {kind}")
+    for name in arguments.study:
+        config = load_study_config(name)
+        print(f"\n{name}:", end="")
+        table(waves(config, found), found, added, arguments.cores, arguments.serial)
 
 
 if __name__ == "__main__":

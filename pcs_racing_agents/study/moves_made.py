@@ -1,18 +1,20 @@
 """Which move the study's agents make in which situation: a part of their races, driven again to see what they saw."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.game import RaceGame
+from pcs_racing.race import Starts
 from pcs_racing_agents.chunk_files import fingerprint
 from pcs_racing_agents.explaining.explain import is_blind
 from pcs_racing_agents.explaining.situations import Situations, summarise, write_situations
 from pcs_racing_agents.jobs import open_job
-from pcs_racing_agents.strategies.agent import Agent, competitor_hash
+from pcs_racing_agents.strategies.agent import Agent, Competitor, competitor_hash
 from pcs_racing_agents.study.racing import StudyCell
 from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.tournament.matches import play_games
@@ -25,12 +27,34 @@ BLOCK = 500  # races of one task
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """Races of a cell to be driven again."""
+    """Races of a cell to be driven again; the digest is of all that their result depends on."""
 
     content_hash: str
-    study: Study
-    cell: StudyCell
-    races: NDArray[np.intp]
+    track: str
+    arm: str
+    opponent: str
+    variants: NDArray[np.int64]
+    starts: Starts
+    seeds: NDArray[np.uint64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Driver:
+    """What drives them; it travels to other processes together with the games and the agents."""
+
+    games: Mapping[str, RaceGame]
+    agents: Mapping[str, Competitor]
+
+    def __call__(self, task: _Task) -> dict[str, NDArray[Any]]:
+        matches = play_games(
+            self.games[task.track],
+            self.agents[task.arm],
+            self.agents[task.opponent],
+            policies=task.variants,
+            starts=task.starts,
+            seeds=task.seeds,
+        )
+        return {"seen": matches.seen[:, 0], "moves": matches.moves[:, 0]}
 
 
 def moves_in_situations(study: Study, played: Sequence[StudyCell], races: int = 1000) -> list[Situations]:
@@ -49,12 +73,18 @@ def moves_in_situations(study: Study, played: Sequence[StudyCell], races: int = 
     tasks = [task for found in cells for task in _tasks(study, found, races)]
     if not tasks:
         return []
+    threads = None if study.executor is None else 1
+    driver = _Driver(
+        {name: replace(study.game(name), threads=threads) for name in {task.track for task in tasks}},
+        {name: study.agent(name) for task in tasks for name in (task.arm, task.opponent)},
+    )
     folder = study.folder / "report" / "situations"
     with open_job(folder, "situations", {"archive": study.archive.content_hash, "races": races}) as job:
-        found = job.run("moves", _drive, tasks, progress=study.progress("tasks (moves in situations)"))
+        told = study.progress("tasks (moves in situations)")
+        found = job.run("moves", driver, tasks, executor=study.executor, progress=told)
     summaries = []
     for name in agents:
-        own = [arrays for task, arrays in zip(tasks, found, strict=True) if task.cell.arm == name]
+        own = [arrays for task, arrays in zip(tasks, found, strict=True) if task.arm == name]
         seen, moves = (np.concatenate([arrays[key] for arrays in own]) for key in ("seen", "moves"))
         if (moves >= 0).any():
             summaries.append(summarise(seen, moves, study.archive, cells[0].cell.moves, name))
@@ -75,21 +105,8 @@ def _tasks(study: Study, found: StudyCell, races: int) -> list[_Task]:
     tasks = []
     for first in range(0, len(chosen), BLOCK):
         rows = chosen[first : first + BLOCK]
-        drawn = (units.variants[rows], units.starts.s[rows], units.starts.side[rows], units.seeds[rows])
+        variants, starts, seeds = units.variants[rows], units.starts.take(rows), units.seeds[rows]
+        drawn = (variants, starts.s, starts.side, seeds)
         digest = fingerprint(track.content_hash, study.archive.content_hash, study.config.game, who, drawn)
-        tasks.append(_Task(digest, study, found, rows))
+        tasks.append(_Task(digest, found.track, found.arm, found.opponent, variants, starts, seeds))
     return tasks
-
-
-def _drive(task: _Task) -> dict[str, NDArray[Any]]:
-    study, found, rows = task.study, task.cell, task.races
-    units = found.cell.units
-    matches = play_games(
-        study.game(found.track),
-        study.agent(found.arm),
-        study.agent(found.opponent),
-        policies=units.variants[rows],
-        starts=units.starts.take(rows),
-        seeds=units.seeds[rows],
-    )
-    return {"seen": matches.seen[:, 0], "moves": matches.moves[:, 0]}

@@ -18,7 +18,7 @@ def double(task: int) -> dict[str, int]:
 # Tasks
 
 
-@pytest.mark.parametrize("kind", ["serial", "threads", "processes"])
+@pytest.mark.parametrize("kind", ["serial", "threads"])
 def test_results_come_with_their_keys(kind):
     with make_executor(kind, 2) as executor:
         found = dict(completed(each(double, range(20)), executor))
