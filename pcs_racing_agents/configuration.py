@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from pcs_racing.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing.reading import MAX_YAML, parse_yaml, read_limited
 
-__all__ = ["check_numbers", "check_wholes", "load_settings", "plain_settings", "shipped_configs"]
+__all__ = ["check_numbers", "check_source", "check_wholes", "load_settings", "plain_settings", "shipped_configs"]
 
 T = TypeVar("T")
 
@@ -46,6 +46,7 @@ def load_settings(kind: str, default: T, source: Any = None, **changes: Any) -> 
     cls: Any = type(default)
     if source is None or isinstance(source, cls):
         return replace(source or default, **_known(kind, cls, changes, "the arguments"))  # type: ignore[type-var]
+    check_source(kind, source)
     shipped = shipped_configs(kind)
     path = shipped[source] if isinstance(source, str) and source in shipped else Path(source)
     if not os.path.isfile(path):
@@ -56,6 +57,18 @@ def load_settings(kind: str, default: T, source: Any = None, **changes: Any) -> 
         return replace(default, **values)  # type: ignore[type-var]
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
+
+
+def check_source(kind: str, source: Any) -> None:
+    """Refuse what is neither a name nor a path.
+
+    Raises
+    ------
+    ConfigError
+        If it is not.
+    """
+    if not isinstance(source, str | os.PathLike):
+        raise ConfigError(f"{kind} settings are {source!r:.80}; use a name or the path of a YAML file")
 
 
 def read_mapping(path: Path) -> dict[Any, Any]:

@@ -187,31 +187,33 @@ def campaign(
 
 
 def summary(out: Path) -> None:
-    """Print what was done, target by target and engine by engine, and what was found."""
+    """Print what was done, target by target and engine by engine, by what is read, and in all; and what was found."""
+    from fuzz_targets import GROUPS
+
+    group = {target: name for name, targets in GROUPS.items() for target in targets}
     totals: dict[tuple[str, str], Counter[str]] = {}
+    inputs: dict[str, Counter[str]] = {name: Counter() for name in [*GROUPS, "all"]}
     for line in read_log(out):
-        for target in (line["target"], "all"):
-            row = totals.setdefault((target, line["engine"]), Counter())
+        for target, engine in ((line["target"], line["engine"]), ("all", line["engine"]), ("all", "all")):
+            row = totals.setdefault((target, engine), Counter())
             row.update(line["counts"])
             row["inputs"] += line["inputs"]
             row["milliseconds"] += round(1000 * line["processor"])
-    whole: Counter[str] = Counter()
-    for (target, _), row in totals.items():
-        whole.update(row if target == "all" else {})
+        for name in (group[line["target"]], "all"):
+            inputs[name][line["engine"]] += line["inputs"]
     print(f"{'target':26} {'engine':10} {'inputs':>9} {'seconds':>8} {'accepted':>9} {'refused':>9} {'findings':>8}")
-    for (target, engine), row in [*sorted(totals.items(), key=lambda item: (item[0][0] == "all", *item[0]))]:
-        print_row(target, engine, row)
-    print_row("all", "all", whole)
+    for (target, engine), row in sorted(totals.items(), key=lambda item: (item[0][0] == "all", item[0])):
+        findings = row["inputs"] - row["accepted"] - row["refused"]
+        print(
+            f"{target:26} {engine:10} {row['inputs']:9d} {row['milliseconds'] / 1000:8.1f} {row['accepted']:9d} "
+            f"{row['refused']:9d} {findings:8d}"
+        )
+    print("\n| inputs | " + " | ".join(ENGINES) + " |\n| --- |" + " ---: |" * len(ENGINES))
+    for name, row in inputs.items():
+        print(f"| {name} | " + " | ".join(f"{row[engine]:,}" for engine in ENGINES) + " |")
+    print()
     for file in sorted((out / "findings").glob("*.txt")):
         print(f"{file.stem}: {' | '.join(file.read_text().splitlines())}")
-
-
-def print_row(target: str, engine: str, row: Counter[str]) -> None:
-    findings = row["inputs"] - row["accepted"] - row["refused"]
-    print(
-        f"{target:26} {engine:10} {row['inputs']:9d} {row['milliseconds'] / 1000:8.1f} {row['accepted']:9d} "
-        f"{row['refused']:9d} {findings:8d}"
-    )
 
 
 def main() -> None:

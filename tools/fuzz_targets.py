@@ -67,7 +67,7 @@ from pcs_racing_agents.tournament.result_lines import read_lines
 from pcs_racing_agents.trees import build_ego_trees, build_trees, ego_values, load_ego_trees, load_trees
 from pcs_racing_agents.viewing.race_columns import packed_columns, race_columns
 
-__all__ = ["TARGETS", "Target"]
+__all__ = ["GROUPS", "TARGETS", "Target"]
 
 MAP = Path("fuzzed")
 ROS = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25}
@@ -605,6 +605,32 @@ TARGETS: dict[str, Target] = {
         head_to_head_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
     ),
 }
+
+
+GROUPS = {
+    "map yaml": ("map yaml", "map info yaml", "map folder", "track of a yaml"),
+    "map pictures": ("map picture", "track of a picture"),
+    "map csv": ("map centre line", "map race line", "track of a centre line", "track of a race line"),
+    "yaml and arrays as such": ("yaml", "arrays"),
+    "archives": ("archive manifest", "archive arrays"),
+    "networks and drivers": ("network manifest", "network weights", "driver manifest", "driver weights"),
+    "trees": ("tree manifest", "tree chunk, signed", "ego tree manifest", "ego tree chunk, signed"),
+    "jobs, chunks and checkpoints": ("job manifest", "chunk", "chunk, signed", "ppo checkpoint"),
+    "states of races and games": ("race state", "game state"),
+    "replays": ("replay json", "replay page"),
+    "configurations and fits": (
+        "fit", "race config", "training config", "archive config", "study config", "ppo config", "response config",
+    ),
+    "tables and results": (
+        "results table", "results in the viewer", "results manifest", "exploitability table", "loss table", "ppo curve",
+    ),
+    "names and texts": ("track name", "archive name", "policy text", "agent text"),
+    "inputs of environments": (
+        "opponents", "game options", "race options", "drive options", "drive environments", "drive actions and seeds",
+        "duel environments", "duel actions and seeds", "head-to-head inputs",
+    ),
+}  # fmt: skip
+"""The targets by what is read, for short tables."""
 
 
 def main() -> None:

@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.errors import ConfigError
-from pcs_racing_agents.configuration import check_numbers, check_wholes, load_settings, read_mapping, shipped_configs
+from pcs_racing_agents.configuration import (
+    check_numbers,
+    check_source,
+    check_wholes,
+    load_settings,
+    read_mapping,
+    shipped_configs,
+)
 
 __all__ = ["LEVELS", "DriveSettings", "DuelSettings", "Settings", "load_ppo_settings"]
 
@@ -236,6 +243,7 @@ def load_ppo_settings(source: str | Path | Settings, **changes: Any) -> Settings
     """
     if isinstance(source, Settings):
         return load_settings("ppo", source, None, **changes)
+    check_source("ppo", source)
     shipped = shipped_configs("ppo")
     path = shipped.get(str(source), Path(source))
     if not os.path.isfile(path):

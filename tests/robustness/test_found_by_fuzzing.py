@@ -15,6 +15,7 @@ from pcs_racing.envs.drive_batch import DriveOptions
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
 from pcs_racing.map_files import CENTERLINE_COLUMNS, parse_csv, parse_grid
 from pcs_racing_agents.approximator import load_network
+from pcs_racing_agents.approximator.settings import load_train_settings
 from pcs_racing_agents.ppo.settings import load_ppo_settings
 from pcs_racing_agents.strategies.fits import Fit, load_fit
 from pcs_racing_agents.study.cell_races import COLUMNS, read_races
@@ -54,6 +55,9 @@ def test_long_values_make_short_messages():
         lambda: StudyConfig(race=("contest",)),
         lambda: StudyConfig(synthesis=("contest",)),
         lambda: StudyConfig(archive=0.5),
+        lambda: StudyConfig(ppo=5),
+        lambda: load_ppo_settings(None),
+        lambda: load_train_settings(b"study"),
         lambda: ArchiveConfig(tracks=None),
         lambda: Fit(["best-fixed"], 1, "a", "b", "c", [0.5], 4),
         lambda: Fit("best-fixed", 1, "a", "b", "c", 0.5, 4),
