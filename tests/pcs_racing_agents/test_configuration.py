@@ -34,6 +34,7 @@ def test_a_file_sets_some_fields_and_the_arguments_others(tmp_path):
         ("salt: .nan", "salt is nan; it must be a number from 0 to 1"),
         ("[1, 2]", "it must be a mapping"),
         ("a: [", "not valid YAML"),
+        ("#" * 250_000, "soup.yaml has more than 200000 bytes; that is not a configuration"),
         ("!!python/object/apply:os.system [ls]", "not valid YAML"),
     ],
 )

@@ -122,12 +122,21 @@ def test_models_and_policies_become_competitors(setting):
     agent = random_moves(setting)
     assert as_competitor(agent) is agent
     assert isinstance(as_competitor(agent, "other"), Agent)
+    renamed = as_competitor(driver, "M")
+    assert (renamed.name, renamed.policies) == ("M", driver.policies)
     for wrong in ("never-switch", 3, Model):
         with pytest.raises(InputError, match="can't race"):
             as_competitor(wrong)
 
 
+def test_what_agents_and_drivers_look_like(setting):
+    assert repr(random_moves(setting)) == "<Agent 'random-moves': archive 'toy', paper rules>"
+    assert repr(make("lane-switcher")) == "<Driver 'lane-switcher': 20 policies of planner 'lane-switcher'>"
+
+
 def test_bad_agents_and_drivers_are_refused(setting):
+    with pytest.raises(InputError, match="an agent's name is ''; it must be a non-empty text"):
+        random_moves(setting, name="")
     with pytest.raises(InputError, match="seed of agent 'random-moves' is -1"):
         random_moves(setting, seed=-1)
     with pytest.raises(InputError, match="'jump' is no move; the moves are aggressiveness"):

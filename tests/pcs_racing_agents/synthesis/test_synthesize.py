@@ -341,6 +341,22 @@ def test_impossible_results_are_named(evaluate, words):
     assert "\n" not in str(caught.value)
 
 
+def test_results_that_do_not_fit_each_other_are_named():
+    """Where an executor has each part of the points evaluated on its own."""
+    with ThreadPoolExecutor(2) as executor, pytest.raises(InputError, match="results of different shapes"):
+        synthesize(lambda x: np.zeros((len(x), 2 + int(x[0, 0] > 0.5))), UNIT, **SMALL, executor=executor)
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [([[0.5] * 5], r"parameters have shape \(1, 5\); they must have \(n, 6\)"), ([[1.5] * 6], "outside the bounds")],
+)
+def test_points_from_elsewhere_must_fit(points, words):
+    search = Search(UNIT, population=12)
+    with pytest.raises(InputError, match=words):
+        search.add(points, [[1.0, 1.0]])
+
+
 def test_the_number_of_objectives_can_not_change():
     search = Search(UNIT, population=12)
     search.tell(spheres(search.ask()))

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -87,6 +88,9 @@ def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(oval, short):
 def test_bad_input(training, oval, short):
     with pytest.raises(InputError, match="method is 'best'; it must be 'ascent' or 'all'"):
         fit_best_schedule(training, method="best")
+    long = replace(short, config=replace(short.config, moves=8))
+    with pytest.raises(InputError, match="method 'all' would try 390625 sequences; take 'ascent'"):
+        fit_best_schedule(replace(training, setting=long), method="all")
     with pytest.raises(InputError, match="objective is 'lead'"):
         TrainingRaces((oval,), (build("never-switch", short),), short, objective="lead")
     with pytest.raises(InputError, match="at least one track and one opponent"):
