@@ -80,6 +80,12 @@ def test_foreign_folders_and_impossible_names_are_refused(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
+def test_a_folder_that_can_not_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(MapError, match=r"can't write .*Ring: (Not a directory|File exists)"):
+        write_map(_map(tmp_path / "file" / "Ring"))
+
+
 def test_nothing_is_written_if_a_value_is_impossible(tmp_path):
     for change in ({"info": {"color": "red"}}, {"resolution": 2.0}, {"centerline": np.full((20, 4), np.nan)}):
         with pytest.raises(MapError):

@@ -123,3 +123,23 @@ def test_costs_keep_their_order_and_their_rejections(costs):
         size = np.median(costs[finite] - costs[finite].min())
         reach = np.ptp(costs[finite])
         assert np.all(np.abs(back[finite] - costs[finite]) <= 0.006 * size + 1e-8 * reach + 1e-8)
+
+
+@pytest.mark.parametrize(
+    ("points", "counts", "words"),
+    [
+        (np.zeros((4, 3)), [4], "walls must have points of shape"),
+        (np.zeros((4, 2)), [3], "walls.counts must be at least 2 each and sum to the 4 points"),
+        (np.zeros((4, 2)), [3, 1], "at least 2 each"),
+    ],
+)
+def test_segments_that_do_not_fit_their_counts_are_refused(points, counts, words):
+    packed = {"points": pack(points, 100), "counts": pack(np.array(counts), 1)}
+    with pytest.raises(InputError, match=words):
+        unpack_segments(packed, "walls")
+
+
+def test_paths_without_their_counts_are_refused():
+    packed = pack_paths(np.zeros((2, 3, 4, 2)), 100)
+    with pytest.raises(InputError, match=r"paths\.counts must have one number for each path of paths\.points"):
+        unpack_paths({**packed, "counts": pack(np.ones(3), 1)}, "paths")

@@ -142,6 +142,16 @@ def test_frames_of_a_replay(race):
     assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=5.0, candidates=True))) == 6
 
 
+def test_frames_show_the_candidates_that_were_kept(race):
+    """From the plan on for which they were kept; before, there are none."""
+    fan = np.stack([race.cars[10, :, None, :2] + [[0.0, 0.0], [4.0, slope]] for slope in (-1.0, 0.0, 1.0)], axis=1)
+    kept = dataclasses.replace(race, candidate_steps=[5], candidates=fan[None], costs=np.array([[[1.0, 2.0, 3.0]] * 2]))
+    with_them, without = (
+        list(replay_frames(kept, Renderer(kept, 160, 100), fps=10.0, candidates=shown)) for shown in (True, False)
+    )
+    assert [bool((a != b).any()) for a, b in zip(with_them, without, strict=True)] == [False] * 5 + [True] * 6
+
+
 def test_a_gif_plays_the_race(race, tmp_path):
     path = write_gif(race, tmp_path / "race.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0)
     with Image.open(path) as gif:
@@ -167,6 +177,8 @@ def test_impossible_arguments_are_named(race, tmp_path):
         replay_frames(race, fps=0.0)
     with pytest.raises(InputError, match="gif"):
         write_gif(race, tmp_path / "race.mp4")
+    with pytest.raises(InputError, match="fps must be above 0 and at most 50, got 60"):
+        write_gif(race, tmp_path / "race.gif", fps=60)
     with pytest.raises(InputError, match="folder"):
         write_gif(race, tmp_path / "none" / "race.gif")
 

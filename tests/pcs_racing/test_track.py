@@ -271,6 +271,25 @@ def test_a_cache_that_can_not_be_written_is_no_error(folder, monkeypatch, tmp_pa
     assert load_track(folder).name == "Big Oval"
 
 
+def test_a_full_disk_leaves_no_half_a_cache_and_is_no_error(folder, cache, monkeypatch):
+    def half_written(file, **arrays):
+        file.write(b"PK")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", half_written)
+    assert load_track(folder).name == "Big Oval"
+    assert list(cache.iterdir()) == []
+
+
+def test_without_a_home_nothing_is_kept(folder, monkeypatch):
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("PCS_RACING_CACHE")
+    monkeypatch.setattr("pcs_racing.track_cache.Path.home", homeless)
+    assert load_track(folder).name == "Big Oval"
+
+
 def test_a_changed_file_is_noticed(folder):
     one = load_track(folder)
     info = folder / "Big Oval_track.yaml"

@@ -78,6 +78,7 @@ def test_a_narrow_place_is_named():
         ({"length_weight": -1.0}, InputError, "length_weight is -1.0"),
         ({"centerline": np.zeros((3, 2))}, MapError, "centre line has 0 different points"),
         ({"centerline": 100.0 * np.eye(4)[:, :2]}, MapError, "different points|leaves the map"),
+        ({"centerline": [[-500.0, 0.0], [0.0, 500.0], [500.0, 0.0], [0.0, -500.0]]}, MapError, "leaves the map at"),
         ({"resolution": -0.05}, MapError, "resolution is -0.05"),
     ],
 )

@@ -62,6 +62,12 @@ def test_lap_time_of_a_steady_lap_and_of_a_ramp():
     assert lap_time(np.array([2.0, 4.0]), 3.0) == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize("v", [[], [1.0, 0.0], [1.0, np.inf], 3.0])
+def test_a_lap_takes_positive_speeds(v):
+    with pytest.raises(InputError, match="v must be a list of positive, finite speeds"):
+        lap_time(v, 0.2)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
