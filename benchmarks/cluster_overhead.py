@@ -262,11 +262,11 @@ def _response(config: StudyConfig, name: str) -> list[Wave]:
 def table(
     stages: Mapping[str, list[Wave]], found: Mapping[str, Cost], added: Mapping[str, float], cores: int, serial: float
 ) -> None:
-    """Print what one, 32 and 1,000 nodes would do."""
-    nodes = (1, 32, 1000)
+    """Print what more and more nodes would do."""
+    nodes = (1, 4, 32, 1000)
     print(f"\nnodes of {cores} cores; times in s\n")
     print(f"{'stage':15}{'tasks':>7}{'waves':>7}{'largest':>9}{'one core':>10}" + "".join(f"{n:>9}" for n in nodes))
-    totals = np.zeros(len(nodes) + 1)
+    totals, rest = np.zeros((2, len(nodes) + 1))
 
     def took(wave: Wave, workers: int) -> float:
         # As long as a worker's share of it, or as the scheduler needs.
@@ -274,15 +274,18 @@ def table(
         return max(ceil(wave.tasks / workers) * (seconds + more), wave.tasks * more)
 
     for stage, made in stages.items():
-        rest = serial if stage == "report" else 0.0
-        row = np.array([sum(wave.tasks * wave.times * found[wave.kind].seconds for wave in made) + rest])
-        row = np.append(row, [sum(took(wave, n * cores) for wave in made) + rest for n in nodes])
+        alone = serial if stage == "report" else 0.0
+        row = np.array([sum(wave.tasks * wave.times * found[wave.kind].seconds for wave in made) + alone])
+        row = np.append(row, [sum(took(wave, n * cores) for wave in made) + alone for n in nodes])
         totals += row
+        rest += row if stage != "ppo" else 0.0
         tasks = [wave.tasks for wave in made]
         print(f"{stage:15}{sum(tasks):>7}{len(tasks):>7}{max(tasks, default=0):>9}{row[0]:>10.0f}"
               + "".join(f"{value:>9.1f}" for value in row[1:]))  # fmt: skip
     print(f"{'all':38}{totals[0]:>10.0f}" + "".join(f"{value:>9.1f}" for value in totals[1:]))
     print(f"{'times as fast as one core':48}" + "".join(f"{totals[0] / value:>9.1f}" for value in totals[1:]))
+    if stages["ppo"]:
+        print(f"{'without ppo':48}" + "".join(f"{rest[0] / value:>9.1f}" for value in rest[1:]))
 
 
 def main() -> None:
