@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from functools import lru_cache, partial
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
 from pickle import dumps, loads
@@ -226,13 +226,19 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
 
 
 def worker_identity() -> dict[str, str]:
-    """What must be the same on all machines for results to be the same to the byte, by name."""
+    """What must be the same on all machines for results to be the same to the byte, by name; "" if not installed."""
     from llvmlite import binding
+
+    def installed(name: str) -> str:
+        try:
+            return version(name)
+        except PackageNotFoundError:
+            return ""
 
     return {
         "pcs-racing": package_version(),
         "Python": ".".join(platform.python_version_tuple()[:2]),
-        **{name: version(name) for name in ("numpy", "numba", "llvmlite")},
+        **{name: installed(name) for name in ("numpy", "numba", "llvmlite", "torch", "stable-baselines3")},
         "processor": os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name(),
     }
 
@@ -242,7 +248,7 @@ def _check_workers(found: dict[str, dict[str, str]]) -> None:
     here = worker_identity()
     for address, there in found.items():
         for what, value in there.items():
-            if value == here[what]:
+            if value == here[what] or "" in (value, here[what]):  # who needs what is missing says so
                 continue
             if what != "processor":
                 raise InputError(

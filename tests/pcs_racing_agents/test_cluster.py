@@ -302,6 +302,14 @@ def test_workers_of_other_versions_are_refused(cluster, monkeypatch):
         pass
 
 
+def test_torch_is_compared_where_there_is_one():
+    theirs = {**worker_identity(), "torch": "0.1"}
+    executors._check_workers({"tcp://there:1": {**theirs, "torch": ""}})  # a tournament needs none
+    if worker_identity()["torch"]:
+        with pytest.raises(InputError, match=r"the worker at tcp://there:1 has torch 0\.1, not \d"):
+            executors._check_workers({"tcp://there:1": theirs})
+
+
 def test_processors_of_another_kind_are_told(caplog):
     executors._check_workers({"tcp://there:1": {**worker_identity(), "processor": "z80"}})
     assert "the worker at tcp://there:1 has a processor of another kind (z80, here " in caplog.text
