@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.archive import PolicyArchive
+from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing.game_config import GameConfig
 from pcs_racing_agents.chunk_files import Arrays
@@ -123,6 +124,8 @@ def train_ppo(
         If Stable-Baselines3 is not installed.
     """
     settings = load_ppo_settings(config, **changes)
+    if not checkpoint_seconds >= 0.0:
+        raise InputError(f"the time between two checkpoints is {checkpoint_seconds!r} s; it must be 0 or more")
     if isinstance(settings, DuelSettings):  # what is written of them is what they were
         if policies is not None:
             settings = replace(settings, archive=policies.name)

@@ -35,6 +35,14 @@ def test_training_from_the_command_line(config, tmp_path, capsys):
         (["--config", "nonsense"], "ppo settings 'nonsense' are unknown; use drive, duel-contest, duel-paper"),
         (["--config", "drive", "--steps", "0"], "steps is 0; it must be a whole number from 1"),
         (["--config", "drive", "--seeds", "-1"], "seeds is (-1,); it must be a list"),
+        (
+            ["--config", "drive", "--checkpoint", "-1"],
+            "the time between two checkpoints is -1.0 s; it must be 0 or more",
+        ),
+        (
+            ["--config", "drive", "--scheduler", "tcp://x:1"],
+            "a scheduler's address (tcp://x:1) goes with the executor dask",
+        ),
     ],
 )
 def test_errors_are_one_line_before_any_work(arguments, message, tmp_path, capsys):
