@@ -160,12 +160,10 @@ def calibrate(
 
 
 def _crossing(scales: NDArray[np.float64], hazard: NDArray[np.float64], level: float) -> float:
-    """Scale at which the hazard first exceeds a level, interpolated; the last scale if it never does."""
+    """Scale at which a hazard that begins below a level first exceeds it; the last scale if it never does."""
     above = np.flatnonzero(hazard > level)
     if len(above) == 0:
         return float(scales[-1])
     i = int(above[0])
-    if i == 0:
-        return float(scales[0])
     share = (level - hazard[i - 1]) / (hazard[i] - hazard[i - 1])
     return float(scales[i - 1] + share * (scales[i] - scales[i - 1]))

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, UnknownNameError
+from pcs_racing_agents.synthesis.explored import Explored
 from pcs_racing_agents.synthesis.indicators import hypervolume, non_dominated
+from pcs_racing_agents.synthesis.mo_cma_es import middle_of_the_best
 from pcs_racing_agents.synthesis.optimisers import METHODS
 from pcs_racing_agents.synthesis.synthesize import Evaluated, Search, synthesize
 
@@ -133,6 +135,15 @@ def test_infeasible_points_never_enter_the_archive_but_lead_the_way_back():
     assert (result.parameters.sum(axis=1) >= 5.0).all()
     assert result.objectives.sum(axis=1).max() > -5.1  # close to the border
     assert (result.explored_violation > 0.0).any()
+
+
+def test_a_search_that_starts_again_begins_in_the_middle_of_the_front_or_nearest_to_what_is_allowed():
+    points = np.arange(18.0).reshape(3, 6)
+    objectives = np.array([[2.0, 0.0], [0.0, 2.0], [-1.0, -1.0]])
+    allowed = Explored.nothing(6).joined(points, objectives, np.zeros(3))
+    np.testing.assert_array_equal(middle_of_the_best(allowed), points[:2].mean(axis=0))
+    forbidden = Explored.nothing(6).joined(points, objectives, np.array([3.0, 1.0, 2.0]))
+    np.testing.assert_array_equal(middle_of_the_best(forbidden), points[1])
 
 
 def test_nothing_feasible_leaves_an_empty_front():
