@@ -1,5 +1,6 @@
 import copy
 import gc
+import inspect
 import pickle
 import re
 import tracemalloc
@@ -91,7 +92,9 @@ def test_every_element_keeps_to_its_bounds_and_says_what_it_is():
     seen, *_ = episode(env, 1)
     assert all(env.observation_space.contains(one) for one in seen)
     # The table of the class's page is the space.
-    rows = re.findall(r"^ +\| (\d+) \| ([\w ]+?)(?: \(\w+\))? \| (\S+) \| (\S+) \| (\S+) \|$", DriveEnv.__doc__, re.M)
+    rows = re.findall(
+        r"^\| (\d+) \| ([\w ]+?)(?: \(\w+\))? \| (\S+) \| (\S+) \| (\S+) \|$", inspect.getdoc(DriveEnv), re.M
+    )
     assert len(rows) >= 17
     for index, name, unit, low, high in rows:
         element = env.elements[int(index)]

@@ -1,4 +1,5 @@
 import copy
+import inspect
 import pickle
 import re
 
@@ -90,7 +91,9 @@ def test_it_is_the_view_of_car_0():
 
 def test_the_table_of_its_page_is_its_space():
     env = DuelEnv()
-    rows = re.findall(r"^ +\| (6k|30)(?: \+ (\d))? \| (\w+) \| ([\w ]+) \| (\S+) \| (\S+) \|$", DuelEnv.__doc__, re.M)
+    rows = re.findall(
+        r"^\| (6k|30)(?: \+ (\d))? \| (\w+) \| ([\w ]+) \| (\S+) \| (\S+) \|$", inspect.getdoc(DuelEnv), re.M
+    )
     assert len(rows) == 7
     for start, offset, name, unit, low, high in rows:
         for k in range(5 if start == "6k" else 1):

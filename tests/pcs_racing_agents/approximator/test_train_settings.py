@@ -1,3 +1,4 @@
+import inspect
 from dataclasses import fields
 
 import pytest
@@ -69,4 +70,4 @@ def test_impossible_settings_are_one_clear_error(tmp_path, text, message):
 
 def test_every_setting_is_documented():
     for field in fields(TrainSettings):
-        assert f"    {field.name} : " in TrainSettings.__doc__
+        assert f"\n{field.name} : " in inspect.getdoc(TrainSettings)
