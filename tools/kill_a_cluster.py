@@ -164,16 +164,15 @@ def main() -> int:
                     kill(started.scheduler, "the scheduler", there)
                 code = command.wait()
                 log.flush()
-                say(f"the {attempt} command ended with code {code}: {_last_line(arguments.out / 'commands.log')}")
+                say(f"the {attempt} command ended with code {code}{_error(Path(log.name)) if code else ''}")
     same = compare(here, there)
     say("the results are the same" if same else "THE RESULTS DIFFER")
     return 0 if same else 1
 
 
-def _last_line(file: Path) -> str:
-    lines = [line for line in file.read_text(errors="replace").splitlines() if line.strip()]
-    errors = [line for line in lines[-5:] if "error" in line]
-    return (errors or lines[-1:])[-1]
+def _error(log: Path) -> str:
+    errors = [line for line in log.read_text(errors="replace").splitlines() if "error: " in line]
+    return f": {errors[-1]}" if errors else ""
 
 
 if __name__ == "__main__":
