@@ -1,7 +1,7 @@
 """Memory and speed under load: many environments for many steps, and a tournament of many races.
 
     python benchmarks/load.py drive [--envs 1000] [--steps 10000]
-    python benchmarks/load.py duel [--envs 100] [--steps 500]
+    python benchmarks/load.py duel [--envs 100] [--steps 500] [--step-seconds 8]
     python benchmarks/load.py tournament --out FOLDER [--races 1906] [--step-seconds 8]
 
 The work is cut into slices. After each of them: the memory that the process holds (resident, MB), and the processor
@@ -44,8 +44,12 @@ def resident_megabytes() -> float:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
     except (OSError, ValueError):
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak / (1e6 if sys.platform == "darwin" else 1e3)
+        return peak_megabytes()
+
+
+def peak_megabytes() -> float:
+    """The most memory that the process ever held."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 def run_steps(step: Callable[[], object], envs: int, steps: int) -> list[Slice]:
@@ -86,18 +90,25 @@ def drive(envs: int, steps: int, threads: int) -> list[Slice]:
     return rows
 
 
-def duel(envs: int, steps: int, threads: int) -> list[Slice]:
+def duel(envs: int, steps: int, threads: int, step_seconds: float) -> list[Slice]:
     """Games against random moves."""
     from pcs_racing.envs.duel_vector import DuelVectorEnv
 
-    env = DuelVectorEnv(envs, threads=threads)
+    env = DuelVectorEnv(envs, threads=threads, step_seconds=step_seconds)
     env.reset(seed=0)
     rng = np.random.default_rng(0)
     moves = int(env.single_action_space.n)  # type: ignore[attr-defined]
-    step = lambda: env.step(rng.integers(0, moves, envs))  # noqa: E731
+    games = 0
+
+    def step() -> None:
+        nonlocal games
+        _, _, terminated, truncated, _ = env.step(rng.integers(0, moves, envs))
+        games += int((terminated | truncated).sum())
+
     step()
     rows = run_steps(step, envs, steps)
     env.close()
+    print(f"{games} games ended")
     return rows
 
 
@@ -110,6 +121,7 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
         plan_tournament,
         play_plan,
         tournament_settings,
+        tournament_text,
         write_results,
     )
 
@@ -138,9 +150,13 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
         print(
             f"{len(played.rows)} races: {used:.0f} s of processor time, {1e3 * used / len(played.rows):.2f} ms a race"
         )
-        print(f"with a line for every race: {resident_megabytes():.0f} MB")
+        print(f"with what came of them: {resident_megabytes():.0f} MB, at most so far {peak_megabytes():.0f} MB")
+        begin = time.process_time()
         write_results(played, folder / "results.csv")
-        print(f"after writing them: {resident_megabytes():.0f} MB")
+        print(f"a line for each written in {time.process_time() - begin:.1f} s: {resident_megabytes():.0f} MB")
+        begin = time.process_time()
+        print(tournament_text(played))
+        print(f"table in {time.process_time() - begin:.1f} s: at most {peak_megabytes():.0f} MB")
     return rows
 
 
@@ -172,6 +188,9 @@ def tell(row: Slice, unit: str) -> None:
 
 def judge(rows: list[Slice]) -> None:
     """Compare the last quarter of the slices with the second."""
+    if len(rows) < SLICES:
+        print("not all of it was done now: there is nothing to compare")
+        return
     quarter = max(len(rows) // 4, 1)
     early, late = rows[quarter : 2 * quarter], rows[-quarter:]
     memory = np.mean([row.megabytes for row in late]) - np.mean([row.megabytes for row in early])
@@ -188,7 +207,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--races", type=int, default=1906, help="of each pair on each circuit")
-    parser.add_argument("--step-seconds", type=float, default=8.0, help="driving per move; a race has five such steps")
+    parser.add_argument(
+        "--step-seconds", type=float, default=8.0, help="driving per move, s; a race has five such steps"
+    )
     parser.add_argument("--executor", default="threads")
     parser.add_argument("--out", type=Path, help="folder of the tournament")
     given = parser.parse_args()
@@ -197,8 +218,9 @@ def main() -> None:
             parser.error("a tournament needs --out FOLDER")
         rows = tournament(given.out, given.races, given.step_seconds, given.executor)
     else:
-        function, envs, steps = (drive, 1000, 10_000) if given.what == "drive" else (duel, 100, 500)
-        rows = function(given.envs or envs, given.steps or steps, given.threads)
+        envs, steps = (1000, 10_000) if given.what == "drive" else (100, 500)
+        size = (given.envs or envs, given.steps or steps, given.threads)
+        rows = drive(*size) if given.what == "drive" else duel(*size, given.step_seconds)
     judge(rows)
 
 

@@ -5,7 +5,7 @@ Agent i beats j, loses to it or ties with it in proportion to ``exp(r_i)``, ``ex
 is faster: it is counted and left out. So a rating does not punish an agent for such crashes; the score beside it does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -148,7 +148,7 @@ def rate(
     place = winner * number + loser + tied * number**2
     _check_connected(names, winner, loser)
 
-    def fit(weights: Floats) -> tuple[Floats, Floats]:
+    def fit(weights: Iterable[NDArray[Any]]) -> tuple[Floats, Floats]:
         size = 2 * number**2
         counts = np.array([np.bincount(place, w, minlength=size) for w in weights])
         wins, ties = counts.reshape(-1, 2, number, number).swapaxes(0, 1)
@@ -165,7 +165,7 @@ def rate(
         for begin in range(0, replicates, BATCH):
             size = min(BATCH, replicates - begin)
             often = rng.multinomial(len(groups), np.full(len(groups), 1.0 / len(groups)), size=size)
-            drawn.append(fit(often[:, codes].astype(np.float64))[0])
+            drawn.append(fit(row[codes] for row in often)[0])  # one row at a time: there may be many races
         tails = [(1.0 - level) / 2.0, (1.0 + level) / 2.0]
         low, high = np.quantile(np.concatenate(drawn), tails, axis=0)
     both = np.concatenate([one, other])

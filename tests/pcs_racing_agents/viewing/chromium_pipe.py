@@ -117,16 +117,8 @@ class Browser:
 
     def thread_seconds(self):
         """Processor time of the page's main thread."""
-        return self._metric("TaskDuration")
-
-    def heap_megabytes(self):
-        """Memory of the page's objects, those without use put away."""
-        self.call("HeapProfiler.collectGarbage", self._session)
-        return self._metric("JSHeapUsedSize") / 1e6
-
-    def _metric(self, name):
         metrics = self.call("Performance.getMetrics", self._session)["metrics"]
-        return next(metric["value"] for metric in metrics if metric["name"] == name)
+        return next(metric["value"] for metric in metrics if metric["name"] == "TaskDuration")
 
     def wait(self, expression):
         end = time.monotonic() + PATIENCE
