@@ -92,8 +92,8 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
         instance "always-aggressiveness +"; a driver such as "lane-switcher:3" or a Policy, which makes no moves; a
         model of Stable-Baselines3 or any object with its ``predict(observation, state, episode_start, deterministic)``;
         a function ``f(observation, generator) -> move``; or a mixture ``[(weight, opponent), ...]``, of which one is
-        drawn for each game. It sees what car 1 sees, and may make the moves that the rules offer: one that makes "stay",
-        as many agents of the zoo do, needs ``stay=True`` where the rules have no such move.
+        drawn for each game. It sees what car 1 sees, and may make the moves that the rules offer: one that makes
+        "stay", as many agents of the zoo do, needs ``stay=True`` where the rules have no such move.
     race : str, Path, RaceConfig or GameConfig
         Rules: "paper", "contest", a YAML file or a configuration.
     deterministic_opponent : bool
