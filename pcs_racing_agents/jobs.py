@@ -10,8 +10,6 @@ was left, be it after Ctrl-C, a crash or ``kill -9``; the results are the same t
 
 import logging
 import re
-import sys
-import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -27,6 +25,7 @@ from pcs_racing.errors import InputError
 from pcs_racing_agents.chunk_files import Arrays, fingerprint, read_chunk, write_chunk
 from pcs_racing_agents.executors import add_executor_options, executor_from, make_executor
 from pcs_racing_agents.job_folders import GO_ON, JobError, claim_folder, package_version
+from pcs_racing_agents.progress import Progress, show_line, show_progress
 from pcs_racing_agents.tasks import Work, completed
 
 __all__ = [
@@ -48,9 +47,6 @@ __all__ = [
 ]
 
 T = TypeVar("T")
-
-Progress = Callable[[int, int, str], None]
-"""``progress(done, total, what)``: called after every piece of work with how much of it is done."""
 
 _log = logging.getLogger("pcs_racing_agents")
 
@@ -326,46 +322,3 @@ def open_job(folder: str | Path, kind: str, settings: Mapping[str, Any]) -> Iter
     """
     with claim_folder(Path(folder), kind, settings) as plain:
         yield Job(Path(folder), kind, plain)
-
-
-def show_line() -> Callable[[str, bool], None]:
-    """Return a function that keeps a line on stderr up to date: ``say(line, last)``.
-
-    Where stderr is no terminal it prints plain lines, at most one in two seconds, and the last one.
-    """
-    spoken = time.monotonic()
-
-    def say(line: str, last: bool) -> None:
-        nonlocal spoken
-        if sys.stderr.isatty():
-            print(f"\r\x1b[K{line:.110}", end="\n" if last else "", file=sys.stderr, flush=True)
-        elif last or time.monotonic() - spoken >= 2.0:
-            spoken = time.monotonic()
-            print(line, file=sys.stderr, flush=True)
-
-    return say
-
-
-def show_progress(unit: str = "races") -> Progress:
-    """Return a progress function that keeps a line on stderr up to date (:func:`show_line`).
-
-    Parameters
-    ----------
-    unit : str
-        What is counted.
-    """
-    say = show_line()
-    begin = time.monotonic()
-    first: tuple[float, int] | None = None
-
-    def show(done: int, total: int, what: str) -> None:
-        nonlocal first
-        now = time.monotonic()
-        if first is None:  # what was done before this run says nothing about its speed
-            first = (now, done) if now - begin < 0.2 else (begin, 0)
-        fresh = done - first[1]
-        left = f", about {(now - first[0]) * (total - done) / fresh:.0f} s left" if fresh > 0 else ""
-        ahead = f"{left}: {what}" if done < total else ""
-        say(f"{done}/{total} {unit}, {now - begin:.0f} s{ahead}", done >= total)
-
-    return show

@@ -1,0 +1,53 @@
+"""How far long work is, as a line for people."""
+
+import sys
+import time
+from collections.abc import Callable
+
+__all__ = ["Progress", "show_line", "show_progress"]
+
+Progress = Callable[[int, int, str], None]
+"""``progress(done, total, what)``: called after every piece of work with how much of it is done."""
+
+
+def show_line() -> Callable[[str, bool], None]:
+    """Return a function that keeps a line on stderr up to date: ``say(line, last)``.
+
+    Where stderr is no terminal it prints plain lines, at most one in two seconds, and the last one.
+    """
+    spoken = time.monotonic()
+
+    def say(line: str, last: bool) -> None:
+        nonlocal spoken
+        if sys.stderr.isatty():
+            print(f"\r\x1b[K{line:.110}", end="\n" if last else "", file=sys.stderr, flush=True)
+        elif last or time.monotonic() - spoken >= 2.0:
+            spoken = time.monotonic()
+            print(line, file=sys.stderr, flush=True)
+
+    return say
+
+
+def show_progress(unit: str = "races") -> Progress:
+    """Return a progress function that keeps a line on stderr up to date (:func:`show_line`).
+
+    Parameters
+    ----------
+    unit : str
+        What is counted.
+    """
+    say = show_line()
+    begin = time.monotonic()
+    first: tuple[float, int] | None = None
+
+    def show(done: int, total: int, what: str) -> None:
+        nonlocal first
+        now = time.monotonic()
+        if first is None:  # what was done before this run says nothing about its speed
+            first = (now, done) if now - begin < 0.2 else (begin, 0)
+        fresh = done - first[1]
+        left = f", about {(now - first[0]) * (total - done) / fresh:.0f} s left" if fresh > 0 else ""
+        ahead = f"{left}: {what}" if done < total else ""
+        say(f"{done}/{total} {unit}, {now - begin:.0f} s{ahead}", done >= total)
+
+    return show
