@@ -13,7 +13,9 @@ from pcs_racing_agents.explaining.words import story
 from pcs_racing_agents.strategies.agent import Competitor
 from pcs_racing_agents.tournament.cells import Cell
 
-__all__ = ["Watched", "telling_races", "watch_race"]
+__all__ = ["KINDS", "TellingRace", "Watched", "telling_races", "watch_race"]
+
+KINDS = ("win", "loss", "crash")
 
 
 class Watched(NamedTuple):
@@ -35,7 +37,22 @@ class Watched(NamedTuple):
     picture: bytes = b""
 
 
-def telling_races(agent: Cell, base: Cell) -> dict[str, int]:
+class TellingRace(NamedTuple):
+    """A race that tells something of an agent.
+
+    Attributes
+    ----------
+    title : str
+        What the race is.
+    race : int
+        Its number in the cells.
+    """
+
+    title: str
+    race: int
+
+
+def telling_races(agent: Cell, base: Cell) -> dict[str, TellingRace]:
     """Pick a win by switching, a loss, and a crash from the cells of an agent and of the one that never switches.
 
     A win or a loss is rather one where keeping the policy brings the contrary in the same race; a crash is the agent's
@@ -49,8 +66,8 @@ def telling_races(agent: Cell, base: Cell) -> dict[str, int]:
 
     Returns
     -------
-    dict of str to int
-        What the race is, and its number in the cells; what did not occur is left out.
+    dict of str to TellingRace
+        By its kind, one of ``KINDS``; what did not occur is left out.
     """
     ours, theirs = agent.matches, base.matches
     clean = ~ours.crash.any(axis=1)
@@ -69,11 +86,11 @@ def telling_races(agent: Cell, base: Cell) -> dict[str, int]:
         },
     )
     found = {}
-    for choices in wanted:
+    for kind, choices in zip(KINDS, wanted, strict=True):
         for title, chosen in choices.items():
             races = np.flatnonzero(chosen)
             if len(races):
-                found[title] = _median(races, ours.lead)
+                found[kind] = TellingRace(title, _median(races, ours.lead))
                 break
     return found
 

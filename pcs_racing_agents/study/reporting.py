@@ -16,7 +16,7 @@ from pcs_racing_agents.strategies.agent import Agent
 from pcs_racing_agents.strategies.blind import Blend, Schedule, Walk
 from pcs_racing_agents.strategies.fits import load_fit
 from pcs_racing_agents.study.cell_races import cell_races
-from pcs_racing_agents.study.highlights import telling_races, watch_race
+from pcs_racing_agents.study.highlights import KINDS, TellingRace, telling_races, watch_race
 from pcs_racing_agents.study.moves_made import moves_in_situations
 from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
 from pcs_racing_agents.study.racing import CELL_SEED, HELD_OUT_SEED, MIXING_SEED, RIVAL_SEED, StudyCell, cells
@@ -201,13 +201,12 @@ def _watched(study: Study, played: Sequence[StudyCell]) -> Iterator[Watched]:
     """A win by switching, a loss and a crash of our best agent, each from the first row of the table that has one."""
     config = study.config
     by_key = {(found.track, found.opponent, found.arm): found.cell for found in played if found.table == "main"}
-    chosen: dict[str, tuple[str, str, str, int]] = {}
+    chosen: dict[str, tuple[str, str, TellingRace]] = {}
     for place in product(config.tracks, config.opponents):
-        for title, race in telling_races(by_key[(*place, config.best)], by_key[(*place, config.arms[0])]).items():
-            kind = " ".join(title.replace(";", " ").replace(",", " ").split()[:2])  # "A win", "A loss", "A crash"
-            chosen.setdefault(kind, (*place, title, race))
-    for kind in sorted(chosen, key=("A win", "A loss", "A crash").index):
-        track, opponent, title, race = chosen[kind]
+        for kind, found in telling_races(by_key[(*place, config.best)], by_key[(*place, config.arms[0])]).items():
+            chosen.setdefault(kind, (*place, found))
+    for kind in filter(chosen.__contains__, KINDS):
+        track, opponent, (title, race) = chosen[kind]
         ego, rival = study.agent(config.best), study.agent(opponent)
         cell = by_key[track, opponent, config.best]
         yield watch_race(study.game(track), ego, rival, cell, race, title)

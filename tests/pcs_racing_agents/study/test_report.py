@@ -51,7 +51,7 @@ def raced(oval, archive):
 @pytest.fixture(scope="module")
 def watched(raced) -> Watched:
     game, agent, rival, cells = raced
-    title, race = next(iter(telling_races(*cells).items()))
+    title, race = next(iter(telling_races(*cells).values()))
     return watch_race(game, agent, rival, cells[0], race, title)
 
 
@@ -233,14 +233,15 @@ def test_telling_races_are_what_they_are_called(raced):
     *_, (ours, theirs) = raced
     found = telling_races(ours, theirs)
     assert len(found) >= 2
-    for title, race in found.items():
+    for kind, (title, race) in found.items():
         ours_alone = ours.matches
-        if title.startswith("A win"):
+        assert title.startswith(f"A {kind}")
+        if kind == "win":
             assert ours_alone.winner[race] == 0
             assert len(set(ours_alone.policy[race, 0].tolist())) > 1
-        if title.startswith("A loss"):
+        if kind == "loss":
             assert ours_alone.winner[race] == 1
-        if title.startswith("A crash"):
+        if kind == "crash":
             assert ours_alone.fault[race, 0] == 1
         else:
             assert not ours_alone.crash[race].any()
@@ -250,7 +251,7 @@ def test_telling_races_are_what_they_are_called(raced):
 
 def test_a_race_to_watch_is_the_race(raced, watched):
     *_, (ours, theirs) = raced
-    race = telling_races(ours, theirs)[watched.title]
+    race = dict(telling_races(ours, theirs).values())[watched.title]
     assert watched.replay.lead[-1] == ours.matches.lead[race]
     assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
 
