@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from pcs_racing_agents.approximator import TARGETS
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -17,6 +19,7 @@ def test_the_table_of_targets_is_the_targets():
 
 
 def test_the_pages_code_runs(tmp_path):
+    pytest.importorskip("torch")
     blocks = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
     assert len(blocks) == 2
     page = tmp_path / "page.py"

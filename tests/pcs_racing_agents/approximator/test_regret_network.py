@@ -47,10 +47,10 @@ def test_values_are_those_of_the_formula(hidden, clipped):
 
 def test_values_are_those_of_torch():
     """Tolerance: 1e-5, of values of order one; both compute in float32, in another order."""
-    import torch
+    torch = pytest.importorskip("torch")
 
     network = random_network(inputs=31, hidden=(64, 64), clipped=True)
-    layers: list[torch.nn.Module] = []
+    layers = []
     for weight, bias in zip(network.weights, network.biases, strict=True):
         layer = torch.nn.utils.skip_init(torch.nn.Linear, weight.shape[1], weight.shape[0])
         layer.weight.data, layer.bias.data = torch.tensor(weight), torch.tensor(bias)

@@ -29,6 +29,7 @@ def learn(game, setting, folder, executor=None, settings=SMALL):
 
 
 def test_the_same_network_from_threads_and_after_a_stop(game, setting, tmp_path):
+    pytest.importorskip("torch")
     first = learn(game, setting, tmp_path / "a")
     assert first.identity.moves == setting.moves
     with make_executor("threads", 2) as executor:

@@ -13,8 +13,8 @@ from pcs_racing_agents.strategies.zoo import build
 @pytest.fixture(scope="module")
 def models(oval, setting):
     """Untrained models with ReLUs and with SB3's default, tanh."""
-    import torch
-    from stable_baselines3 import PPO
+    torch = pytest.importorskip("torch")
+    PPO = pytest.importorskip("stable_baselines3").PPO
 
     env = gym.make("pcs_racing/Duel-v0", track=oval, archive=setting.archive, step_seconds=0.8, stay=True)
     relu = {"activation_fn": torch.nn.ReLU, "net_arch": [24, 16]}
@@ -28,7 +28,7 @@ def test_a_model_decides_alike_as_our_own_network(models, game, setting, seen):
     agent = build("ppo", setting, network=network)
     np.testing.assert_array_equal(agent.predict(rows)[0], model.predict(rows, deterministic=True)[0])
 
-    import torch
+    torch = pytest.importorskip("torch")
 
     with torch.no_grad():
         chances = model.policy.get_distribution(torch.as_tensor(rows)).distribution.probs.numpy()
