@@ -34,10 +34,10 @@ MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -", "
 
 CLEAR = "byId('reset').click()"
 ACTIONS = {
-    "agent": "filters.agent = 3; refilter()",
-    "two agents, a loss": "filters.agent = 3; filters.opponent = 1; filters.winner = 'loses'; refilter()",
-    "own crash": "filters.agent = 3; filters.crash = 'own'; refilter()",
-    "search": "filters.text = 'pip restraint'; refilter()",
+    "agent": "filters.agent = 1; refilter()",
+    "two agents, a loss": "filters.agent = 1; filters.opponent = 0; filters.winner = 'loses'; refilter()",
+    "own crash": "filters.agent = 1; filters.crash = 'own'; refilter()",
+    "search": "filters.text = 'random restraint'; refilter()",
     "leads": "filters.low = -5; filters.high = 5; refilter()",
     "all again": "{clear}",
     "by lead": "Object.assign(sorting, {{ key: 'lead', down: true }}); refilter()",
@@ -171,7 +171,7 @@ def in_the_browser(page: Path, folder: Path, screenshot: Path | None) -> tuple[f
                 times.append(browser.thread_seconds() - start)
             spent[name] = median(times)
         if screenshot is not None:
-            browser.open(f"{page.as_uri()}#theme=light&agent=cfr-argmax&crash=none&sort=lead&down=1", 1440, 900)
+            browser.open(f"{page.as_uri()}#theme=light&agent=random-moves&crash=none&sort=lead&down=1", 1440, 900)
             browser.run(
                 "list.scrollTop = list.scrollHeight / 3; drawList(); choose(shown[Math.floor(shown.length / 3)])"
             )

@@ -198,6 +198,19 @@ def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
     browser.press("End")
     assert browser.run("chosen") == order[-1]
     assert browser.run("[...document.querySelectorAll('#pane .line[aria-selected=true]')].length") == 1
+    browser.run("list.scrollTop = 0; drawList()")
+    assert browser.run("[...document.querySelectorAll('#pane .race')].every((e) => e.scrollWidth <= e.clientWidth)")
+    # Orders are stable, both ways: races that are alike stay in the order of the file.
+    lead = np.where(columns.agents.places[0] == 3, columns.lead, -columns.lead)[
+        (columns.agents.places == 3).any(axis=0)
+    ]
+    mine = np.flatnonzero((columns.agents.places == 3).any(axis=0))
+    passes = columns.overtakes.sum(axis=0)[mine]
+    for key, values in (("lead", np.rint(lead * 1000)), ("overtakes", passes)):
+        for down, sign in (("false", 1), ("true", -1)):
+            browser.run(f"filters.agent = 3; Object.assign(sorting, {{ key: '{key}', down: {down} }}); refilter()")
+            expected = mine[np.argsort(sign * values, kind="stable")]
+            assert browser.run("Array.from(shown)") == expected.tolist(), (key, down)
     browser.run("filters.crash = 'own'; filters.agent = 3; refilter()")
     mine = columns.agents.places == 3
     own = np.where(mine[0], (columns.fault & 1) > 0, (columns.fault & 2) > 0) & (columns.crash > 0)
