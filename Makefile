@@ -13,7 +13,7 @@ help:
 	@echo "make lint        style, and the format of the code"
 	@echo "make types       static types"
 	@echo "make benchmarks  every figure of the documentation, measured again"
-	@echo "make coverage    the tests again with coverage, compiled files as plain Python (about a quarter of an hour)"
+	@echo "make coverage    the tests again with coverage, compiled files as plain Python (13 minutes of processor time)"
 	@echo "make fuzz        20 minutes of broken inputs for every loader and environment; goes on where it was left"
 	@echo "make benchmark-history  a few ratios of speed, compared with benchmarks/history.csv and added to it"
 	@echo "make docs        the documentation's site, in out/docs; a warning is an error"

@@ -1,4 +1,4 @@
-"""A circuit for races in plain Python: coarse, because everything on it is about a hundred times slower."""
+"""A circuit for races in plain Python: coarse, because everything on it is many times slower."""
 
 import numpy as np
 import pytest

@@ -1,7 +1,7 @@
 """Small pieces of everything that is compiled: `make coverage` runs them once more without compilation.
 
-A compiled function leaves no trace of its lines. With ``NUMBA_DISABLE_JIT=1`` these tests run as plain Python, a
-hundred times slower, so the circuit is coarse and the races are short.
+A compiled function leaves no trace of its lines. With ``NUMBA_DISABLE_JIT=1`` these tests run as plain Python, many
+times slower, so the circuit is coarse and the races are short.
 """
 
 import numpy as np
