@@ -23,5 +23,6 @@ def test_a_generated_circuit_is_as_wide_as_it_says_and_its_race_line_keeps_clear
 def test_a_circuit_must_not_cross_itself():
     t = np.linspace(0.0, 2.0 * np.pi, 101)[:-1]
     eight = 8.0 * np.column_stack([np.sin(t), np.sin(2.0 * t)])
+    line = np.column_stack([eight, np.full((100, 2), 0.5)])
     with pytest.raises(MapError, match="crosses itself"):
-        build_track("eight", np.zeros((100, 100), np.bool_), 0.2, (-10.0, -10.0), np.column_stack([eight, np.full((100, 2), 0.5)]), eight)
+        build_track("eight", np.zeros((100, 100), np.bool_), 0.2, (-10.0, -10.0), line, eight)
