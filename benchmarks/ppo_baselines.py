@@ -121,7 +121,7 @@ def race_driver(baseline: Shipped, tracks: list[str], arguments: argparse.Namesp
                 lines = max(races // (variants * arguments.egos), 1)
                 beside = play_cell(game, policies, opponent, egos=arguments.egos, lines=lines, **draws)
                 matches = cell.matches
-                clusters = [labels for labels in (cell.units.variants[:, 1], cell.units.line) if np.ptp(labels) > 0]
+                clusters = [labels for labels in (cell.units.variants[:, 1], cell.units.place) if np.ptp(labels) > 0]
                 clusters = clusters or [np.arange(len(cell.score))]
                 print(
                     f"| {place(baseline, track)} | {rules} | {name} | "

@@ -28,7 +28,7 @@ from pcs_racing_agents.strategies.measured import SETTINGS, Measured, write_meas
 from pcs_racing_agents.strategies.zoo import build
 from pcs_racing_agents.tournament.matches import variant_count
 from pcs_racing_agents.tournament.round_robin import round_robin
-from pcs_racing_agents.tournament.rows import RaceRow, race_rows
+from pcs_racing_agents.tournament.rows import RaceRow, race_rows, start_label
 from pcs_racing_agents.tournament.runner import Pairing, play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
 
@@ -73,7 +73,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
         [row.opponent for row in rows],
         [row.winner for row in rows],
         [row.crash != "" for row in rows],
-        [f"{row.track} {row.race // 2}" for row in rows],
+        [start_label(row.track, row.start_s) for row in rows],
     )
     found = []
     for name, agent in agents.items():

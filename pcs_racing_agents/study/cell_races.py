@@ -38,7 +38,7 @@ class CellRaces(NamedTuple):
     crash, own_crash : ndarray of bool, shape (U,)
         Whether the race ended in a crash, and in one that the ego is (also) to blame for.
     ego, opponent, line, side : ndarray of int, shape (U,)
-        What tells a race from the others of its cell: variants, number of the start line, side.
+        Variants, the place where the race started (lines of a short circuit may share one), side.
     """
 
     score: Floats
@@ -70,7 +70,7 @@ def cell_races(cell: Cell) -> CellRaces:
         own_crash=matches.fault[:, 0] > 0,
         ego=units.variants[:, 0],
         opponent=units.variants[:, 1],
-        line=units.line,
+        line=units.place,
         side=units.starts.side.astype(np.int64),
     )
 
@@ -78,8 +78,7 @@ def cell_races(cell: Cell) -> CellRaces:
 def read_races(path: str | Path, seeds: Collection[int] | None = None) -> dict[Key, CellRaces]:
     """Read the cells of a study back from its ``results.csv``.
 
-    Start lines are told apart by their place, to a tenth of a millimetre; their numbers may differ from those of
-    :class:`pcs_racing_agents.tournament.cells.Units`.
+    Places are told apart to a tenth of a millimetre.
 
     Parameters
     ----------

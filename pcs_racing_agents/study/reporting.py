@@ -26,6 +26,7 @@ from pcs_racing_agents.study.run import Study, stage_seconds
 from pcs_racing_agents.study.table import StudyTable, make_table
 from pcs_racing_agents.study.table_text import difference_text, overview_rows, table_markdown, table_text, write_table
 from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
+from pcs_racing_agents.tournament.rows import start_label
 from pcs_racing_agents.tournament.table import write_rows
 
 __all__ = ["best_blind", "study_table", "write_report"]
@@ -168,8 +169,11 @@ def _rivals(study: Study) -> RoundRobin | None:
     if not file.is_file():
         return None
     rows = read_csv(file).rows()
-    missing = {"ego", "opponent", "winner", "crash", "track", "race"} - set(rows[0] if rows else ())
-    if missing or not all(row["race"].isdecimal() for row in rows):
+    try:
+        places = [start_label(row["track"], float(row["start_s"])) for row in rows]
+    except (KeyError, ValueError):
+        places = []
+    if not places or {"ego", "opponent", "winner", "crash"} - set(rows[0]):
         raise InputError(f"{file} holds no races; delete it, and the stage that wrote it writes it again")
     return round_robin(
         study.config.rivals,
@@ -177,7 +181,7 @@ def _rivals(study: Study) -> RoundRobin | None:
         [row["opponent"] for row in rows],
         [row["winner"] for row in rows],
         [row["crash"] != "" for row in rows],
-        [f"{row['track']} {int(row['race']) // 2}" for row in rows],  # races 2j and 2j + 1 have the same line
+        places,
         seed=study.config.seed,
     )
 

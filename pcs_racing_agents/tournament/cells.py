@@ -55,6 +55,11 @@ class Units:
         return len(self.line)
 
     @property
+    def place(self) -> NDArray[np.int64]:
+        """Labels of where the races start, shape (U,): several lines of a short circuit may lie in one place."""
+        return np.unique(self.starts.s, return_inverse=True)[1].astype(np.int64)
+
+    @property
     def ids(self) -> list[tuple[int, int, int, int]]:
         """What makes a race the same race in the cells of two egos: ego variant, opponent variant, line, side."""
         columns = (*self.variants.T.tolist(), self.line.tolist(), self.starts.side.tolist())

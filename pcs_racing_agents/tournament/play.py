@@ -173,7 +173,7 @@ def play_tournament(
         ``predict``. Their names tell them apart.
     race : GameConfig, RaceConfig, str or path
         The rules. Those of a race alone make a game of the same duration (:func:`game_rules`); its ``start_lines`` is
-        not used, since every two races have a line of their own.
+        not used, since every two races draw a line of their own.
     archive : PolicyArchive, str or path
         Where agents find their policies.
     races_per_pair : int

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcs_racing.race import Starts
 from pcs_racing_agents.tournament.matches import Matches
 
-__all__ = ["PairRaces", "RaceRow", "RaceRows", "pair_races", "race_rows"]
+__all__ = ["PairRaces", "RaceRow", "RaceRows", "pair_races", "race_rows", "start_label"]
 
 CARS = ("ego", "opponent")
 CRASHES = ("", "wall", "car")
@@ -75,6 +75,15 @@ class RaceRow(NamedTuple):
     opponent_path: tuple[int, ...] = ()
     ego_moves: tuple[str, ...] = ()
     opponent_moves: tuple[str, ...] = ()
+
+
+def start_label(track: str, start_s: float) -> str:
+    """Return the label of a place to start from: what is drawn together where intervals are made.
+
+    Short circuits have few places, so that races of different numbers, and start lines of different numbers, may share
+    one.
+    """
+    return f"{track} {start_s:.4f}"
 
 
 @dataclass(frozen=True, eq=False)

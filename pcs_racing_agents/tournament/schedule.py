@@ -46,7 +46,7 @@ def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Sc
     ----------
     track : Track
     config : RaceConfig
-        Its ``start_lines`` is not used: every two races have a line of their own.
+        Its ``start_lines`` is not used: every two races draw a line of their own.
     races : int
         Even, from 2 to 2000.
     seed : int

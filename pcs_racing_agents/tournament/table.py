@@ -17,7 +17,7 @@ from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing_agents.tournament.play import Tournament
 from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
-from pcs_racing_agents.tournament.rows import RaceRow
+from pcs_racing_agents.tournament.rows import RaceRow, start_label
 
 __all__ = [
     "Standing",
@@ -151,7 +151,7 @@ def _counted(tournament: Tournament) -> _Counted:
             raise InputError(f"{stranger!r} raced, but is not one of {', '.join(place)}")
         numbers.extend((place[row.ego], place[row.opponent], winners[row.winner], row.crash != "", faults[row.fault]))
         numbers.extend((row.ego_overtakes, row.opponent_overtakes))
-        label = f"{row.track} {row.race // 2}"  # races 2j and 2j + 1 have the same line
+        label = start_label(row.track, row.start_s)
         line.append(labels.setdefault(label, label))
     found = np.frombuffer(numbers, np.int64).reshape(-1, 7).T
     return _Counted(found[:2], found[2], found[3] > 0, found[4], found[5:7], line)

@@ -39,6 +39,16 @@ def test_a_cell_crosses_everything(contest, zoo):
     assert len(paper) == 12 * 20 * 5 * 2  # this archive has 12 policies to start with; with 20 it were 4,000
 
 
+def test_lines_of_a_short_circuit_share_places(archive):
+    """Tarnfjord has 27 places to start side by side, and a cell draws from 40 lines; a place is one cluster."""
+    game = make_game("Tarnfjord", archive, "paper")
+    policies = build("never-switch", make_setting(archive, game.config))
+    units = draw_units(game, policies, policies, egos=4, opponents=4, lines=5)
+    assert len(np.unique(units.place)) == len(np.unique(units.starts.s)) < len(np.unique(units.line)) == 40
+    for label in np.unique(units.place):
+        assert np.ptp(units.starts.s[units.place == label]) == 0.0
+
+
 def test_arms_pair_up_race_by_race(contest, zoo):
     """Two egos against one opponent: the same units in the same order, and the opponent starts alike."""
     for opponent in ("never-switch", "random-policy", "random-moves"):

@@ -24,6 +24,7 @@ from pcs_racing_agents.tournament import (
     write_results,
 )
 from pcs_racing_agents.tournament.play import TournamentPlan
+from pcs_racing_agents.tournament.table import sum_up
 
 CONTEST = load_race_config("contest", duration=6.0)
 POLICIES = [parse_policy(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
@@ -317,3 +318,11 @@ def test_bad_input_is_refused_before_any_race(oval, change, message):
     with pytest.raises(InputError, match=message):
         play_tournament(**arguments, progress=lambda *news: driven.append(news))
     assert not driven
+
+
+def test_races_from_one_place_are_one_unit_of_the_ratings(tournament):
+    """Whatever their numbers: twice the races from the same places tell no more than once."""
+    doubled = [row._replace(race=row.race + 6) for row in tournament.rows]
+    once, twice = (sum_up(replace(tournament, rows=rows)) for rows in (tournament.rows, [*tournament.rows, *doubled]))
+    assert once.alike > 0.0
+    assert twice.alike == pytest.approx(once.alike)
