@@ -19,7 +19,7 @@ from typing import Any
 
 from pcs_racing.errors import InputError
 from pcs_racing.race import default_threads
-from pcs_racing_agents.job_folders import package_version
+from pcs_racing_agents.job_folders import JobError, package_version
 
 __all__ = [
     "EXECUTORS",
@@ -40,6 +40,8 @@ EXECUTORS = {
 
 ANSWER_SECONDS = 5.0
 """How long to wait for a scheduler to answer."""
+CONNECT_ATTEMPTS = 3
+"""How often to ask dask for a client, if its own thread does not start."""
 WORKER_SECONDS = 60.0
 """How long to wait for its first worker."""
 LARGE = 100_000
@@ -210,11 +212,7 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
         ):
             yield client.get_executor(pure=False)
         return
-    try:
-        client = Client(address, timeout=ANSWER_SECONDS)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise InputError(f"no dask scheduler answers at {address}: {error}") from None
-    with client:
+    with _client(Client, address) as client:
         try:
             client.wait_for_workers(1, timeout=WORKER_SECONDS)
         except TimeoutError:
@@ -223,6 +221,18 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
             ) from None
         _check_workers(client.run(worker_identity))
         yield client.get_executor(pure=False)
+
+
+def _client(make: Callable[..., Any], address: str) -> Any:
+    """Connect to a scheduler; dask gives its own thread ten seconds to start, too few on a busy machine."""
+    for _ in range(CONNECT_ATTEMPTS):
+        try:
+            return make(address, timeout=ANSWER_SECONDS)
+        except AssertionError:  # what dask says then
+            continue
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(f"no dask scheduler answers at {address}: {error}") from None
+    raise JobError("dask's own thread does not start: this machine is too busy; start the same again to go on")
 
 
 def worker_identity() -> dict[str, str]:

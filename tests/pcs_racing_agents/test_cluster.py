@@ -302,6 +302,22 @@ def test_workers_of_other_versions_are_refused(cluster, monkeypatch):
         pass
 
 
+def test_a_machine_that_is_too_busy_for_dasks_own_thread_is_asked_again(monkeypatch):
+    asked = []
+
+    def busy(address, timeout):
+        asked.append(address)
+        if len(asked) < 3:
+            raise AssertionError  # as the thread's starter does after ten seconds
+        return "a client"
+
+    assert executors._client(busy, "tcp://there:1") == "a client"
+    monkeypatch.setattr(executors, "CONNECT_ATTEMPTS", 2)
+    asked.clear()
+    with pytest.raises(JobError, match="dask's own thread does not start: this machine is too busy; start the same"):
+        executors._client(busy, "tcp://there:1")
+
+
 def test_torch_is_compared_where_there_is_one():
     theirs = {**worker_identity(), "torch": "0.1"}
     executors._check_workers({"tcp://there:1": {**theirs, "torch": ""}})  # a tournament needs none
