@@ -55,7 +55,8 @@ class Browser:
         os.close(write)
         self._buffer, self._count = b"", 0
         self.complaints = []
-        target = self.call("Target.getTargets")["targetInfos"][0]["targetId"]
+        # A page of its own: while Chromium starts, the first of its targets need not be one.
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         self._listen(self._session)
         self.call("Page.enable", self._session)
