@@ -28,7 +28,7 @@ from pcs_racing_agents.strategies.measured import SETTINGS, Measured, write_meas
 from pcs_racing_agents.strategies.zoo import build
 from pcs_racing_agents.tournament.matches import variant_count
 from pcs_racing_agents.tournament.round_robin import round_robin
-from pcs_racing_agents.tournament.rows import RaceRow, race_rows, start_label
+from pcs_racing_agents.tournament.rows import RaceRow, pair_races, start_label
 from pcs_racing_agents.tournament.runner import Pairing, play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
 
@@ -66,7 +66,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
             played = play_pairings(pairings, setting.archive, setting.config, name=kept, job=job, progress=told)
             for rival, pairing, matches in zip(rivals, pairings, played, strict=True):
                 where = (pairing.track.name, SEED, pairing.starts, pairing.policies)
-                rows += race_rows((name, rival), *where, matches, setting.moves)
+                rows += pair_races((name, rival), *where, matches, setting.moves).rows()
     together = round_robin(
         list(agents),
         [row.ego for row in rows],

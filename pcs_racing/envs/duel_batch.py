@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.archive import PolicyArchive, load_archive
 from pcs_racing.envs.drive_batch import check_batch
-from pcs_racing.envs.opponents import NEVER_SWITCH, Opponent, checked_move, choose, parse_opponents
+from pcs_racing.envs.opponents import NEVER_SWITCH, Opponent, as_array, checked_move, choose, parse_opponents
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame, make_game, with_opponent
 from pcs_racing.game_config import GameConfig
@@ -103,10 +103,7 @@ class DuelBatch:
     def check_actions(self, actions: ArrayLike, players: int) -> NDArray[np.int64]:
         """Return moves as (games, players), or say what is wrong with them, and where."""
         names = self.game.move_names
-        try:
-            moves = np.asarray(actions)
-        except (TypeError, ValueError):  # lists of different lengths
-            moves = np.empty(0, object)
+        moves = as_array(actions)
         if moves.size != self.games * players or moves.dtype.kind not in "iu":
             raise InputError(
                 f"actions {actions!r:.60} have shape {moves.shape} and type {moves.dtype}; they must be "

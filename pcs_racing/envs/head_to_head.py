@@ -11,6 +11,7 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 
 from pcs_racing.archive import PolicyArchive
+from pcs_racing.envs.opponents import as_array
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame, make_game
 from pcs_racing.game_config import GameConfig
@@ -382,7 +383,7 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
     def _action(self, actions: Mapping[str, Any], agent: str) -> int:
         if not isinstance(actions, Mapping) or agent not in actions:
             raise InputError(f"actions are {actions!r}; they must hold a move for each of {', '.join(AGENTS)}")
-        action = _as_array(actions[agent])
+        action = as_array(actions[agent])
         count = len(self.game.move_names)
         if action.shape != () or action.dtype.kind not in "iu" or not 0 <= int(action) < count:
             raise InputError(
@@ -420,13 +421,6 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         return "win" if winner == car else "loss"
 
 
-def _as_array(value: Any) -> NDArray[Any]:
-    try:
-        return np.asarray(value)
-    except (TypeError, ValueError):  # lists of different lengths
-        return np.empty(0, object)
-
-
 def _known(agent: str) -> str:
     if agent not in AGENTS:
         raise InputError(f"agent {agent!r} is unknown; the agents are {', '.join(AGENTS)}")
@@ -440,7 +434,7 @@ def _options(options: dict[str, Any] | None) -> tuple[NDArray[np.int64] | None, 
     if not isinstance(chosen, Mapping):
         raise InputError(f"options are {options!r}; they must be None or a mapping")
     if chosen.get("policies") is not None:
-        policies = _as_array(chosen["policies"])
+        policies = as_array(chosen["policies"])
         if policies.shape != (2,):
             raise InputError(f"option policies is {chosen['policies']!r}; it must be two indices of the archive")
         policies = policies[None]

@@ -17,8 +17,6 @@ NEVER_SWITCH = "never-switch"
 RANDOM_MOVES = "random-moves"
 ALWAYS = "always-"
 STAY = "stay"
-IF_LAST_STAY = "; if its last is 'stay', which these rules do not offer, make the environment with stay=True"
-IF_STAY = "; if it means 'stay', which these rules do not offer, make the environment with stay=True"
 
 Observation = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -115,8 +113,15 @@ def _check_moves(given: Predictor, moves: Sequence[str]) -> None:
     if isinstance(count, int | np.integer) and count > len(moves):
         raise InputError(
             f"opponent {_name(given)!r} chooses among {count} moves, and here are {len(moves)} ({', '.join(moves)})"
-            + (IF_LAST_STAY if count == len(moves) + 1 and STAY not in moves else "")
+            + _if_stay("its last is", count - 1, moves)
         )
+
+
+def _if_stay(what: str, move: int, moves: Sequence[str]) -> str:
+    """What to do about a move one beyond those that there are, which probably is "stay"."""
+    if move != len(moves) or STAY in moves:
+        return ""
+    return f"; if {what} 'stay', which these rules do not offer, make the environment with stay=True"
 
 
 def _name(given: Any) -> str:
@@ -201,6 +206,14 @@ def _asked(
         ) from None
 
 
+def as_array(value: Any) -> NDArray[Any]:
+    """Return what somebody handed over as an array; an empty one of objects where it is none, to be refused by type."""
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError):  # lists of different lengths
+        return np.empty(0, object)
+
+
 def checked_move(opponent: Opponent, move: Any, moves: Sequence[str]) -> int:
     """Return a move that an opponent chose as the number that it is.
 
@@ -209,14 +222,11 @@ def checked_move(opponent: Opponent, move: Any, moves: Sequence[str]) -> int:
     InputError
         If it is no move of the game.
     """
-    try:
-        value = np.asarray(move)
-    except (TypeError, ValueError):  # lists of different lengths
-        value = np.empty(0, object)
+    value = as_array(move)
     whole = value.shape == () and value.dtype.kind in "iu"
     if not whole or not 0 <= value < len(moves):
         known = f"it must be a whole number from 0 to {len(moves) - 1} ({', '.join(moves)})"
         shown = int(value) if whole else move
-        hint = IF_STAY if whole and shown == len(moves) and STAY not in moves else ""
+        hint = _if_stay("it means", shown, moves) if whole else ""
         raise InputError(f"opponent {opponent.name!r} chose {shown!r:.80}; {known}{hint}")
     return int(value)

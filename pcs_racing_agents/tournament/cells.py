@@ -19,7 +19,7 @@ from pcs_racing.race import Starts, race_seeds, start_lines
 from pcs_racing_agents.jobs import Job, Progress
 from pcs_racing_agents.strategies.agent import Competitor, as_competitor
 from pcs_racing_agents.tournament.matches import Matches, game_between, variant_count
-from pcs_racing_agents.tournament.rows import RaceRow, race_rows
+from pcs_racing_agents.tournament.rows import RaceRow, pair_races
 from pcs_racing_agents.tournament.runner import Pairing, each_pairing
 
 __all__ = ["Cell", "CellPlan", "Units", "draw_units", "plan_cell", "play_cell", "play_cells"]
@@ -121,7 +121,8 @@ class Cell:
         """Return one line for every race."""
         units = self.units
         names = (self.ego, self.opponent)
-        return list(race_rows(names, self.track, units.seed, units.starts, units.variants, self.matches, self.moves))
+        where = (self.track, units.seed, units.starts, units.variants)
+        return list(pair_races(names, *where, self.matches, self.moves).rows())
 
 
 def draw_units(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcs_racing.race import Starts
 from pcs_racing_agents.tournament.matches import Matches
 
-__all__ = ["PairRaces", "RaceRow", "RaceRows", "pair_races", "race_rows", "start_label"]
+__all__ = ["PairRaces", "RaceRow", "RaceRows", "pair_races", "start_label"]
 
 CARS = ("ego", "opponent")
 CRASHES = ("", "wall", "car")
@@ -225,19 +225,6 @@ def pair_races(
         matches.moves,
     )
     return PairRaces(names, track, seed, tuple(moves), tuple(map(_narrow, columns)))
-
-
-def race_rows(
-    names: tuple[str, str],
-    track: str,
-    seed: int,
-    starts: Starts,
-    variants: NDArray[np.int64],
-    matches: Matches,
-    moves: Sequence[str],
-) -> Iterator[RaceRow]:
-    """Lines of a pair's races, in their order; parameters as of :func:`pair_races`."""
-    return pair_races(names, track, seed, starts, variants, matches, moves).rows()
 
 
 def _narrow(values: NDArray[Any]) -> NDArray[Any]:
