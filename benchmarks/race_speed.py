@@ -18,6 +18,8 @@ from numba import njit
 
 from pcs_racing import vehicle as _vehicle
 from pcs_racing.planner import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE, follow_path
+from pcs_racing.planners import lattice
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import RaceSetup, advance, draw_starts, race_seeds, start_races
 from pcs_racing.race_config import load_race_config
 from pcs_racing.race_kernel import (
@@ -31,8 +33,6 @@ from pcs_racing.race_kernel import (
 )
 from pcs_racing.race_state import RaceState, take
 from pcs_racing.track import load_track
-from pcs_racing_agents.planners import lattice
-from pcs_racing_agents.planners.lattice import LATTICE
 
 REPEATS = 8
 CALLS = 4000

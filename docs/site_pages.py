@@ -36,7 +36,7 @@ REFERENCE = {
     "pcs_racing.envs": "Environments",
     "pcs_racing.mapping": "Mapping tools",
     "pcs_racing_agents": "The package itself",
-    "pcs_racing_agents.planners": "Planners",
+    "pcs_racing.planners": "Planners",
     "pcs_racing_agents.synthesis": "Synthesis",
     "pcs_racing_agents.trees": "Game trees",
     "pcs_racing_agents.solvers": "Solvers",

@@ -1,7 +1,8 @@
 """Names of planners, and policies spelled as text.
 
-A planner gets a name in one of two ways: a distribution declares it in the entry point group ``pcs_racing.planners``,
-or a program calls :func:`register_planner`. An entry point is imported when somebody asks for its name, not before.
+The planners of this package are listed in :data:`SHIPPED`. Others get a name in one of two ways: a distribution
+declares it in the entry point group ``pcs_racing.planners``, or a program calls :func:`register_planner`. A planner is
+imported when somebody asks for its name, not before.
 """
 
 import difflib
@@ -18,10 +19,16 @@ __all__ = ["ENTRY_POINTS", "get_planner", "parse_policy", "planner_names", "regi
 ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
 
-NONE = "none (install pcs-racing, or import pcs_racing_agents, for those that come with it)"
+SHIPPED = {
+    "gap-follower": "pcs_racing.planners.gap_follower:GAP_FOLLOWER",
+    "lane-switcher": "pcs_racing.planners.lane_switcher:LANE_SWITCHER",
+    "lattice": "pcs_racing.planners.lattice:LATTICE",
+    "pure-pursuit": "pcs_racing.planners.pure_pursuit:PURE_PURSUIT",
+}
+"""The planners of this package: name and place."""
 
 _planners: dict[str, Planner] = {}
-_places: dict[str, str] = {}
+_places: dict[str, str] = dict(SHIPPED)
 
 
 def register_planner(planner: Planner | str, *, name: str | None = None) -> None:
@@ -136,4 +143,4 @@ def _choices(name: str, known: Iterable[str]) -> str:
     """The end of an error message: what was probably meant, and what there is."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
-    return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names) or NONE}"
+    return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names)}"

@@ -11,17 +11,7 @@ from pcs_racing.registry import register_planner
 
 forget_stale_code(Path(__file__).parent)
 
-PLANNERS = {
-    "gap-follower": "pcs_racing_agents.planners.gap_follower:GAP_FOLLOWER",
-    "lane-switcher": "pcs_racing_agents.planners.lane_switcher:LANE_SWITCHER",
-    "lattice": "pcs_racing_agents.planners.lattice:LATTICE",
-    "ppo-drive": "pcs_racing_agents.ppo.driver:PPO_DRIVE",
-    "pure-pursuit": "pcs_racing_agents.planners.pure_pursuit:PURE_PURSUIT",
-}
-"""Planners of this package: name and place. An installation declares the same as entry points."""
-
-for _name, _place in PLANNERS.items():
-    register_planner(_place, name=_name)
+register_planner("pcs_racing_agents.ppo.driver:PPO_DRIVE", name="ppo-drive")
 
 
 def __getattr__(name: str) -> Any:

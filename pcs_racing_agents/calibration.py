@@ -12,12 +12,12 @@ from pcs_racing import vehicle as _vehicle
 from pcs_racing.errors import InputError
 from pcs_racing.frenet import SPEED
 from pcs_racing.planner import Policy
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import RaceSetup, advance, pad_parameters, race_seeds
 from pcs_racing.race_config import RaceConfig
 from pcs_racing.race_kernel import DT
 from pcs_racing.race_state import empty_state
 from pcs_racing.track import Track
-from pcs_racing_agents.planners.lattice import LATTICE
 
 __all__ = ["CalibrationReport", "calibrate", "hazard_scan"]
 

@@ -1,7 +1,7 @@
 """A trained driver as a planner: in memory, as a folder, and ``ppo-drive``, which comes with the package.
 
 A folder holds ``weights.safetensors`` (``layers.N.weight`` and ``layers.N.bias``, float32) and ``driver.yaml``, which
-says what the numbers mean. Unlike those of :func:`pcs_racing_agents.planners.network.network_planner`, the weights of a
+says what the numbers mean. Unlike those of :func:`pcs_racing.planners.network.network_planner`, the weights of a
 trained driver are constants of its compiled code: it has no parameters, and the state of a race does not grow with it.
 """
 
@@ -24,9 +24,7 @@ from pcs_racing.compilation import compiled
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
 from pcs_racing.planner import COMMAND_SLOTS, STEER_MAX, TIME, Parameter, Planner
-from pcs_racing.reading import MAX_YAML, parse_manifest, read_limited
-from pcs_racing_agents.approximator.network_files import shipped_folder
-from pcs_racing_agents.planners.network import (
+from pcs_racing.planners.network import (
     INPUTS,
     SIGHT,
     TOP_SPEED,
@@ -35,6 +33,8 @@ from pcs_racing_agents.planners.network import (
     tanh_layer,
     weight_count,
 )
+from pcs_racing.reading import MAX_YAML, parse_manifest, read_limited
+from pcs_racing_agents.approximator.network_files import shipped_folder
 from pcs_racing_agents.ppo.layers import Layers
 
 __all__ = [
@@ -138,7 +138,7 @@ def driver_planner(name: str, layers: Layers, hold: int) -> Planner:
 
 
 def flat_weights(layers: Layers) -> NDArray[np.float64]:
-    """Weights in the order of :func:`pcs_racing_agents.planners.network.network_planner`: neuron by neuron, its bias
+    """Weights in the order of :func:`pcs_racing.planners.network.network_planner`: neuron by neuron, its bias
     last.
     """
     rows = [np.column_stack(pair).ravel() for pair in zip(layers.weights, layers.biases, strict=True)]

@@ -1,6 +1,6 @@
 """Many races driven by one learner that sees what a network planner sees, and acts as its last layer does.
 
-The observation is :data:`pcs_racing_agents.planners.network.INPUTS`, computed by the code of the planner itself. An
+The observation is :data:`pcs_racing.planners.network.INPUTS`, computed by the code of the planner itself. An
 action is what the network's output layer puts out before its ``tanh``; here and in the planner ``tanh`` makes it a
 steering angle and a speed. The mean of a Gaussian policy with tanh layers therefore *is* a network planner.
 """
@@ -19,13 +19,13 @@ from pcs_racing.compilation import kernel
 from pcs_racing.envs.drive_batch import DriveBatch, DriveOptions
 from pcs_racing.errors import InputError
 from pcs_racing.planner import VIEW_SIZE, Policy
+from pcs_racing.planners.network import INPUTS, TOP_SPEED, WEIGHT_LIMIT, network_inputs
 from pcs_racing.race import RaceSetup, run_races
 from pcs_racing.race_config import RaceConfig, load_race_config
 from pcs_racing.race_kernel import fill_view
 from pcs_racing.race_state import RaceState, take
 from pcs_racing.registry import parse_policy
 from pcs_racing.track import Track, load_track
-from pcs_racing_agents.planners.network import INPUTS, TOP_SPEED, WEIGHT_LIMIT, network_inputs
 from pcs_racing_agents.ppo.driver import flat_weights, learning_planner, save_driver
 from pcs_racing_agents.ppo.layers import Layers
 from pcs_racing_agents.ppo.parts import PartStep, split_envs

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pcs_racing.errors import InputError
+from pcs_racing.planners.network import INPUTS
 from pcs_racing_agents.chunk_files import Arrays
-from pcs_racing_agents.planners.network import INPUTS
 from pcs_racing_agents.ppo.layers import Layers
 from pcs_racing_agents.ppo.parts import Part
 from pcs_racing_agents.ppo.plain_state import pack, unpack

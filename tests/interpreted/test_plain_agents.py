@@ -3,7 +3,7 @@
 import numpy as np
 
 from pcs_racing import CONTEST, PAPER, draw_starts, get_planner, load_race_config, run_races
-from pcs_racing_agents.planners.network import INPUTS, network_planner
+from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing_agents.ppo.driver import driver_planner, flat_weights
 from pcs_racing_agents.ppo.drives import Drives
 from pcs_racing_agents.ppo.layers import Layers

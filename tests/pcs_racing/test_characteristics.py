@@ -11,9 +11,9 @@ from pcs_racing.characteristics import (
     measure,
     register_characteristic,
 )
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race_state import BLOCKING, ITTC, ITTC_SAMPLES, STEERING, SUMS, TIME
 from pcs_racing.testing import check_characteristic
-from pcs_racing_agents.planners.lattice import LATTICE
 
 
 @pytest.fixture

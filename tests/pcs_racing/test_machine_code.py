@@ -21,7 +21,7 @@ import sys
 import numpy as np
 
 from pcs_racing import make_game
-from pcs_racing_agents.planners import spiral
+from pcs_racing.planners import spiral
 
 if sys.argv[1] == "spirals first":
     spiral.solve_spirals(np.ones(10_000), 0.1)

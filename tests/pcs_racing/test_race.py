@@ -26,10 +26,10 @@ from pcs_racing import (
 from pcs_racing.compilation import compiled
 from pcs_racing.frenet import SPEED
 from pcs_racing.planner import OWN_D, OWN_PSI, OWN_S
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import pad_parameters, race_seeds
 from pcs_racing.race_kernel import steering_noise
 from pcs_racing.race_state import BLOCKING, ITTC, ITTC_SAMPLES, NO_CRASH, TIME, WALL_CRASH, empty_state
-from pcs_racing_agents.planners.lattice import LATTICE
 
 SHORT = load_race_config("paper", duration=6.0)
 NOISY = load_race_config("contest", duration=6.0)

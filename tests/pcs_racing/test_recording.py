@@ -16,10 +16,10 @@ from pcs_racing import (
 )
 from pcs_racing.frenet import SPEED
 from pcs_racing.planner import OWN_PSI, OWN_S
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import pad_parameters
 from pcs_racing.race_kernel import PLAN_EVERY
 from pcs_racing.recording import record_drive
-from pcs_racing_agents.planners.lattice import LATTICE
 
 PAPER = load_race_config("paper", duration=6.0)
 CONTEST = load_race_config("contest", duration=6.0)

@@ -9,8 +9,8 @@ import yaml
 
 from pcs_racing import InputError, get_planner, make_game
 from pcs_racing.errors import UnknownNameError
+from pcs_racing.planners.network import INPUTS
 from pcs_racing_agents.approximator.network_files import list_networks, shipped_folder
-from pcs_racing_agents.planners.network import INPUTS
 from pcs_racing_agents.ppo import driver
 from pcs_racing_agents.ppo.layers import Layers
 from pcs_racing_agents.strategies import make

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, load_track, parse_policy
+from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing.race import run_races
 from pcs_racing.race_config import load_race_config
-from pcs_racing_agents.planners.network import INPUTS, network_planner
 from pcs_racing_agents.ppo.driver import driver_planner, flat_weights, learning_planner
 from pcs_racing_agents.ppo.drives import Drives
 from pcs_racing_agents.ppo.layers import Layers

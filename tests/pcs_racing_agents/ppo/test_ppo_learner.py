@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, load_race_config, load_track, parse_policy
-from pcs_racing_agents.planners.network import INPUTS
+from pcs_racing.planners.network import INPUTS
 from pcs_racing_agents.ppo.drives import Drives
 from pcs_racing_agents.ppo.learner import make_learner, own_randomness
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import InputError, PolicyArchive
-from pcs_racing_agents.planners.lattice import LATTICE
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing_agents.synthesis.diverse import (
     greedy_map,
     log_elementary_symmetric,

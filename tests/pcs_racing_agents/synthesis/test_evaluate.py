@@ -3,9 +3,9 @@ import pytest
 
 from pcs_racing import InputError, characteristics, load_race_config, load_track
 from pcs_racing.characteristics import Characteristic
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import RaceSetup, advance
 from pcs_racing_agents.jobs import make_executor
-from pcs_racing_agents.planners.lattice import LATTICE
 from pcs_racing_agents.synthesis.evaluate import (
     Block,
     blocks,

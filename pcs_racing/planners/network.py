@@ -20,7 +20,7 @@ from pcs_racing.compilation import compiled
 from pcs_racing.errors import InputError
 from pcs_racing.frenet import angle_between
 from pcs_racing.planner import Parameter, Planner
-from pcs_racing_agents.planners.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 
 __all__ = [
     "INPUTS",

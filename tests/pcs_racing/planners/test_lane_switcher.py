@@ -4,8 +4,8 @@ import pytest
 from pcs_racing import PAPER, RaceConfig, Starts, UnknownNameError, list_tracks, load_track, run_races
 from pcs_racing.frenet import LEFT, RIGHT
 from pcs_racing.planner import PATH_POINTS
-from pcs_racing_agents.planners import LANE_SWITCHER, LATTICE, PURE_PURSUIT
-from pcs_racing_agents.planners.lane_switcher import (
+from pcs_racing.planners import LANE_SWITCHER, LATTICE, PURE_PURSUIT
+from pcs_racing.planners.lane_switcher import (
     _FREE_COUNT,
     _LANE,
     _MOST_SPEED,
@@ -17,7 +17,7 @@ from pcs_racing_agents.planners.lane_switcher import (
     STEER_LIMIT,
     lane_offset,
 )
-from pcs_racing_agents.planners.pure_pursuit import WALL_MARGIN
+from pcs_racing.planners.pure_pursuit import WALL_MARGIN
 
 STRAIGHT = 3.0  # an arc length on the oval's first straight, with 9 m to go
 VARIANTS = [str(i) for i in range(20)]

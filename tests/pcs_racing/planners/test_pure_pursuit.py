@@ -8,8 +8,8 @@ from pcs_racing import planner as view_index
 from pcs_racing.compilation import compiled
 from pcs_racing.frenet import KAPPA, SPEED, to_cartesian
 from pcs_racing.planner import OWN_D, PATH_POINTS, TIME, calm_speed, pursuit_steering
+from pcs_racing.planners import PURE_PURSUIT
 from pcs_racing.race import run_races, start_races
-from pcs_racing_agents.planners import PURE_PURSUIT
 
 
 def path(track, view, parameters=None):

@@ -5,10 +5,10 @@ import pytest
 
 from pcs_racing import InputError, RaceConfig, RaceSetup, Starts, advance, load_track
 from pcs_racing.planner import OPP_D, OPP_V, OWN_D, OWN_V, STEER_MAX, VIEW_SIZE
+from pcs_racing.planners import PURE_PURSUIT
+from pcs_racing.planners.network import INPUTS, TOP_SPEED, network_inputs, network_planner, weight_count
 from pcs_racing.race import start_races
 from pcs_racing.race_kernel import fill_view
-from pcs_racing_agents.planners import PURE_PURSUIT
-from pcs_racing_agents.planners.network import INPUTS, TOP_SPEED, network_inputs, network_planner, weight_count
 
 
 def inputs(track, view) -> dict[str, float]:

@@ -7,9 +7,9 @@ import pytest
 
 from pcs_racing import Policy, RaceConfig, RaceResult, RaceSetup, Starts, Track, list_tracks, load_track
 from pcs_racing.planner import VIEW_SIZE
+from pcs_racing.planners import LATTICE
 from pcs_racing.race import advance, run_races, start_races
 from pcs_racing.race_kernel import fill_view
-from pcs_racing_agents.planners import LATTICE
 
 
 @pytest.fixture(scope="session")

@@ -9,8 +9,8 @@ import pytest
 
 from pcs_racing import get_planner, planner
 from pcs_racing.planner import VIEW
-from pcs_racing_agents.planners import BUILT_IN
-from pcs_racing_agents.planners.network import INPUTS
+from pcs_racing.planners import BUILT_IN
+from pcs_racing.planners.network import INPUTS
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 PAGE = (REPOSITORY / "docs" / "planners.md").read_text(encoding="utf-8")

@@ -21,7 +21,7 @@ from pcs_racing import planner as _view
 from pcs_racing.compilation import compiled
 from pcs_racing.frenet import project, to_cartesian
 from pcs_racing.planner import PATH_POINTS, Parameter, Planner, calm_speed
-from pcs_racing_agents.planners.pure_pursuit import (
+from pcs_racing.planners.pure_pursuit import (
     FOLLOW_GAIN,
     IN_THE_WAY,
     WALL_MARGIN,

@@ -15,8 +15,8 @@ from pcs_racing import planner as _view
 from pcs_racing.compilation import kernel
 from pcs_racing.frenet import angle_between, offset
 from pcs_racing.planner import PATH_POINTS, Parameter, Planner
-from pcs_racing_agents.planners import spiral
-from pcs_racing_agents.planners.spiral import SEGMENTS, sample_spirals, sine_cosine, solve_spirals, spiral_curvature
+from pcs_racing.planners import spiral
+from pcs_racing.planners.spiral import SEGMENTS, sample_spirals, sine_cosine, solve_spirals, spiral_curvature
 
 __all__ = ["LATTICE"]
 
