@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from pcs_racing import make_game
-from pcs_racing.race import advance, draw_starts, race_seeds, start_races
+from pcs_racing.race import advance, draw_starts, start_races
+from pcs_racing.seeds import race_seeds
 from pcs_racing_agents.strategies import make
 from pcs_racing_agents.tournament import play_games
 

@@ -20,7 +20,7 @@ from pcs_racing import vehicle as _vehicle
 from pcs_racing.planner import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE, follow_path
 from pcs_racing.planners import lattice
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.race import RaceSetup, advance, draw_starts, race_seeds, start_races
+from pcs_racing.race import RaceSetup, advance, draw_starts, start_races
 from pcs_racing.race_config import load_race_config
 from pcs_racing.race_kernel import (
     CONTROL_EVERY,
@@ -32,6 +32,7 @@ from pcs_racing.race_kernel import (
     update_progress,
 )
 from pcs_racing.race_state import RaceState, take
+from pcs_racing.seeds import race_seeds
 from pcs_racing.track import load_track
 
 REPEATS = 8

@@ -19,7 +19,7 @@ from pcs_racing.characteristics import AGGRESSIVENESS, PACE, RESTRAINT, Segment,
 from pcs_racing.maps import list_tracks
 from pcs_racing.planner import Policy
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.race import RaceResult, run_races
+from pcs_racing.race import RaceResult, RaceSetup, run_races
 from pcs_racing.race_config import RaceConfig, load_race_config
 from pcs_racing.track import Track, load_track
 
@@ -76,7 +76,7 @@ def study(track: Track, config: RaceConfig, policies: int, opponents: int, seed:
     return {
         "track": track.name,
         "preset": config.name,
-        "speed range": config.speed_range or track.speed_range.get(config.name),
+        "speed range": RaceSetup(track, config, (LATTICE, LATTICE)).speed_range,
         "random: finish": float(1.0 - result.crashed.mean()),
         "random: overtakes": float((result.state.overtakes.sum(axis=1) > 0).mean()),
         "front: policies": len(front),

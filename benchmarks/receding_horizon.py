@@ -23,7 +23,8 @@ from pcs_racing import RaceGame, make_game
 from pcs_racing.errors import UnknownNameError
 from pcs_racing.game_config import load_game_config
 from pcs_racing.game_state import GameState
-from pcs_racing.race import draw_starts, race_seeds
+from pcs_racing.race import draw_starts
+from pcs_racing.seeds import race_seeds
 from pcs_racing_agents.jobs import open_job, show_progress
 from pcs_racing_agents.strategies import Setting, make_setting
 from pcs_racing_agents.strategies.agents import always, never_switch, random_moves

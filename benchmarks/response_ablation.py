@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from pcs_racing import RaceGame, list_tracks, make_game
 from pcs_racing.game_config import load_game_config
-from pcs_racing.race import draw_starts, race_seeds
+from pcs_racing.race import draw_starts
+from pcs_racing.seeds import race_seeds
 from pcs_racing_agents.approximator import RegretNetwork, Rows, load_network
 from pcs_racing_agents.approximator.settings import TrainSettings
 from pcs_racing_agents.approximator.training import fit

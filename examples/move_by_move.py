@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import make_game, save_replay
-from pcs_racing.race import draw_starts, race_seeds
+from pcs_racing.race import draw_starts
+from pcs_racing.seeds import race_seeds
 from pcs_racing_agents import make
 from pcs_racing_agents.explaining.explain import mark_moves
 from pcs_racing_agents.strategies import observing

@@ -20,12 +20,13 @@ from pcs_racing.game_config import GameConfig, load_game_config
 from pcs_racing.lidar import Lidar
 from pcs_racing.maps import list_tracks
 from pcs_racing.planner import Parameter, Planner, Policy
-from pcs_racing.race import RaceResult, RaceSetup, Starts, advance, draw_starts, run_races, start_races
+from pcs_racing.race import RaceResult, RaceSetup, advance, draw_starts, run_races, start_races
 from pcs_racing.race_config import CONTEST, PAPER, RaceConfig, load_race_config
 from pcs_racing.race_state import RaceState, load_state, save_state
 from pcs_racing.recording import record_race
 from pcs_racing.registry import get_planner, parse_policy, planner_names, register_planner
 from pcs_racing.replay import Replay, read_replay, save_replay
+from pcs_racing.start_grid import Starts
 from pcs_racing.track import Track, build_track, load_track
 from pcs_racing.vehicle import F1TENTH, VehicleParams, simulate
 

@@ -20,10 +20,12 @@ from pcs_racing.errors import InputError
 from pcs_racing.game_config import UTILITIES, GameConfig, load_game_config
 from pcs_racing.game_state import GameState, empty_game, join_games, load_game, put_games, save_game, take_games
 from pcs_racing.planner import Planner, Policy
-from pcs_racing.race import RaceSetup, Starts, advance, race_seeds, start_lines, start_races, winners
+from pcs_racing.race import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race_config import RaceConfig
 from pcs_racing.race_state import RaceState
 from pcs_racing.registry import get_planner
+from pcs_racing.seeds import race_seeds
+from pcs_racing.start_grid import Starts
 from pcs_racing.track import Track, load_track
 
 __all__ = [
@@ -161,7 +163,9 @@ class RaceGame:
         object.__setattr__(self, "_theta", theta)
         object.__setattr__(self, "_setup", setup)
         object.__setattr__(
-            self, "_lines", start_lines(self.track, setup.config, np.random.SeedSequence(0, spawn_key=(0,)))
+            self,
+            "_lines",
+            start_lines(self.track, setup.config, np.random.SeedSequence(0, spawn_key=(0,)), split="train"),
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -207,7 +211,7 @@ class RaceGame:
 
     @property
     def start_lines(self) -> Floats:
-        """Arc lengths of the lines that :meth:`reset` draws from, m."""
+        """Arc lengths of the lines that :meth:`reset` draws from, m; places of training, which no table uses."""
         lines: Floats = self._lines  # type: ignore[attr-defined]
         return lines
 

@@ -46,7 +46,7 @@ INFO_KEYS = {
     "width": "of the track in m, for the generator",
     "length_range": "shortest and longest length in m, for the generator",
     "resolution": "of the grid in m, for the generator",
-    "speed_range": "for each race preset the calibrated range of the speed scale, [low, high]",
+    "calibration": "for each race preset speed_range, start_spacing and start_places",
 }
 """What ``NAME_track.yaml`` may hold."""
 
@@ -118,12 +118,37 @@ def parse_info(file: Path, data: bytes) -> dict[str, Any]:
             _number(file, key, values[key], 0.0, 1e4)
     if "length_range" in values:
         _range(file, "length_range", values["length_range"], 1e4)
-    speeds = values.get("speed_range", {})
-    if not isinstance(speeds, dict) or not all(isinstance(preset, str) for preset in speeds):
-        raise MapError(f"{file}: speed_range must give [low, high] for each preset, got {speeds!r}")
-    for preset, bounds in speeds.items():
-        _range(file, f"speed_range of {preset}", bounds, 10.0)
+    calibration = values.get("calibration", {})
+    if not isinstance(calibration, dict) or not all(isinstance(preset, str) for preset in calibration):
+        raise MapError(f"{file}: calibration must give values for each race preset, got {calibration!r:.80}")
+    for preset, own in calibration.items():
+        _check_calibration(file, f"calibration of {preset}", own)
     return values
+
+
+def _check_calibration(file: Path, what: str, own: Any) -> None:
+    keys = ("speed_range", "start_spacing", "start_places")
+    if not isinstance(own, dict) or own.keys() != set(keys):
+        raise MapError(f"{file}: {what} must have the keys {', '.join(keys)}, got {own!r:.80}")
+    _range(file, f"speed_range in the {what}", own["speed_range"], 10.0)
+    _number(file, f"start_spacing in the {what}", own["start_spacing"], 0.0, 10.0)
+    places = own["start_places"]
+    if not isinstance(places, dict) or not 0 < len(places) <= 2 or not all(isinstance(side, str) for side in places):
+        raise MapError(f"{file}: start_places in the {what} must list stretches for each side, got {places!r:.80}")
+    for side, stretches in places.items():
+        _check_stretches(file, f"start_places {side} in the {what}", stretches)
+
+
+def _check_stretches(file: Path, what: str, stretches: Any) -> None:
+    if not isinstance(stretches, list) or not 0 < len(stretches) <= MAX_POINTS:
+        raise MapError(f"{file}: {what} must list [first, last], got {stretches!r:.80}")
+    before = -1.0
+    for stretch in stretches:
+        ok = isinstance(stretch, list) and len(stretch) == 2
+        ok = ok and all(isinstance(s, int | float) and not isinstance(s, bool) for s in stretch)
+        if not ok or not before < stretch[0] <= stretch[1] <= 1e5:
+            raise MapError(f"{file}: {what} must be [first, last] in m, one after the other, got {stretch!r:.80}")
+        before = stretch[1]
 
 
 def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:

@@ -1,42 +1,37 @@
 """Racing two cars against each other, one race or thousands: start, advance, and what came of it."""
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing import vehicle as _vehicle
-from pcs_racing.compilation import announce_compilation
+from pcs_racing.calibration import calibration_of, places_for, preset_of, start_layout
+from pcs_racing.driving import drive, kernel_settings, pad_parameters
 from pcs_racing.errors import InputError
-from pcs_racing.frenet import KAPPA, LEFT, RIGHT, SPEED, X, Y
-from pcs_racing.planner import COMMAND_SLOTS, VIEW_SIZE, Planner, Policy
+from pcs_racing.planner import Planner, Policy
 from pcs_racing.race_config import PAPER, RaceConfig
-from pcs_racing.race_kernel import CONTROL_EVERY, DT, WORK_SIZE, KernelSettings, advance_races, fill_view, place_cars
+from pcs_racing.race_kernel import DT, KernelSettings
 from pcs_racing.race_state import RaceState, concatenate, empty_state, take
+from pcs_racing.seeds import checked_seed, race_seeds
+from pcs_racing.start_grid import Starts, place_on_grid
+from pcs_racing.start_places import places_of, split_places
 from pcs_racing.track import Track
 from pcs_racing.vehicle import F1TENTH, VehicleParams
 
 __all__ = [
     "RaceResult",
     "RaceSetup",
-    "Starts",
     "advance",
     "draw_starts",
-    "pad_parameters",
-    "race_seeds",
     "run_races",
     "start_lines",
     "start_races",
+    "starts_of",
     "winners",
 ]
 
-DEFAULT_SPEED_RANGE = {"paper": (0.80, 1.0), "contest": (0.90, 1.14)}
 TIE_WITHIN = 0.01  # m of lead
-CENTRAL = 0.2  # m that the race line may run beside the middle at a start line
-BEND_REACH = 15.0  # m after the start in which the first bend counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,126 +65,75 @@ class RaceSetup:
 
     @property
     def speed_range(self) -> tuple[float, float]:
-        """Speed scales for pace 0 and pace 1: the configuration's, else the circuit's, else a cautious default."""
-        if self.config.speed_range is not None:
-            return self.config.speed_range
-        calibrated = self.track.speed_range.get(self.config.name)
-        return calibrated or DEFAULT_SPEED_RANGE.get(self.config.name, DEFAULT_SPEED_RANGE["paper"])
+        """Speed scales for pace 0 and pace 1: the configuration's, else what the circuit is calibrated to."""
+        return self.config.speed_range or calibration_of(self.track, self.config).speed_range
+
+    @property
+    def start_spacing(self) -> float:
+        """Distance between the cars across the track at the start, m: the nearest to the configuration's that works."""
+        if start_layout(self.config) != start_layout(preset_of(self.config)):
+            return self.config.start_spacing
+        return calibration_of(self.track, self.config).start_spacing
 
     @property
     def settings(self) -> KernelSettings:
         """The numbers that the compiled loop needs."""
-        low, high = self.speed_range
-        return KernelSettings(
-            end_tick=self.config.ticks,
-            speed_low=low,
-            speed_high=high,
-            noise_sd=float(self.config.steering_noise),
-            noise_keep=float(np.exp(-CONTROL_EVERY * DT / self.config.noise_time)),
-            ittc_horizon=float(self.config.ittc_horizon),
-        )
+        return kernel_settings(self.config, self.speed_range)
 
 
-@dataclass(frozen=True, eq=False)
-class Starts:
-    """Where the cars of a batch of races start.
+def start_lines(
+    track: Track, config: RaceConfig, seed: int | np.random.SeedSequence, *, split: str = "test"
+) -> NDArray[np.float64]:
+    """Arc lengths of ``config.start_lines`` random start lines at places of the circuit that are fit for it, m.
 
-    Attributes
+    Parameters
     ----------
-    s : ndarray, shape (B,)
-        Arc length of the start line, m.
-    side : ndarray, shape (B,), int64
-        0 when car 0 starts on the left (side by side) or in front (staggered, rolling), 1 when car 1 does.
-    """
+    track : Track
+    config : RaceConfig
+    seed : int or SeedSequence
+    split : {"train", "test"}
+        Games of training start from other places than races of tables (:func:`pcs_racing.start_places.split_places`).
 
-    s: NDArray[np.float64]
-    side: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.s)
-
-    def take(self, indices: ArrayLike) -> "Starts":
-        """Return some of them, in the order asked for."""
-        chosen = np.asarray(indices)
-        return Starts(self.s[chosen], self.side[chosen])
-
-
-def _places(track: Track, config: RaceConfig) -> NDArray[np.intp]:
-    """Samples of the race line that are straight and wide enough for the start, the room behind them included."""
-    line = track.arrays.line
-    bend = np.abs(line[:, KAPPA])
-    room = line[:, RIGHT] + line[:, LEFT]
-    need = config.start_spacing + F1TENTH.width + 0.3
-    good = (bend < 0.15) & (room > need)
-    behind = round((config.start_gap + 1.0) / track.arrays.ds)
-    ahead = round(2.0 / track.arrays.ds)
-    every = np.logical_and.reduce([np.roll(good, shift) for shift in range(-ahead, behind + 1, 5)])
-    # The car nearer to the race line has the right of way, so where it can be had the line runs in the middle.
-    central = every & (np.abs(line[:, LEFT] - line[:, RIGHT]) < 2.0 * CENTRAL)
-    return np.flatnonzero(central if central.any() else every)
-
-
-def start_lines(track: Track, config: RaceConfig, seed: int | np.random.SeedSequence) -> NDArray[np.float64]:
-    """Arc lengths of ``config.start_lines`` random start lines on straight pieces of the circuit, m, ascending.
+    Returns
+    -------
+    ndarray, shape (config.start_lines,)
+        In random order. Lines repeat where the circuit has fewer places.
 
     Raises
     ------
     InputError
         If the circuit has no place for the start that the configuration asks for.
     """
-    places = _places(track, config)
-    if len(places) == 0:
-        raise InputError(
-            f"track {track.name!r} has no straight piece wide and long enough for a {config.start} start with gap "
-            f"{config.start_gap:g} m and spacing {config.start_spacing:g} m; make them smaller"
-        )
     rng = np.random.default_rng(seed)
-    # The car on the inside of the next bend has an advantage, so half of the lines lead into bends of either side.
-    line = track.arrays.line
-    reach = round(BEND_REACH / track.arrays.ds)
-    turned = np.cumsum(np.concatenate([line[:, KAPPA], line[:, KAPPA]]))
-    leftward = (turned[places + reach] - turned[places]) > 0.0
-    sides = [places[leftward], places[~leftward]]
-    count = config.start_lines
-    first = int(rng.integers(2))
-    wanted = [count // 2, count // 2]
-    wanted[first] += count % 2
-    if min(len(side) for side in sides) == 0:
-        sides, wanted = [places, places[:0]], [count, 0]
-    chosen = [_spread(side, number, rng) for side, number in zip(sides, wanted, strict=True)]
-    return np.sort(np.concatenate(chosen)).astype(np.float64) * track.arrays.ds
+    # Most places favour one side: as many lines of either kind, so that the sides are fair on the whole.
+    sides = [split_places(places_of(stretches), split) for stretches in places_for(track, config).values()]
+    sides = [side for side in sides if len(side) > 0]
+    first = int(rng.integers(len(sides)))
+    wanted = [(config.start_lines + (first + k) % len(sides)) // len(sides) for k in range(len(sides))]
+    chosen = np.concatenate([_spread(side, number, rng) for side, number in zip(sides, wanted, strict=True)])
+    return chosen[rng.permutation(config.start_lines)]
 
 
-def _spread(places: NDArray[np.intp], number: int, rng: np.random.Generator) -> NDArray[np.intp]:
+def _spread(places: NDArray[np.float64], number: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """One random place from each of as many equal parts: random, yet never two in one spot where there is room."""
     edges = np.linspace(0.0, len(places), number + 1)
     at = rng.uniform(edges[:-1], edges[1:]).astype(np.intp)
     return places[np.minimum(at, len(places) - 1)] if number else places[:0]
 
 
-def draw_starts(track: Track, config: RaceConfig, races: int, seed: int) -> Starts:
+def draw_starts(track: Track, config: RaceConfig, races: int, seed: int, *, split: str = "test") -> Starts:
     """Draw the starts of a batch: several random start lines, and on each of them both sides in turn.
 
     Race ``i`` starts on line ``(i // 2) % config.start_lines`` with side ``i % 2``, whatever the size of the batch.
     """
-    lines = start_lines(track, config, np.random.SeedSequence(_checked_seed(seed), spawn_key=(0,)))
-    index = np.arange(races)
-    return Starts(lines[(index // 2) % len(lines)], (index % 2).astype(np.int64))
+    return starts_of(track, config, np.arange(races), seed, split=split)
 
 
-def race_seeds(seed: int, races: int) -> NDArray[np.uint64]:
-    """Noise key of each race: a function of the root seed and the race's index alone, shape (B,)."""
-    root = _checked_seed(seed)
-    return np.array(
-        [np.random.SeedSequence(root, spawn_key=(1, i)).generate_state(1, np.uint64)[0] for i in range(races)],
-        np.uint64,
-    )
-
-
-def _checked_seed(seed: int) -> int:
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed is {seed!r}; it must be a whole number from 0")
-    return int(seed)
+def starts_of(track: Track, config: RaceConfig, index: ArrayLike, seed: int, *, split: str = "test") -> Starts:
+    """Starts of some races of the batch that :func:`draw_starts` draws, by their indices."""
+    lines = start_lines(track, config, np.random.SeedSequence(checked_seed(seed), spawn_key=(0,)), split=split)
+    index = np.asarray(index, np.int64)
+    return Starts(lines[(index // 2) % len(lines)], index % 2)
 
 
 def start_races(setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64]) -> RaceState:
@@ -203,57 +147,19 @@ def start_races(setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64]) -> 
     InputError
         If a start lies off the track, or the cars would stand in a wall or in each other; the race's index is named.
     """
-    track, config = setup.track, setup.config
-    arrays = track.arrays
     if len(starts) != len(seeds):
         raise InputError(f"there are {len(starts)} starts but {len(seeds)} seeds; give one seed for each race")
-    outside = ~((starts.s >= 0.0) & (starts.s < arrays.length))
-    if outside.any():
-        i = int(np.flatnonzero(outside)[0])
-        raise InputError(
-            f"race {i}: the start line {starts.s[i]} m is not on track {track.name!r}; it must lie in "
-            f"[0, {arrays.length:.2f})"
-        )
-    if not np.isin(starts.side, (0, 1)).all():
-        raise InputError(f"start sides must be 0 or 1; found {starts.side[~np.isin(starts.side, (0, 1))][0]}")
-    races = len(starts)
-    state = empty_state(races, setup.memory_size)
+    track, config, spacing = setup.track, setup.config, setup.start_spacing
+    slowest = setup.speed_range[0]
+    state = place_on_grid(track, config, spacing, slowest, setup.vehicles, starts, setup.memory_size)
     state.seed[:] = seeds
-    low = setup.speed_range[0]
-    rows = np.arange(races)
-    for place in range(2):  # 0: left or front, 1: right or rear
-        car = np.where(starts.side == 0, place, 1 - place)
-        behind = 0.0 if config.start == "side-by-side" else place * config.start_gap
-        s = np.mod(starts.s - behind, arrays.length)
-        sample = arrays.line[(s / arrays.ds).astype(np.intp) % len(arrays.line)]
-        middle = 0.5 * (sample[:, LEFT] - sample[:, RIGHT])
-        d = middle + (0.5 if place == 0 else -0.5) * config.start_spacing
-        pose = track.to_cartesian(np.stack([s, d], axis=-1))
-        profile = low * sample[:, SPEED]
-        speed = profile if config.start == "rolling" else np.minimum(config.start_speed, profile)
-        state.cars[rows, car, X] = pose[:, 0]
-        state.cars[rows, car, Y] = pose[:, 1]
-        state.cars[rows, car, _vehicle.V] = speed
-        state.cars[rows, car, _vehicle.PSI] = np.mod(pose[:, 2], 2.0 * np.pi)
-        state.progress[rows, car] = -behind
-    place_cars(arrays, state, _vehicle_rows(setup, races))
     if state.crashed.any():
         i = int(np.flatnonzero(state.crashed)[0])
         raise InputError(
             f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand in a wall or in "
-            f"the other car; choose another line or a smaller start_spacing than {config.start_spacing:g} m"
+            f"the other car; choose another line or a smaller start_spacing than {spacing:g} m"
         )
     return state
-
-
-def _vehicle_rows(setup: RaceSetup, races: int) -> NDArray[np.float64]:
-    rows = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
-    return np.ascontiguousarray(np.broadcast_to(rows, (races, *rows.shape)))
-
-
-def default_threads() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def advance(
@@ -289,82 +195,8 @@ def advance(
     InputError
         If ``ticks`` is odd or negative, or ``theta`` does not fit the batch.
     """
-    if ticks < 0 or ticks % CONTROL_EVERY:
-        raise InputError(f"ticks is {ticks}; it must be an even number from 0")
-    if setup.planners[0].drive is None and setup.planners[1].drive is None:
-        _advance_compiled(setup, state, theta, ticks, threads, ittc)
-        return
-    for _ in range(ticks // CONTROL_EVERY):
-        _ask_python_drivers(setup, state, theta)
-        _advance_compiled(setup, state, theta, CONTROL_EVERY, 1, ittc)
-
-
-def _advance_compiled(
-    setup: RaceSetup, state: RaceState, theta: NDArray[np.float64], ticks: int, threads: int | None, ittc: bool
-) -> None:
-    races = state.races
-    if theta.shape != (races, 2, setup.theta_size) or theta.dtype != np.float64 or not theta.flags.c_contiguous:
-        raise InputError(
-            f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64 of shape "
-            f"{(races, 2, setup.theta_size)}"
-        )
-    with announce_compilation(advance_races, "the planners and the race kernel", 30):
-        plan0, control0 = setup.planners[0].pointers()
-        plan1, control1 = setup.planners[1].pointers()
-    vehicles = _vehicle_rows(setup, races)
     settings = setup.settings if ittc else setup.settings._replace(ittc_horizon=0.0)
-    size = max(1, *(planner.scratch_size for planner in setup.planners))
-
-    def part(first: int, last: int) -> None:
-        scratch = np.empty(size)
-        work = np.empty(WORK_SIZE)
-        advance_races(
-            setup.track.arrays,
-            state,
-            theta,
-            vehicles,
-            plan0,
-            control0,
-            plan1,
-            control1,
-            settings,
-            ticks,
-            first,
-            last,
-            scratch,
-            work,
-        )
-
-    workers = min(threads or default_threads(), races)
-    if workers <= 1:
-        part(0, races)
-        return
-    part(0, 0)  # compiles before the threads need it
-    edges = np.linspace(0, races, min(races, 4 * workers) + 1).astype(int)
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(part, edges[:-1], edges[1:]))
-
-
-def _ask_python_drivers(setup: RaceSetup, state: RaceState, theta: NDArray[np.float64]) -> None:
-    vehicles = _vehicle_rows(setup, 1)[0]
-    view = np.zeros(VIEW_SIZE)
-    for race in range(state.races):
-        if state.tick[race] % CONTROL_EVERY or state.tick[race] >= setup.config.ticks or state.crash[race].any():
-            continue
-        for car, planner in enumerate(setup.planners):
-            if planner.drive is None:
-                continue
-            fill_view(setup.track.arrays, state, race, car, vehicles, setup.settings, view)
-            memory = state.memory[race, car]
-            own = memory[COMMAND_SLOTS : COMMAND_SLOTS + planner.memory_size]
-            answer = planner.drive(setup.track, theta[race, car, : len(planner.parameters)], view.copy(), own)
-            command = np.asarray(answer, dtype=np.float64)
-            if command.shape != (2,) or not np.isfinite(command).all():
-                raise InputError(
-                    f"race {race}, car {car}: planner {planner.name!r} returned {command!r}; it must return two finite "
-                    "numbers, steering angle (rad) and speed (m/s)"
-                )
-            memory[:COMMAND_SLOTS] = command
+    drive(setup.track, settings, setup.planners, setup.vehicles, state, theta, ticks, threads=threads)
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,14 +250,6 @@ def winners(config: RaceConfig, state: RaceState) -> NDArray[np.int8]:
         fault = state.fault
         after_crash = np.where(fault[:, 0] == fault[:, 1], -1, np.where(fault[:, 0] == 1, 1, 0))
     return np.where(state.crashed, after_crash, ahead).astype(np.int8)
-
-
-def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]:
-    """Stack the parameter vectors of policies, padded with zeros, shape (len(policies), size)."""
-    theta = np.zeros((len(policies), size))
-    for i, policy in enumerate(policies):
-        theta[i, : len(policy.parameters)] = policy.parameters
-    return theta
 
 
 def run_races(

@@ -27,11 +27,12 @@ class RaceConfig:
     start_gap : float
         Distance between the cars along the track for staggered and rolling starts, m.
     start_spacing : float
-        Distance between their centres across the track, m.
+        Distance between their centres across the track, m. On a circuit where that never works, a preset takes the
+        nearest distance that does.
     start_speed : float
         Speed at the start in m/s (a rolling start takes the race line's speed instead).
     start_lines : int
-        Number of start lines, spread evenly over the places of the circuit that are straight enough.
+        Number of start lines, spread evenly over the places of the circuit from which two cars get away.
     steering_noise : float
         Standard deviation of the AR(1) disturbance that is added to every steering command, rad; 0 for none.
     noise_time : float
@@ -55,7 +56,7 @@ class RaceConfig:
     start_gap: float = 0.0
     start_spacing: float = 0.9
     start_speed: float = 4.0
-    start_lines: int = 5
+    start_lines: int = 50
     steering_noise: float = 0.0
     noise_time: float = 0.28
     speed_range: tuple[float, float] | None = None

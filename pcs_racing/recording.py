@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing import frenet as _frenet
+from pcs_racing.driving import pad_parameters
 from pcs_racing.errors import InputError
 from pcs_racing.planner import COMMAND_SLOTS, PATH_SPEED, PATH_Y, VIEW_SIZE, Policy
-from pcs_racing.race import RaceResult, RaceSetup, Starts, advance, draw_starts, pad_parameters, race_seeds, start_races
+from pcs_racing.race import RaceResult, RaceSetup, advance, start_races, starts_of
 from pcs_racing.race_config import PAPER, RaceConfig
 from pcs_racing.race_kernel import CONTROL_EVERY, DT, PLAN_EVERY, fill_view
 from pcs_racing.race_state import ITTC, ITTC_SAMPLES, WALL_CRASH, RaceState
 from pcs_racing.replay import Replay, ReplayEvent
+from pcs_racing.seeds import race_seed
+from pcs_racing.start_grid import Starts
 from pcs_racing.track import Track
 from pcs_racing.vehicle import F1TENTH, VehicleParams
 
@@ -66,9 +69,9 @@ def record_race(
     if isinstance(index, bool) or not isinstance(index, int | np.integer) or index < 0:
         raise InputError(f"index is {index!r}; it must be a whole number from 0")
     setup = RaceSetup(track, config, (ego.planner, opponent.planner), vehicles)
-    start = draw_starts(track, config, int(index) + 1, seed).take([index])
+    start = starts_of(track, config, [int(index)], seed)
     theta = pad_parameters([ego, opponent], setup.theta_size)[None]
-    noise = race_seeds(seed, int(index) + 1)[index]
+    noise = race_seed(seed, int(index))
     return record_drive(setup, start, noise, theta, names=(ego.name, opponent.name), candidates=candidates)
 
 

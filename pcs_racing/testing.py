@@ -17,9 +17,10 @@ from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
 from pcs_racing.game_config import GameConfig
 from pcs_racing.planner import Planner
-from pcs_racing.race import RaceSetup, advance, draw_starts, race_seeds, start_races
+from pcs_racing.race import RaceSetup, advance, draw_starts, start_races
 from pcs_racing.race_config import PAPER, load_race_config
 from pcs_racing.race_state import SUMS, RaceState, take
+from pcs_racing.seeds import race_seeds
 from pcs_racing.track import Track
 from pcs_racing.vehicle import PSI, V, X, Y
 

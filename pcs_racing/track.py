@@ -21,9 +21,9 @@ from pcs_racing.mapping.clearance import wall_clearance
 from pcs_racing.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
 from pcs_racing.splines import sample_closed
 from pcs_racing.track_building import LINE_SPACING, build_arrays, check_centerline, check_grid, check_line
-from pcs_racing.track_cache import cache_key, load_cached, store
+from pcs_racing.track_cache import TRACK, cache_key, load_cached, store
 
-__all__ = ["Track", "build_track", "load_track"]
+__all__ = ["Calibration", "Track", "build_track", "calibration_from_values", "calibration_values", "load_track"]
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +33,47 @@ TOLERANCE = 0.02
 """By how much a given race line may fall short of that, in m: about what a cell's corner adds."""
 
 _log = logging.getLogger("pcs_racing")
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How fast a circuit may be driven under a race preset, and where two cars may start (`pcs_racing.calibration`).
+
+    Attributes
+    ----------
+    speed_range : tuple of two floats
+        Scales of the speed profile that stand for pace 0 and pace 1.
+    start_spacing : float
+        Distance between the cars across the track at the start, m.
+    start_places : dict
+        For each side that start places favour ("left" and "right", or "front") the stretches of such places: arc
+        lengths of the first and the last one, m, ascending.
+    """
+
+    speed_range: tuple[float, float]
+    start_spacing: float
+    start_places: dict[str, tuple[tuple[float, float], ...]]
+
+
+def calibration_values(calibration: Calibration) -> dict[str, Any]:
+    """A calibration as plain lists and numbers, for yaml and json."""
+    return {
+        "speed_range": list(calibration.speed_range),
+        "start_spacing": calibration.start_spacing,
+        "start_places": {
+            side: [list(stretch) for stretch in stretches] for side, stretches in calibration.start_places.items()
+        },
+    }
+
+
+def calibration_from_values(values: dict[str, Any]) -> Calibration:
+    """Undo `calibration_values`; the values have been checked."""
+    low, high = values["speed_range"]
+    places = {
+        side: tuple((float(first), float(last)) for first, last in stretches)
+        for side, stretches in values["start_places"].items()
+    }
+    return Calibration((float(low), float(high)), float(values["start_spacing"]), places)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,8 +90,8 @@ class Track:
         nobody writes to them.
     centerline : ndarray, shape (M, 4)
         x, y, width to the right, width to the left, in m; as given, read-only.
-    speed_range : dict
-        For each race preset the calibrated range of the speed scale on this circuit; may be empty.
+    calibration : dict
+        For each race preset the calibration that the map's files hold; may be empty.
     folder : Path or None
         The map folder it came from.
     content_hash : str
@@ -61,7 +102,7 @@ class Track:
     name: str
     arrays: TrackArrays
     centerline: Floats
-    speed_range: dict[str, tuple[float, float]] = field(default_factory=dict)
+    calibration: dict[str, Calibration] = field(default_factory=dict)
     folder: Path | None = None
     content_hash: str = ""
 
@@ -103,7 +144,10 @@ class Track:
         line = self.arrays.line
         width = line[:, RIGHT] + line[:, LEFT]
         turn = "left" if line[-1, frenet.PSI] > line[0, frenet.PSI] else "right"
-        ranges = ", ".join(f"{preset} {low:g}-{high:g}" for preset, (low, high) in sorted(self.speed_range.items()))
+        ranges = ", ".join(
+            f"{preset} {own.speed_range[0]:g}-{own.speed_range[1]:g}"
+            for preset, own in sorted(self.calibration.items())
+        )
         return "\n".join(
             [
                 f"{self.name}: {self.length:.1f} m, {turn}-hand",
@@ -113,7 +157,7 @@ class Track:
                 f"{self.wall_distance(line[:, :2]).min():.2f} m from the walls",
                 f"  lap at speed scale 1: {(self.arrays.ds / line[:, SPEED]).sum():.1f} s, {line[:, SPEED].min():.1f}-"
                 f"{line[:, SPEED].max():.1f} m/s",
-                f"  speed range: {ranges or 'not calibrated'}",
+                f"  speed range: {ranges or 'calibrated when a race preset first asks for it'}",
             ]
         )
 
@@ -126,7 +170,7 @@ def build_track(
     centerline: ArrayLike,
     raceline_xy: ArrayLike,
     *,
-    speed_range: dict[str, tuple[float, float]] | None = None,
+    calibration: dict[str, Calibration] | None = None,
     folder: Path | None = None,
 ) -> Track:
     """Build a track from values.
@@ -144,8 +188,8 @@ def build_track(
         x, y, width to the right, width to the left, in m.
     raceline_xy : array_like, shape (K, 2)
         Points of the closed race line in m, in driving order; it is the reference of all Frenet coordinates.
-    speed_range : dict, optional
-        For each race preset the calibrated range of the speed scale.
+    calibration : dict of Calibration, optional
+        For each race preset how fast the circuit may be driven and where cars start, where that is known.
     folder : Path, optional
         Where the map came from.
 
@@ -163,10 +207,17 @@ def build_track(
     center = check_centerline(centerline, f"{what}: the centre line")
     arrays, drivable = build_arrays(grid, resolution, corner, check_line(raceline_xy, f"{what}: the race line"), what)
     _check_centre(arrays, center, f"{what}: the centre line")
+    for preset, own in (calibration or {}).items():
+        last = max(stretches[-1][1] for stretches in own.start_places.values())
+        if last >= arrays.length:
+            raise MapError(
+                f"{what}: the calibration of {preset} has a start place at {last:g} m, but the race line is "
+                f"{arrays.length:.2f} m long; calibrate it again"
+            )
     digest = hashlib.sha256(np.packbits(drivable).tobytes())
     for part in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
         digest.update(part.tobytes())
-    return Track(name, arrays, _read_only(center), dict(speed_range or {}), folder, digest.hexdigest())
+    return Track(name, arrays, _read_only(center), dict(calibration or {}), folder, digest.hexdigest())
 
 
 def load_track(name_or_path: str | os.PathLike[str]) -> Track:
@@ -240,15 +291,15 @@ def _stamp(paths: tuple[Path, ...]) -> tuple[tuple[int, int], ...] | None:
 
 def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
     """Take a track from the cache on disk, or build it and put it there."""
-    key = cache_key(contents)
-    found = load_cached(key)
+    key = cache_key(contents, TRACK)
+    found = load_cached(TRACK, key)
     restored = None if found is None else _restore(files, found)
     if restored is not None:
         track, note = restored
     else:
         content = parse_map(files, contents)
         center, race, note = _lines(files, content)
-        speed_range = content.info.get("speed_range", {})
+        calibration = content.info.get("calibration", {})
         try:
             track = build_track(
                 content.name,
@@ -257,12 +308,12 @@ def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
                 content.origin,
                 center,
                 race,
-                speed_range={preset: (float(low), float(high)) for preset, (low, high) in speed_range.items()},
+                calibration={preset: calibration_from_values(values) for preset, values in calibration.items()},
                 folder=content.folder,
             )
         except MapError as error:
             raise MapError(f"{files.yaml}: {error}") from error
-        store(key, _flatten(track, note))
+        store(TRACK, key, _flatten(track, note))
     if note:
         _log.warning("track %s: %s", track.name, note)
     return track
@@ -308,11 +359,12 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
 def _flatten(track: Track, note: str) -> dict[str, Any]:
     """Everything of a track as arrays; the distance field as the region it follows from."""
     values = {name: np.asarray(value) for name, value in track.arrays._asdict().items() if name != "distance"}
+    own = {preset: calibration_values(calibration) for preset, calibration in track.calibration.items()}
     return values | {
         "drivable": np.packbits(track.arrays.distance > 0.0, axis=1),
         "columns": np.asarray(track.arrays.distance.shape[1]),
         "centerline": track.centerline,
-        "text": np.array(json.dumps([note, track.content_hash, track.speed_range])),
+        "text": np.array(json.dumps([note, track.content_hash, own])),
     }
 
 
@@ -320,7 +372,7 @@ def _restore(files: MapFiles, found: dict[str, NDArray[Any]]) -> tuple[Track, st
     """Undo `_flatten`; None if something is missing."""
     try:
         drivable = np.unpackbits(found["drivable"], axis=1, count=int(found["columns"])).view(np.bool_)
-        note, content_hash, speeds = json.loads(str(found["text"]))
+        note, content_hash, own = json.loads(str(found["text"]))
         center = _read_only(found["centerline"])
         values: dict[str, Any] = {name: found[name] for name in TrackArrays._fields if name != "distance"}
     except (KeyError, ValueError):
@@ -329,8 +381,8 @@ def _restore(files: MapFiles, found: dict[str, NDArray[Any]]) -> tuple[Track, st
         if value.ndim == 0:
             values[name] = float(value)
     arrays = TrackArrays(distance=distance_to_walls(drivable, values["cell"]), **values)
-    speed_range = {preset: (low, high) for preset, (low, high) in speeds.items()}
-    return Track(files.name, arrays, center, speed_range, files.folder, content_hash), note
+    calibration = {preset: calibration_from_values(values) for preset, values in own.items()}
+    return Track(files.name, arrays, center, calibration, files.folder, content_hash), note
 
 
 def _check_centre(arrays: TrackArrays, center: Floats, what: str) -> None:

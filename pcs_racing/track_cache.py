@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 from pcs_racing.errors import InputError
 from pcs_racing.reading import read_limited, unpack_arrays
 
-__all__ = ["cache_folder", "cache_key", "load_cached", "store"]
+__all__ = ["CALIBRATION", "TRACK", "cache_folder", "cache_key", "load_cached", "store"]
+
+TRACK, CALIBRATION = "track", "calibration"  # kinds of results
 
 MAX_BYTES = 256_000_000
 
 # Files whose code decides what is cached: a change in any of them makes all that is cached out of date.
-_CODE = (
+_TRACK_CODE = (
     "frenet.py",
     "grid.py",
     "map_files.py",
@@ -39,6 +41,25 @@ _CODE = (
     "mapping/raceline.py",
     "mapping/speed.py",
 )
+_CODE = {
+    TRACK: _TRACK_CODE,
+    CALIBRATION: (
+        *_TRACK_CODE,
+        "calibration.py",
+        "collision.py",
+        "driving.py",
+        "planner.py",
+        "planners/lattice.py",
+        "planners/spiral.py",
+        "race_config.py",
+        "race_kernel.py",
+        "race_state.py",
+        "seeds.py",
+        "start_grid.py",
+        "start_places.py",
+        "vehicle.py",
+    ),
+}
 
 
 def cache_folder() -> Path | None:
@@ -52,36 +73,36 @@ def cache_folder() -> Path | None:
         return None
 
 
-@lru_cache(maxsize=1)
-def _code() -> bytes:
+@lru_cache
+def _code(kind: str) -> bytes:
     here = Path(__file__).parent
     digest = hashlib.sha256()
-    for name in _CODE:
+    for name in _CODE[kind]:
         digest.update((here / name).read_bytes())
     return digest.digest()
 
 
-def cache_key(parts: Mapping[str, bytes]) -> str:
+def cache_key(parts: Mapping[str, bytes], kind: str) -> str:
     """Hash of named inputs and of the code that works on them."""
-    digest = hashlib.sha256(_code())
+    digest = hashlib.sha256(_code(kind))
     for name in sorted(parts):
         digest.update(f"{name}\0{len(parts[name])}\0".encode())
         digest.update(parts[name])
     return digest.hexdigest()
 
 
-def load_cached(key: str) -> dict[str, NDArray[Any]] | None:
+def load_cached(kind: str, key: str) -> dict[str, NDArray[Any]] | None:
     """Arrays stored under a key; None if there are none, or they are damaged."""
     folder = cache_folder()
     if folder is None:
         return None
     try:
-        return unpack_arrays(read_limited(folder / f"track-{key[:40]}.npz", MAX_BYTES, "a track"), 4 * MAX_BYTES)
+        return unpack_arrays(read_limited(folder / f"{kind}-{key[:40]}.npz", MAX_BYTES, f"a {kind}"), 4 * MAX_BYTES)
     except (OSError, InputError):
         return None
 
 
-def store(key: str, arrays: Mapping[str, Any]) -> None:
+def store(kind: str, key: str, arrays: Mapping[str, Any]) -> None:
     """Store arrays under a key, all or nothing."""
     folder = cache_folder()
     if folder is None:
@@ -92,7 +113,7 @@ def store(key: str, arrays: Mapping[str, Any]) -> None:
         try:
             with os.fdopen(handle, "wb") as file:
                 np.savez(file, **arrays)
-            os.replace(temporary, folder / f"track-{key[:40]}.npz")
+            os.replace(temporary, folder / f"{kind}-{key[:40]}.npz")
         except BaseException:
             os.unlink(temporary)
             raise

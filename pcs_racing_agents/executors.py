@@ -17,8 +17,8 @@ from pathlib import Path
 from pickle import dumps, loads
 from typing import Any
 
+from pcs_racing.driving import default_threads
 from pcs_racing.errors import InputError
-from pcs_racing.race import default_threads
 from pcs_racing_agents.job_folders import JobError, package_version
 
 __all__ = [

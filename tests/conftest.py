@@ -36,7 +36,7 @@ def reference() -> Path:
 @pytest.fixture(scope="session")
 def oval():
     """A stadium: two straights of 12 m, two half circles of 4 m radius, 2.2 m wide, driven counterclockwise."""
-    from pcs_racing.track import build_track
+    from pcs_racing.track import Calibration, build_track
 
     straight, radius, half_width, resolution = 12.0, 4.0, 1.1, 0.05
     quarter = np.linspace(0.0, np.pi, 40, endpoint=False)
@@ -52,4 +52,10 @@ def oval():
     occupied = np.abs(away - radius) > half_width
     occupied &= np.abs(away - radius) < half_width + 0.3
     centerline = np.column_stack([xy, np.full((len(xy), 2), half_width)])
-    return build_track("oval", occupied, resolution, origin, centerline, xy)
+    # Known beforehand, or it would be found by driving: pace 1 is about as fast as the bends allow.
+    lower, upper = ((2.0, 9.5),), ((26.5, 34.0),)
+    calibration = {
+        "paper": Calibration((0.8, 1.0), 0.9, {"left": lower, "right": upper}),
+        "contest": Calibration((0.9, 1.14), 0.45, {"front": lower + upper}),
+    }
+    return build_track("oval", occupied, resolution, origin, centerline, xy, calibration=calibration)

@@ -10,15 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.compilation import announce_compilation
+from pcs_racing.driving import default_threads, pad_parameters
 from pcs_racing.envs.drive_kernel import observe_races, restart, set_commands, step_races
 from pcs_racing.errors import InputError
 from pcs_racing.lidar import MOST_BEAMS, WORK_SHAPE, Beams, Lidar
 from pcs_racing.planner import COMMAND_SLOTS, Planner, Policy, hold_command, leave_path
-from pcs_racing.race import RaceSetup, Starts, advance, default_threads, pad_parameters, start_lines, start_races
+from pcs_racing.race import RaceSetup, advance, start_lines, start_races
 from pcs_racing.race_config import RaceConfig, load_race_config
 from pcs_racing.race_kernel import CONTROL_EVERY, DT, WORK_SIZE
 from pcs_racing.race_state import RaceState, take
 from pcs_racing.registry import parse_policy
+from pcs_racing.start_grid import Starts
 from pcs_racing.track import Track, load_track
 from pcs_racing.vehicle import F1TENTH
 
@@ -253,7 +255,7 @@ class DriveBatch:
 
     def _prepare_races(self, threads: int | None) -> None:
         setup, races = self.setup, self.races
-        lines = start_lines(self.track, setup.config, 0)
+        lines = start_lines(self.track, setup.config, 0, split="train")
         places = Starts(np.repeat(lines, 2), np.tile(np.array([0, 1]), len(lines)))
         self.grid = start_races(setup, places, np.zeros(len(places), np.uint64))
         self.state = take(self.grid, np.zeros(races, np.intp))

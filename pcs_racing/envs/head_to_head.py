@@ -16,10 +16,11 @@ from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame, make_game
 from pcs_racing.game_config import GameConfig
 from pcs_racing.game_state import GameState, empty_game
-from pcs_racing.race import Starts, advance
+from pcs_racing.race import advance
 from pcs_racing.race_config import RaceConfig
 from pcs_racing.race_state import CAR_CRASH, WALL_CRASH
 from pcs_racing.rendering import MODES, VIEWS, Renderer
+from pcs_racing.start_grid import Starts
 from pcs_racing.track import Track
 
 __all__ = ["AGENTS", "HeadToHeadEnv", "HeadToHeadState", "env", "parallel_env"]

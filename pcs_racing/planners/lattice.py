@@ -38,6 +38,7 @@ BODY_AIR = 0.10  # m to keep from a wall at a goal, unless it lies on the race l
 TIGHT = 0.06  # m; a spiral that comes closer to a wall is rejected
 STRAIN_FROM = 8.0  # m/s^2 of lateral acceleration, from where on a spiral at speed is more than the car can do
 STRAIN = 0.5  # cost per m/s^2 beyond
+SPIN_FROM = 11.0  # m/s^2 of lateral acceleration, from where on the car would spin: as bad as an overlap
 GRIP = 6.0  # m/s^2, lateral acceleration that a candidate may ask for at speed scale 1
 SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
@@ -227,7 +228,7 @@ def _predict(line, ds, s, v, target_scale, late_braking, keep, steps, scratch, f
 
 
 @kernel(fastmath=spiral.FAST)
-def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side, gives_way):  # type: ignore[no-untyped-def]
+def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side, gives_way, followed):  # type: ignore[no-untyped-def]
     """Trouble (overlap within a second) and proximity of all spirals at one speed with the predicted opponent."""
     for g in range(GOALS):
         scratch[_TROUBLE + g] = 0.0
@@ -235,13 +236,15 @@ def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side
     fade = 1.0
     for k in range(HORIZON_STEPS):
         driven = scratch[_OWN_S + f * HORIZON_STEPS + k] - s0
-        gap = abs(scratch[_OWN_S + f * HORIZON_STEPS + k] - scratch[_OPP_S + k])
+        # Who is followed does not brake to let the other car through: that ends in its back. Moving aside may help.
+        at_speed = 0 if followed else f
+        gap = abs(scratch[_OWN_S + at_speed * HORIZON_STEPS + k] - scratch[_OPP_S + k])
         opp_d = scratch[_OPP_D + k]
         # A driver who must give way foresees where the track will push it sideways.
         low = scratch[_OWN_LOW + f * HORIZON_STEPS + k] if gives_way else -100.0
         high = scratch[_OWN_HIGH + f * HORIZON_STEPS + k] if gives_way else 100.0
         long_air = max(gap - long_reach, 0.0)
-        hard = fade * (REJECTED if k < REJECT_STEPS else 10.0)
+        hard = fade * (REJECTED if k < REJECT_STEPS and not followed else 10.0)
         if gap >= long_reach:
             hard = 0.0
         if gap > CLOSE:
@@ -320,8 +323,9 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     gap -= laps * track.length  # what matters to a driver is where the other car stands, not how often it came round
     meets = abs(gap) < SIGHT
     follow = 0.65
-    # Right of way: the car ahead; level, the one nearer to the race line.
-    gives_way = gap + 0.5 * (abs(d0) - abs(view[_view.OPP_D])) > 0.0
+    # Right of way: the car ahead; level, the one nearer to the race line; as near, the one on the right.
+    claim = gap + 0.5 * (abs(d0) - abs(view[_view.OPP_D]))
+    gives_way = claim > 0.0 or (claim == 0.0 and d0 > view[_view.OPP_D])
     if meets:
         opp_v = view[_view.OPP_V]
         carried = opp_v / max(_speed_at(line, ds, view[_view.OPP_S]), 0.5)
@@ -338,8 +342,10 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
                 # A driver with the right of way finishes its move and then comes back to the race line.
                 d = (d + min(t, 0.25) * view[_view.OPP_D_DOT]) * max(1.0 - t / RETURN_TIME, 0.0)
             row = _sample_at(line, ds, s)
-            low = min(0.5 * view[_view.OPP_WIDTH] - line[row, _frenet.RIGHT], 0.0)
-            high = max(line[row, _frenet.LEFT] - 0.5 * view[_view.OPP_WIDTH], 0.0)
+            # The track pushes the other car sideways where it narrows; who has the right of way leaves it air there.
+            room = 0.5 * view[_view.OPP_WIDTH] + (0.0 if gives_way else BODY_AIR)
+            low = min(room - line[row, _frenet.RIGHT], 0.0)
+            high = max(line[row, _frenet.LEFT] - room, 0.0)
             scratch[_OPP_D + k] = min(max(d, low), high)
         if gap > 0.0:
             wanted = opp_v + 1.2 * (gap - 1.1)
@@ -352,6 +358,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     long_reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.12
     body = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
     margin = theta[SIDE_MARGIN] if gives_way else 0.5 * theta[SIDE_MARGIN]
+    followed = -CLOSE < gap < -long_reach
     defend = 0.0
     if meets and -4.0 < gap < 0.0:
         closing = view[_view.OPP_V] - view[_view.OWN_V]
@@ -378,6 +385,8 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     w_lateral = 0.1 * _power_of_ten(theta[LATERAL])
     w_rate = 0.1 * _power_of_ten(theta[CURVATURE_RATE])
     w_proximity = _power_of_ten(theta[PROXIMITY]) / 6.0
+    # The path's speed falls with its curvature: a sharp turn aside is braking, too.
+    turns_from = min(SPIN_FROM, 1.2 * GRIP * scale * scale) if followed else SPIN_FROM
     for f in range(SPEEDS):
         driven = max(scratch[_OWN_S + f * HORIZON_STEPS + steps - 1] - s0, 0.1)
         fast = max(v, scratch[_OWN_V + f * HORIZON_STEPS + 4])
@@ -389,7 +398,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         in_time = w_rate * fast
         soon = scratch[_OWN_V + f * HORIZON_STEPS + 2]
         if meets:
-            _meet_opponent(scratch, f, d0, slope, s0, long_reach, body + margin, body, gives_way)
+            _meet_opponent(scratch, f, d0, slope, s0, long_reach, body + margin, body, gives_way, followed)
         for g in range(GOALS):
             scratch[_COST + g] = (
                 speed_cost
@@ -397,6 +406,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
                 + at_speed * scratch[spiral.MAX_KAPPA + g]
                 + in_time * scratch[spiral.KAPPA_RATE + g]
                 + STRAIN * max(soon * soon * scratch[spiral.MAX_KAPPA + g] - STRAIN_FROM, 0.0)
+                + 0.03 * REJECTED * max(soon * soon * scratch[spiral.MAX_KAPPA + g] - turns_from, 0.0)
                 + w_proximity * scratch[_PROXIMITY + g]
                 + scratch[_TROUBLE + g]
             )

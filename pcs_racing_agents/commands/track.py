@@ -6,13 +6,13 @@ from pathlib import Path
 
 import yaml
 
+from pcs_racing.calibration import calibrate
 from pcs_racing.errors import InputError
 from pcs_racing.files import write_atomically
 from pcs_racing.map_files import parse_info
 from pcs_racing.maps import list_tracks
 from pcs_racing.race_config import load_race_config
-from pcs_racing.track import Track, load_track
-from pcs_racing_agents.calibration import calibrate
+from pcs_racing.track import Calibration, Track, calibration_values, load_track
 from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command, add_preset, output_file
 
 __all__ = ["add"]
@@ -136,22 +136,22 @@ def run_generate(arguments: argparse.Namespace) -> None:
 
 
 def run_calibrate(arguments: argparse.Namespace) -> None:
-    """Scan the hazard; keep the speed range."""
+    """Scan the hazard, try the start places; keep what was found."""
     config = load_race_config(arguments.preset)
     track = load_track(arguments.track)
     report = calibrate(track, config, seed=arguments.seed)
     print(report.table())
     if arguments.write:
-        print(f"written: {_keep_speed_range(track, config.name, report.speed_range)}")
+        print(f"written: {_keep_calibration(track, config.name, report.calibration)}")
 
 
-def _keep_speed_range(track: Track, preset: str, speed_range: tuple[float, float]) -> Path:
-    """Put a speed range into the file beside the map, whose other entries stay."""
+def _keep_calibration(track: Track, preset: str, calibration: Calibration) -> Path:
+    """Put a calibration into the file beside the map, whose other entries stay."""
     if track.folder is None:
         raise InputError(f"track {track.name!r} does not come from a folder: there is nowhere to write")
     path = track.folder / f"{track.name}_track.yaml"
     info = parse_info(path, path.read_bytes()) if path.is_file() else {}
-    info["speed_range"] = {**info.get("speed_range", {}), preset: list(speed_range)}
+    info["calibration"] = {**info.get("calibration", {}), preset: calibration_values(calibration)}
     text = yaml.safe_dump(info, sort_keys=False, allow_unicode=True)
     write_atomically(path, lambda file: file.write(text.encode()))
     return path

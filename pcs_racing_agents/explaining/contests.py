@@ -17,8 +17,8 @@ from pcs_racing.archive import load_archive
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
 from pcs_racing.game_config import GameConfig
-from pcs_racing.race import Starts
 from pcs_racing.race_config import RaceConfig
+from pcs_racing.start_grid import Starts
 from pcs_racing.track import load_track
 from pcs_racing_agents.job_folders import read_job
 from pcs_racing_agents.strategies.agent import Competitor, competitor_hash

@@ -13,8 +13,8 @@ from pcs_racing.archive import PolicyArchive
 from pcs_racing.errors import InputError
 from pcs_racing.game import LEAD_SCALE, RaceGame
 from pcs_racing.planner import Policy
-from pcs_racing.race import Starts
 from pcs_racing.replay import Replay, ReplayEvent
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.approximator.network import RegretNetwork
 from pcs_racing_agents.strategies.agent import Agent, Competitor, Driver, as_competitor
 from pcs_racing_agents.strategies.blind import Blend, Schedule, Walk

@@ -17,7 +17,7 @@ import numpy as np
 
 from pcs_racing.errors import ConfigError, InputError
 from pcs_racing.game import RaceGame
-from pcs_racing.race import race_seeds
+from pcs_racing.seeds import race_seeds
 from pcs_racing_agents.approximator import GameIdentity, RegretNetwork, Rows, game_identity, join_rows, train_network
 from pcs_racing_agents.approximator.settings import TrainSettings
 from pcs_racing_agents.configuration import check_wholes, load_settings

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.game import RaceGame
-from pcs_racing.race import Starts
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.chunk_files import fingerprint
 from pcs_racing_agents.explaining.explain import is_blind
 from pcs_racing_agents.explaining.situations import Situations, summarise, write_situations

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.files import write_atomically
 from pcs_racing.game import RaceGame
-from pcs_racing.race import Starts
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.approximator.metrics import Play, TreeScore, score_trees
 from pcs_racing_agents.jobs import open_job
 from pcs_racing_agents.strategies.agent import Agent

@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from pcs_racing.characteristics import Segment, get_characteristics, measure
 from pcs_racing.errors import InputError
-from pcs_racing.race import RaceSetup, Starts, advance, race_seeds, start_lines, start_races, winners
+from pcs_racing.race import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race_config import RaceConfig
 from pcs_racing.registry import get_planner
+from pcs_racing.seeds import race_seeds
+from pcs_racing.start_grid import Starts
 from pcs_racing.track import Track, load_track
 from pcs_racing_agents.chunk_files import Arrays
 

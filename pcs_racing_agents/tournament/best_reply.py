@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame, take_games
-from pcs_racing.race import Starts
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.strategies.agent import Competitor, Driver
 from pcs_racing_agents.tournament.matches import game_between, moves_of
 

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
 from pcs_racing.planner import Policy
-from pcs_racing.race import Starts, race_seeds, start_lines
+from pcs_racing.race import start_lines
+from pcs_racing.seeds import race_seeds
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.jobs import Job, Progress
 from pcs_racing_agents.strategies.agent import Competitor, as_competitor
 from pcs_racing_agents.tournament.matches import Matches, game_between, variant_count

@@ -15,8 +15,8 @@ from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame, take_games
 from pcs_racing.game_state import GameState
 from pcs_racing.planner import Policy
-from pcs_racing.race import Starts
 from pcs_racing.race_kernel import DT
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.strategies.agent import Agent, Competitor, Decider, Driver, as_competitor
 
 __all__ = [

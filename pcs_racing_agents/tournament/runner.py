@@ -16,8 +16,8 @@ from pcs_racing.archive import PolicyArchive
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
 from pcs_racing.game_config import GameConfig
-from pcs_racing.race import Starts
-from pcs_racing.track import Track, load_track
+from pcs_racing.start_grid import Starts
+from pcs_racing.track import Track, calibration_values, load_track
 from pcs_racing_agents.chunk_files import fingerprint
 from pcs_racing_agents.jobs import Arrays, Job, Progress
 from pcs_racing_agents.strategies.agent import Competitor, competitor_hash
@@ -177,7 +177,9 @@ def _task(
 
 
 def _track_hash(track: Track) -> str:
-    return fingerprint(track.content_hash, track.speed_range)
+    return fingerprint(
+        track.content_hash, {preset: calibration_values(own) for preset, own in track.calibration.items()}
+    )
 
 
 def _play(task: _Task) -> dict[str, NDArray[Any]]:

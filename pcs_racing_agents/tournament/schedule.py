@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.errors import InputError
-from pcs_racing.race import Starts, draw_starts, race_seeds
+from pcs_racing.race import draw_starts
 from pcs_racing.race_config import RaceConfig
+from pcs_racing.seeds import race_seeds
+from pcs_racing.start_grid import Starts
 from pcs_racing.track import Track
 
 __all__ = ["Schedule", "draw_schedule"]

@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
 from pcs_racing.planner import Policy
-from pcs_racing.race import Starts
 from pcs_racing.recording import record_drive
 from pcs_racing.replay import Replay
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.strategies.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.tournament.matches import Matches, game_between, play_games
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame, take_games
 from pcs_racing.game_state import GameState
-from pcs_racing.race import Starts
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.trees.driving import drive_children
 from pcs_racing_agents.trees.far import finish
 from pcs_racing_agents.trees.paths import PolicyPaths, check_size, policy_paths

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pcs_racing.archive import PolicyArchive
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame
-from pcs_racing.race import Starts
+from pcs_racing.start_grid import Starts
 
 __all__ = ["Root", "choose_pairs", "default_seeds", "draw_root"]
 

@@ -15,8 +15,8 @@ from pcs_racing.archive import PolicyArchive
 from pcs_racing.characteristics import get_characteristics
 from pcs_racing.errors import InputError
 from pcs_racing.packing import COARSE, FINE, pack, pack_paths, pack_segments
-from pcs_racing.race import Starts
 from pcs_racing.replay import Replay, plain_parts
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.explaining.contests import Contest, Results
 from pcs_racing_agents.explaining.explain import mark_moves
 from pcs_racing_agents.explaining.pcs_picture import in_units, plane

@@ -22,11 +22,13 @@ from pcs_racing import (
     start_races,
 )
 from pcs_racing.characteristics import Segment, get_characteristics, measure
+from pcs_racing.driving import pad_parameters
 from pcs_racing.game import join_games, load_game, observation_elements, observation_table, save_game, take_games
 from pcs_racing.game_state import GameState
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
-from pcs_racing.race import pad_parameters, race_seeds, start_lines
+from pcs_racing.race import start_lines
+from pcs_racing.seeds import race_seeds
 
 STARTS = Starts(np.array([20.0, 20.0, 21.0]), np.array([0, 1, 0]))
 

@@ -24,12 +24,14 @@ from pcs_racing import (
     start_races,
 )
 from pcs_racing.compilation import compiled
+from pcs_racing.driving import pad_parameters
 from pcs_racing.frenet import SPEED
 from pcs_racing.planner import OWN_D, OWN_PSI, OWN_S
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.race import pad_parameters, race_seeds
+from pcs_racing.race import start_lines, starts_of
 from pcs_racing.race_kernel import steering_noise
 from pcs_racing.race_state import BLOCKING, ITTC, ITTC_SAMPLES, NO_CRASH, TIME, WALL_CRASH, empty_state
+from pcs_racing.seeds import race_seeds
 
 SHORT = load_race_config("paper", duration=6.0)
 NOISY = load_race_config("contest", duration=6.0)
@@ -338,13 +340,30 @@ def test_more_races_do_not_move_the_starts_of_the_first_ones(oval):
     np.testing.assert_array_equal(few.s, many.s[:4])
 
 
-def test_speed_range_comes_from_the_rules_else_from_the_circuit_else_from_a_default(oval):
+def test_the_speed_range_comes_from_the_rules_else_from_the_calibration_of_the_circuit(oval):
     planners = (LATTICE, LATTICE)
-    tarnfjord = load_track("Tarnfjord")
     assert RaceSetup(oval, PAPER, planners).speed_range == (0.8, 1.0)
-    assert RaceSetup(tarnfjord, PAPER, planners).speed_range == tarnfjord.speed_range["paper"]
     fixed = load_race_config("paper", speed_range=(0.5, 0.6))
-    assert RaceSetup(tarnfjord, fixed, planners).speed_range == (0.5, 0.6)
+    assert RaceSetup(oval, fixed, planners).speed_range == (0.5, 0.6)
+    # Rules of another name take the preset that is as noisy as they are.
+    assert RaceSetup(oval, load_race_config("paper", name="mine"), planners).speed_range == (0.8, 1.0)
+    assert RaceSetup(oval, load_race_config("contest", name="mine"), planners).speed_range == (0.9, 1.14)
+
+
+def test_games_of_training_start_from_places_that_tables_do_not_use(oval):
+    for config in (PAPER, CONTEST):
+        train, test = (set(start_lines(oval, config, 0, split=split)) for split in ("train", "test"))
+        assert train
+        assert test
+        assert not train & test
+    with pytest.raises(InputError, match="split is 'both'; it must be 'train' or 'test'"):
+        start_lines(oval, PAPER, 0, split="both")
+
+
+def test_the_start_of_one_race_is_that_of_the_batch(oval):
+    batch = draw_starts(oval, PAPER, 200, seed=3)
+    one = starts_of(oval, PAPER, [137], seed=3)
+    assert (one.s[0], one.side[0]) == (batch.s[137], batch.side[137])
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,11 @@ import numpy as np
 
 from pcs_racing.planner import VIEW, VIEW_SIZE
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.race import RaceSetup, advance, draw_starts, race_seeds, run_races, start_races
+from pcs_racing.race import RaceSetup, advance, draw_starts, run_races, start_races
 from pcs_racing.race_config import CONTEST, PAPER
 from pcs_racing.race_kernel import fill_view, steering_noise
 from pcs_racing.race_state import SUMS
+from pcs_racing.seeds import race_seeds
 from pcs_racing.track import load_track
 
 NAMES = list(VIEW)

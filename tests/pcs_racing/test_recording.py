@@ -14,10 +14,10 @@ from pcs_racing import (
     run_races,
     start_races,
 )
+from pcs_racing.driving import pad_parameters
 from pcs_racing.frenet import SPEED
 from pcs_racing.planner import OWN_PSI, OWN_S
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.race import pad_parameters
 from pcs_racing.race_kernel import PLAN_EVERY
 from pcs_racing.recording import record_drive
 

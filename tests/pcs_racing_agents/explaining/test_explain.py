@@ -8,7 +8,8 @@ import pytest
 from zoo_games import untrained
 
 from pcs_racing import InputError, make_game
-from pcs_racing.race import draw_starts, race_seeds
+from pcs_racing.race import draw_starts
+from pcs_racing.seeds import race_seeds
 from pcs_racing_agents.explaining.explain import Unit, explain_match, value_unit
 from pcs_racing_agents.explaining.pcs_picture import in_units
 from pcs_racing_agents.explaining.pictures import explanation_picture

@@ -90,7 +90,8 @@ def test_races_that_were_played_can_be_summarised(oval, game, setting, archive):
     ego, rival = build("random-moves", setting), build("never-switch", setting)
     arena = game_between(game, ego, rival)
     rng = np.random.default_rng(1)
-    from pcs_racing.race import draw_starts, race_seeds
+    from pcs_racing.race import draw_starts
+    from pcs_racing.seeds import race_seeds
 
     played = play_games(
         game,

@@ -3,7 +3,7 @@ import pytest
 
 from pcs_racing import make_game
 from pcs_racing.errors import InputError
-from pcs_racing.race import race_seeds
+from pcs_racing.seeds import race_seeds
 from pcs_racing_agents.rollouts import branch_games
 from pcs_racing_agents.rollouts.branches import outcome
 from pcs_racing_agents.strategies.agents import always, never_switch, random_moves

@@ -9,8 +9,9 @@ from zoo_games import untrained
 
 from pcs_racing import GameConfig, InputError, RaceGame, UnknownNameError, get_planner
 from pcs_racing.game import join_games, take_games
-from pcs_racing.race import draw_starts, race_seeds
+from pcs_racing.race import draw_starts
 from pcs_racing.race_config import CONTEST
+from pcs_racing.seeds import race_seeds
 from pcs_racing_agents.solvers import GameTree, solve_exact
 from pcs_racing_agents.strategies import Decider, make_setting, parse_agent
 from pcs_racing_agents.strategies.agent import competitor_hash

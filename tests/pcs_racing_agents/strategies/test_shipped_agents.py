@@ -5,7 +5,7 @@ import pytest
 
 import pcs_racing_agents
 from pcs_racing import make_game
-from pcs_racing.race import Starts
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.approximator import list_networks, load_network
 from pcs_racing_agents.tournament.matches import play_games, variant_count
 

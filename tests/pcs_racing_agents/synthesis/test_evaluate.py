@@ -62,7 +62,8 @@ def test_races_are_drawn_from_the_seed(oval, scenarios):
 def test_coordinates_are_means_over_the_pieces(scenarios, raced, oval):
     """One policy's races on the first track, driven here by hand."""
     from pcs_racing.characteristics import Segment, get_characteristics, measure
-    from pcs_racing.race import Starts, start_races
+    from pcs_racing.race import start_races
+    from pcs_racing.start_grid import Starts
 
     setup = RaceSetup(oval, SHORT, (LATTICE, LATTICE))
     state = start_races(setup, Starts(scenarios.start_s[:12], scenarios.side[:12]), scenarios.seed[:12])

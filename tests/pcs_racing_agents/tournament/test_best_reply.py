@@ -5,7 +5,7 @@ import pytest
 from zoo_games import untrained
 
 from pcs_racing import InputError, make_game
-from pcs_racing.race import Starts
+from pcs_racing.start_grid import Starts
 from pcs_racing_agents.approximator.metrics import play_profile, score_tree
 from pcs_racing_agents.strategies import make_setting
 from pcs_racing_agents.strategies.zoo import build

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, RaceGame, Starts, get_planner, make_game
-from pcs_racing.race import draw_starts, race_seeds
+from pcs_racing.race import draw_starts
 from pcs_racing.race_config import CONTEST
+from pcs_racing.seeds import race_seeds
 from pcs_racing_agents.strategies import make_setting
 from pcs_racing_agents.strategies.agents import always, never_switch, random_moves
 from pcs_racing_agents.strategies.zoo import build

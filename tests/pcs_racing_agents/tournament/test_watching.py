@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from pcs_racing import CONTEST, InputError, make_game
-from pcs_racing.race import draw_starts, race_seeds
+from pcs_racing.race import draw_starts
+from pcs_racing.seeds import race_seeds
 from pcs_racing_agents.strategies import make_setting
 from pcs_racing_agents.strategies.zoo import build
 from pcs_racing_agents.tournament.matches import play_games
