@@ -179,11 +179,12 @@ def draw_starts(track: Track, config: RaceConfig, races: int, seed: int) -> Star
 
 def race_seeds(seed: int, races: int) -> NDArray[np.uint64]:
     """Noise key of each race: a function of the root seed and the race's index alone, shape (B,)."""
-    root = _checked_seed(seed)
-    return np.array(
-        [np.random.SeedSequence(root, spawn_key=(1, i)).generate_state(1, np.uint64)[0] for i in range(races)],
-        np.uint64,
-    )
+    return np.array([race_seed(seed, i) for i in range(races)], np.uint64)
+
+
+def race_seed(seed: int, index: int) -> np.uint64:
+    """Noise key of the race of a number: ``race_seeds(seed, index + 1)[index]``, without those before it."""
+    return np.random.SeedSequence(_checked_seed(seed), spawn_key=(1, index)).generate_state(1, np.uint64)[0]
 
 
 def _checked_seed(seed: int) -> int:

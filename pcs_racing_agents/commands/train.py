@@ -71,6 +71,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Train, print what the network is worth, and write it."""
     from pcs_racing_agents.approximator.curves import write_curves, write_picture, write_tensorboard
     from pcs_racing_agents.approximator.settings import load_train_settings
+    from pcs_racing_agents.estimates import announce, training_seconds
     from pcs_racing_agents.jobs import executor_from
 
     changes = {key: getattr(arguments, key) for key in ("target", "epochs", "seed")}
@@ -88,6 +89,7 @@ def run(arguments: argparse.Namespace) -> None:
     else:
         raise InputError(f"{arguments.trees[ego.index(True)]} holds ego trees, others do not; give folders of one kind")
     _check_packages(arguments)
+    announce(training_seconds(settings), 1, most=True)  # torch learns on one core
     with hold_folder(arguments.out), executor_from(arguments) as executor:
         folder = output_folder(arguments.out)
         network, fit, table, scores = learn(executor)

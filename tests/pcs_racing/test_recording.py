@@ -19,7 +19,7 @@ from pcs_racing.planner import OWN_PSI, OWN_S
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import pad_parameters
 from pcs_racing.race_kernel import PLAN_EVERY
-from pcs_racing.recording import record_drive
+from pcs_racing.recording import LAST_INDEX, record_drive, tell_apart
 
 PAPER = load_race_config("paper", duration=6.0)
 CONTEST = load_race_config("contest", duration=6.0)
@@ -140,7 +140,27 @@ def test_a_race_that_ends_in_a_crash_ends_the_replay(oval):
     assert "fault of blind: lattice wins" in loser.outcome
 
 
-@pytest.mark.parametrize("index", [-1, 1.5, True])
+def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):
+    """Starts repeat when every line was driven from both sides; the noise is the race's own."""
+    ego, opponent = policies("lattice")
+    short = load_race_config("contest", duration=0.5)
+    period = 2 * short.start_lines
+    near, far = (
+        record_race(oval, ego, opponent, short, seed=3, index=index) for index in (1, LAST_INDEX // period * period + 1)
+    )
+    np.testing.assert_array_equal(near.cars[0], far.cars[0])
+    assert not np.array_equal(near.cars[-1], far.cars[-1])
+
+
+def test_two_cars_of_one_policy_are_told_apart(oval):
+    ego, other = policies("lattice")
+    replay = record_race(oval, ego, ego, load_race_config("paper", duration=1.0))
+    assert replay.car_names == (f"{ego.name} (car 0)", f"{ego.name} (car 1)")
+    assert any(f"{name} wins" in replay.outcome for name in replay.car_names) or "tie" in replay.outcome
+    assert tell_apart((ego.name, other.name)) == (ego.name, other.name)
+
+
+@pytest.mark.parametrize("index", [-1, 1.5, True, LAST_INDEX + 1, 10**12])
 def test_a_bad_index_is_refused(oval, index):
     with pytest.raises(InputError, match=f"index is {index}"):
         record_race(oval, *policies("lattice"), PAPER, index=index)
