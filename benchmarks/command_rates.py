@@ -33,13 +33,16 @@ def processor_seconds(work: Callable[[], object]) -> float:
 
 
 def racing() -> float:
-    """A second of a race; paces are spread evenly, and races that end early count as far as they were driven."""
+    """A second of a race, the best of five times; races that end early count as far as they were driven."""
     track = load_track("Tarnfjord")
     rivals = [parse_policy(f"lattice:pace={pace:g}") for pace in np.linspace(0.0, 1.0, 200)]
     run_races(track, rivals[:2], rivals[:2])
-    driven = []
-    spent = processor_seconds(lambda: driven.append(run_races(track, rivals, rivals[::-1], seed=1).time.sum()))
-    return spent / float(driven[0])
+    driven: list[float] = []
+    spent = [
+        processor_seconds(lambda: driven.append(float(run_races(track, rivals, rivals[::-1], seed=1).time.sum())))
+        for _ in range(5)
+    ]
+    return min(spent) / driven[0]
 
 
 def tree_segment(trees: int) -> float:

@@ -6,7 +6,7 @@
 
 Without --trees a small tree of random payoffs is solved. OpenSpiel gets the tree as extensive form text, which its C++
 plays; its CFR+ and its external-sampling MCCFR then run beside our CFR+ and our exact solver. Every strategy is judged
-by OpenSpiel's own best responses. Needs OpenSpiel: pip install "pcs-racing[games]".
+by OpenSpiel's own best responses. Needs OpenSpiel: pip install ".[games]".
 """
 
 import argparse
