@@ -2,8 +2,9 @@
 
     python benchmarks/command_rates.py
 
-measures every rate below and prints them in this order. They are processor seconds, on a shared 2-core machine (AMD
-EPYC); another machine may need half or twice as much. Compilation, up to two minutes once, is not counted.
+measures every rate below and prints them in this order. They are processor seconds, on two cores of an AMD EPYC that
+other work shared; where nothing else runs it goes faster (races in 0.6 of the time, ``benchmarks/race_speed.py`` in
+README.md). Compilation is not counted.
 """
 
 import argparse
@@ -31,17 +32,17 @@ __all__ = [
     "tree_seconds",
 ]
 
-RACING = 9.0e-5
+RACING = 1.5e-4
 """For a second of a race between two cars of the lattice planner."""
-TREE_SEGMENT = 2.9e-4
+TREE_SEGMENT = 2.6e-4
 """For a step of 8 s of a game tree, counting every joint history once (most of them need not be driven)."""
-EGO_SEGMENT = 4.7e-4
+EGO_SEGMENT = 6.3e-4
 """For a step of 8 s of an ego tree, likewise."""
-DUEL_MOVE = 1.4e-3
+DUEL_MOVE = 2.1e-3
 """For a move that PPO learns from, its evaluations included."""
-DRIVE_STEP = 1.3e-4
+DRIVE_STEP = 5.4e-5
 """For a step of driving that PPO learns from, its evaluations included."""
-ROW = 2.0e-6
+ROW = 4.3e-6
 """For a row that a network of two layers of 64 learns from, once."""
 
 AXES_MOVES = 4

@@ -143,6 +143,8 @@ def _race(arguments: argparse.Namespace) -> None:
 def _situations(arguments: argparse.Namespace) -> None:
     import numpy as np
 
+    from pcs_racing.race import default_threads
+    from pcs_racing_agents.estimates import announce, racing_seconds
     from pcs_racing_agents.explaining.contests import open_results
     from pcs_racing_agents.explaining.situations import situations_text, summarise, write_situations
     from pcs_racing_agents.jobs import show_progress
@@ -156,6 +158,7 @@ def _situations(arguments: argparse.Namespace) -> None:
             raise InputError(f"--situations is {agent!r}; it must be one of {', '.join(arguments.agents)}")
         contests = [(_planned(arguments), arguments.agents.index(agent))]
     progress, total, done = show_progress(), sum(len(contest.seeds) for contest, _ in contests), 0
+    announce(racing_seconds(total, contests[0][0].game.config.horizon), default_threads())
     seen, made = [], []
     for contest, car in contests:
         matches = play_games(

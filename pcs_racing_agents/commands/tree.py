@@ -13,6 +13,7 @@ from pcs_racing_agents.estimates import announce, cores_of, ego_seconds, tree_se
 from pcs_racing_agents.jobs import Progress, add_executor_options, executor_from, show_progress
 from pcs_racing_agents.trees import StoredTrees, build_ego_trees, build_trees
 from pcs_racing_agents.trees.ego import OPPONENTS
+from pcs_racing_agents.trees.paths import check_size
 from pcs_racing_agents.trees.roots import default_seeds
 from pcs_racing_agents.trees.tree import TreeStatistics
 
@@ -66,6 +67,7 @@ def run(arguments: argparse.Namespace) -> None:
     game = _game(arguments)
     moves = len(game.move_names)
     if arguments.ego is None:
+        check_size(moves, game.config.moves)
         seeds = default_seeds(game) if arguments.seeds is None else arguments.seeds
         seconds = tree_seconds(game.config, moves, arguments.pairs, seeds)
     else:

@@ -167,7 +167,7 @@ class _Training:
 
 
 def choose_blind(study: Study) -> None:
-    """Choose the best schedule of moves and the best policy to walk to, on training races, not on those of the tables."""
+    """Choose the best schedule of moves and the best policy to walk to, on training races."""
     from pcs_racing_agents.tournament.fitting import TrainingRaces, fit_best_fixed, fit_best_schedule
 
     config = study.config
