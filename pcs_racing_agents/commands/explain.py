@@ -175,6 +175,8 @@ def _situations(arguments: argparse.Namespace) -> None:
         progress(done, total, agent)
     arena = game_between(contests[0][0].game, contests[0][0].ego, contests[0][0].opponent)
     found = summarise(np.concatenate(seen), np.concatenate(made), arena.archive, arena.move_names, agent)
+    if arguments.results is None:
+        print(f"{contests[0][0].game.track.name}, {contests[0][0].game.config.race.name} rules, {total} races")
     print(situations_text(found))
     if arguments.out is not None:
         print(f"table: {write_situations(found, arguments.out / 'situations.csv')}")

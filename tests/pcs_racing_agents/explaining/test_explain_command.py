@@ -96,6 +96,7 @@ def test_two_agents_race_as_in_a_tournament(saved, capsys):
     assert len(contest.seeds) == 4
     assert told.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
     assert main([*arguments, "--situations", "random-moves"]) == 0
+    assert capsys.readouterr().out.startswith("Pipkin, contest rules, 4 races\n")
     assert main([*arguments, "--situations", "somebody"]) == 2
     assert "must be one of random-moves, never-switch" in capsys.readouterr().err
 
