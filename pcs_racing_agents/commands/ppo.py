@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.ppo.curves import write_picture, write_tensorboard
     from pcs_racing_agents.ppo.scores import score_table
     from pcs_racing_agents.ppo.settings import load_ppo_settings
-    from pcs_racing_agents.ppo.train import train_ppo
+    from pcs_racing_agents.ppo.train import check_checkpoint_seconds, train_ppo
 
     changes = {"steps": arguments.steps, "seeds": arguments.seeds and tuple(arguments.seeds)}
     settings = load_ppo_settings(
@@ -58,8 +58,9 @@ def run(arguments: argparse.Namespace) -> None:
     cores = cores_of(arguments)
     if cores is not None:
         cores = min(cores, len(settings.seeds)) if side_by_side else 1
-    announce(ppo_seconds(settings), cores, most=settings.patience > 0)
+    check_checkpoint_seconds(arguments.checkpoint)
     with executor_from(arguments) as executor:
+        announce(ppo_seconds(settings), cores, most=settings.patience > 0)
         trained = train_ppo(
             settings,
             arguments.out,

@@ -40,8 +40,9 @@ def run(arguments: argparse.Namespace) -> None:
     changes = {} if arguments.seed is None else {"seed": arguments.seed}
     config = load_study_config(arguments.config, **changes)
     left = stages_to_run(config, arguments.out, arguments.stage)
-    announce(sum(seconds for stage, seconds in stage_estimates(config).items() if stage in left), cores_of(arguments))
+    seconds = sum(spent for stage, spent in stage_estimates(config).items() if stage in left)
     with executor_from(arguments) as executor:
+        announce(seconds, cores_of(arguments))
         study = run_study(config, arguments.out, only=arguments.stage, executor=executor)
     for name, seconds in stage_seconds(study).items():
         print(f"{name:16} {seconds:8.1f} s")

@@ -60,8 +60,8 @@ def run(arguments: argparse.Namespace) -> None:
         f"{config.population} policies",
         flush=True,
     )
-    announce(synthesis_seconds(config), cores_of(arguments))
     with executor_from(arguments) as executor:
+        announce(synthesis_seconds(config), cores_of(arguments))
         archive = make_archive(config, arguments.out, executor=executor, told=show_news())
     print(archive)
     for axis, low, high in zip(archive.characteristics, archive.nadir, archive.ideal, strict=True):

@@ -79,8 +79,9 @@ def run(arguments: argparse.Namespace) -> None:
         seed=arguments.seed,
     )
     pairs = len(plan.competitors) * (len(plan.competitors) - 1) // 2
-    announce(racing_seconds(pairs * len(plan.tracks) * plan.races_per_pair, plan.config.duration), cores_of(arguments))
+    races = pairs * len(plan.tracks) * plan.races_per_pair
     with executor_from(arguments) as executor:
+        announce(racing_seconds(races, plan.config.duration), cores_of(arguments))
         if arguments.out is None:
             print(tournament_text(play_plan(plan, executor=executor, progress=show_progress())))
             return

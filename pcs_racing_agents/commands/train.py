@@ -89,8 +89,8 @@ def run(arguments: argparse.Namespace) -> None:
     else:
         raise InputError(f"{arguments.trees[ego.index(True)]} holds ego trees, others do not; give folders of one kind")
     _check_packages(arguments)
-    announce(training_seconds(settings), 1, most=True)  # torch learns on one core
     with hold_folder(arguments.out), executor_from(arguments) as executor:
+        announce(training_seconds(settings), 1, most=True)  # torch learns on one core
         folder = output_folder(arguments.out)
         network, fit, table, scores = learn(executor)
         network.save(folder)

@@ -73,7 +73,6 @@ def run(arguments: argparse.Namespace) -> None:
     else:
         seconds = ego_seconds(game.config, moves, arguments.ego)
     print(f"{game.track.name}, archive {game.archive.name}, preset {game.config.race.name}, {moves} moves", flush=True)
-    announce(seconds, cores_of(arguments))
     begin = time.monotonic()
     played: list[int] = []
 
@@ -82,6 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
         shown(done, total, what)
 
     with executor_from(arguments) as executor:
+        announce(seconds, cores_of(arguments))
         common: dict[str, Any] = {"seed": arguments.seed, "executor": executor, "progress": progress}
         if arguments.ego is None:
             shown: Progress = show_progress("trees")

@@ -1,13 +1,15 @@
 """Estimates are counts of work times measured rates; what is tested here is the counting, and when it is told."""
 
+import re
 from argparse import Namespace
 from dataclasses import replace
 
 import pytest
 
-from pcs_racing import load_game_config
+from pcs_racing import InputError, load_game_config
 from pcs_racing_agents import estimates
 from pcs_racing_agents.approximator.settings import TrainSettings
+from pcs_racing_agents.cli import main
 from pcs_racing_agents.estimates import announce, cores_of, duration_text, stage_estimates
 from pcs_racing_agents.ppo.settings import load_ppo_settings
 from pcs_racing_agents.rollouts import load_response_settings
@@ -98,3 +100,27 @@ def test_a_study_is_estimated_stage_by_stage():
     assert doubled["races"] == 2 * stages["races"]
     bare = stage_estimates(load_study_config("contest-second"))
     assert bare["trees"] == bare["networks"] == bare["ppo"] == 0.0
+
+
+COMMANDS = {
+    "tree --pairs 8": "pcs_racing_agents.commands.tree.build_trees",
+    "synthesize": "pcs_racing_agents.commands.synthesize.make_archive",
+    "ppo --config duel-paper": "pcs_racing_agents.ppo.train.train_ppo",
+    "study paper": "pcs_racing_agents.study.run_study",
+    "tournament --agents never-switch random-moves response --track Tarnfjord Pipkin --races 2000": (
+        "pcs_racing_agents.tournament.play_plan"
+    ),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_long_command_says_how_long_it_takes_before_it_begins(command, capsys, monkeypatch, tmp_path):
+    told = []
+
+    def begin(*_arguments, **_options):
+        told.append(capsys.readouterr().err)
+        raise InputError("begun")
+
+    monkeypatch.setattr(COMMANDS[command], begin)
+    assert main([*command.split(), "--workers", "1", "--out", str(tmp_path / "out")]) == 2
+    assert re.match(r"pcs-racing: this takes (at most )?about [\d.]+ (min|h) on 1 core ", told[0])
