@@ -1,4 +1,4 @@
-"""``pcs-racing train``: a network that tells from what a driver saw what each of its moves is worth."""
+"""``pcs-racing train``: train a network that predicts from an observation what each move is worth."""
 
 import argparse
 import csv
