@@ -5,7 +5,7 @@
 
 Plays trees of three moves (without --trees; some minutes), or takes those of a folder that "pcs-racing tree" wrote. For
 every target a network is trained several times, each time with other starting pairs held out; the figures are means
-over all trees that were held out. Needs torch: pip install "pcs-racing[learning]".
+over all trees that were held out. Needs torch: pip install ".[learning]".
 """
 
 import argparse

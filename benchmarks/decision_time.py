@@ -5,7 +5,7 @@
 
 A decision is a move from one observation: the values of all moves, and the highest. Both networks have the same
 weights, torch works in one thread and without gradients, and every figure is the best of several repeats. Needs torch:
-pip install "pcs-racing[learning]".
+pip install ".[learning]".
 """
 
 import argparse

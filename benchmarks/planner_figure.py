@@ -5,7 +5,7 @@
 
 Each thin line is one spiral at full speed, coloured by how much more it costs than the best candidate, red if it is
 rejected. The planner weighs each spiral at three lower speeds too; the bold one is driven, at the speed that its label
-says. Needs matplotlib: pip install "pcs-racing[plots]".
+says. Needs matplotlib: pip install ".[plots]".
 """
 
 import argparse
@@ -170,7 +170,7 @@ def main() -> None:
     try:
         import matplotlib
     except ImportError as error:
-        raise SystemExit('the figure needs matplotlib: pip install "pcs-racing[plots]"') from error
+        raise SystemExit('the figure needs matplotlib: pip install ".[plots]"') from error
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
     from matplotlib.cm import ScalarMappable

@@ -5,8 +5,8 @@
     python benchmarks/ppo_baselines.py --lines 0 --picture docs/images/ppo_curves.png     # the picture alone
 
 Every baseline that is shipped (or given with ``--policies``) races opponents on circuits that it learned on and on
-others: start policies x opponents x start lines x both sides, from start lines and with noise that no training saw.
-An agent that makes moves is compared with other agents in the same races, a driver with the archive's policies.
+others: start policies x opponents x start lines x both sides, with seeds that no training had. An agent that makes
+moves is compared with other agents in the same races, a driver with the archive's policies.
 """
 
 import argparse

@@ -139,7 +139,7 @@ def main() -> None:
     if find_spec("pyspiel"):
         result["openspiel"] = against_openspiel(tree)
     else:
-        print('OpenSpiel is not here: pip install "pcs-racing[games]"')
+        print('OpenSpiel is not here: pip install ".[games]"')
     print("\nexploitability after so many iterations")
     result["convergence"] = convergence(tree)
     if options.json:

@@ -3,9 +3,10 @@
     python benchmarks/zoo.py                     # measures and prints
     python benchmarks/zoo.py --write             # and writes strategies/measured.csv and docs/zoo.md
 
-Every agent that there is with its defaults races six others, on a circuit that was learned on and on one that was not,
-once with the archive "default" in the paper's race and once with the archive "contest" in the contest. All drive the
-same races. What is left in --out of an earlier call is not driven again, unless an agent has changed.
+Every agent that there is with its defaults races six others, on a circuit that some agents learned on and on one that
+none learned on (but for the driver ppo-drive, which learned on Kestrelheim), once with the archive "default" in the
+paper's race and once with the archive "contest" in the contest. All drive the same races. What is left in --out of an
+earlier call is not driven again, unless an agent has changed.
 """
 
 import argparse

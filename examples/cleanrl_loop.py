@@ -12,11 +12,15 @@ from dataclasses import dataclass, fields
 
 import gymnasium as gym
 import numpy as np
-import torch
-from torch import nn
-from torch.distributions import Normal
 
 import pcs_racing  # noqa: F401  registers the environments
+
+try:
+    import torch
+    from torch import nn
+    from torch.distributions import Normal
+except ModuleNotFoundError as error:
+    raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
 
 @dataclass(frozen=True)

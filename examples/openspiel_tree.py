@@ -6,7 +6,7 @@
 
 Without --trees a small tree of random payoffs is solved. OpenSpiel gets the tree as extensive form text, which its C++
 plays; its CFR+ and its external-sampling MCCFR then run beside our CFR+ and our exact solver. Every strategy is judged
-by OpenSpiel's own best responses. Needs OpenSpiel: pip install "pcs-racing[games]".
+by OpenSpiel's own best responses. Needs OpenSpiel: pip install ".[games]".
 """
 
 import argparse
@@ -14,11 +14,15 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pyspiel
 
 from pcs_racing_agents.solvers import GameTree, cfr, exploitability, solve_exact
 from pcs_racing_agents.solvers.openspiel import efg_game, efg_policy
 from pcs_racing_agents.trees import load_trees
+
+try:
+    import pyspiel
+except ModuleNotFoundError as error:
+    raise SystemExit(f'this example needs {error.name}: pip install ".[games]"') from None
 
 
 def main() -> None:

@@ -26,6 +26,11 @@ from pcs_racing_agents.tournament.cells import play_cell
 from pcs_racing_agents.tournament.statistics import compare
 from pcs_racing_agents.tournament.watching import record_match
 
+try:
+    import stable_baselines3  # noqa: F401  what trains
+except ModuleNotFoundError as error:
+    raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

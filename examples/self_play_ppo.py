@@ -10,10 +10,15 @@ Run with stable-baselines3 2.9.2.
 import argparse
 
 import numpy as np
-from stable_baselines3 import PPO
 
 from pcs_racing.envs.duel_vector import DuelVectorEnv
-from pcs_racing.envs.sb3 import make_sb3_vec_env
+
+try:
+    from stable_baselines3 import PPO
+
+    from pcs_racing.envs.sb3 import make_sb3_vec_env
+except ModuleNotFoundError as error:
+    raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--steps", type=int, default=10_000, help="moves to learn from, both cars' counted")

@@ -14,13 +14,16 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import torch
 from pettingzoo.utils import BaseParallelWrapper
-from torch import nn
-from torch.distributions import Categorical
 
 import pcs_racing
 
+try:
+    import torch
+    from torch import nn
+    from torch.distributions import Categorical
+except ModuleNotFoundError as error:
+    raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 try:
     from tensordict.nn import TensorDictModule
     from torchrl.envs import GymWrapper, PettingZooWrapper

@@ -13,12 +13,17 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
-from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 
 from pcs_racing.envs.duel_vector import DuelVectorEnv
-from pcs_racing.envs.sb3 import make_sb3_vec_env
+
+try:
+    from matplotlib.figure import Figure
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    from pcs_racing.envs.sb3 import make_sb3_vec_env
+except ModuleNotFoundError as error:
+    raise SystemExit(f'this example needs {error.name}: pip install ".[learning,plots]"') from None
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,10 @@ from pcs_racing.start_grid import Starts
 from pcs_racing.track import Track
 from pcs_racing.vehicle import F1TENTH, VehicleParams
 
-__all__ = ["record_drive", "record_race"]
+__all__ = ["LAST_INDEX", "record_drive", "record_race", "tell_apart"]
+
+LAST_INDEX = 2**32 - 1
+"""Largest number of a race: it is one 32-bit word of the key of the race's noise."""
 
 FRAME_EVERY = 4  # steps: 25 frames a second; the loop can be stopped after every second step
 Floats = NDArray[np.float64]
@@ -50,7 +53,8 @@ def record_race(
     config : RaceConfig
         The rules.
     seed, index : int
-        The race number ``index`` of ``run_races(..., seed=seed)``: same start, same noise, same end to the last bit.
+        The race number ``index`` (0 to :data:`LAST_INDEX`) of ``run_races(..., seed=seed)``: same start, same noise,
+        same end to the last bit. No race before it is drawn.
     vehicles : tuple of two VehicleParams
         The cars.
     candidates : bool
@@ -64,10 +68,10 @@ def record_race(
     Raises
     ------
     InputError
-        If the index or the start is impossible.
+        If the index is outside its range, or the start is impossible.
     """
-    if isinstance(index, bool) or not isinstance(index, int | np.integer) or index < 0:
-        raise InputError(f"index is {index!r}; it must be a whole number from 0")
+    if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index <= LAST_INDEX:
+        raise InputError(f"index is {index!r}; it must be a whole number from 0 to {LAST_INDEX}")
     setup = RaceSetup(track, config, (ego.planner, opponent.planner), vehicles)
     start = starts_of(track, config, [int(index)], seed)
     theta = pad_parameters([ego, opponent], setup.theta_size)[None]
@@ -97,7 +101,7 @@ def record_drive(
     theta : ndarray, shape (S, 2, P)
         Parameters of both cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end.
     names : tuple of two str
-        What the replay calls the cars.
+        What the replay calls the cars; two equal names get the number of the car (:func:`tell_apart`).
     step_ticks : int, optional
         Length of a step in ticks of 0.01 s; a multiple of 10, as plans are made. Not needed for a single step.
     candidates : bool
@@ -116,6 +120,7 @@ def record_drive(
         raise InputError(f"there are {len(start)} starts; a recording is of one race")
     if len(theta) > 1 and (step_ticks is None or step_ticks < PLAN_EVERY or step_ticks % PLAN_EVERY):
         raise InputError(f"step_ticks is {step_ticks!r}; it must be a multiple of {PLAN_EVERY} from {PLAN_EVERY}")
+    names = tell_apart(names)
     state = start_races(setup, start, np.array([noise], np.uint64))
     log = _drive(setup, state, theta, step_ticks or setup.config.ticks, candidates)
     track = setup.track
@@ -137,6 +142,12 @@ def record_drive(
         events=tuple(log.events),
         **_plans(log),
     )
+
+
+def tell_apart(names: tuple[str, str]) -> tuple[str, str]:
+    """Return what two cars are called: equal names get the number of the car, as in ``"lattice (car 0)"``."""
+    first, second = names
+    return names if first != second else (f"{first} (car 0)", f"{second} (car 1)")
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,8 @@ NEEDS = {
     "Stable-Baselines3's environments": ("import pcs_racing.envs.sb3", "learning"),
     "the command ppo": ('main(["ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo"])', "learning"),
     "training": ("from pcs_racing_agents.approximator.training import fit; fit(None, None)", "learning"),
+    "a study": ('main(["study", "quick", "--out", "study"])', "learning"),
+    "a study's archive": ('main(["study", "paper", "--out", "study"])', "synthesis"),
     "a picture of a circuit": ('main(["track", "show", "Pipkin", "--out", "out.png"])', "plots"),
     "a picture": ("from pcs_racing_agents.picture_style import picture; picture(print)()", "plots"),
     "the command synthesize": ('main(["synthesize", "--out", "archive"])', "synthesis"),
@@ -129,6 +131,38 @@ print(json.dumps(told))
 @pytest.mark.parametrize("who", NEEDS)
 def test_whoever_needs_an_extra_is_told_which(who, told):
     assert f'pip install "pcs-racing[{NEEDS[who][1]}]"' in told[who]
+
+
+# Which library an example misses first, and the extra that brings it.
+EXAMPLES = {
+    "cleanrl_loop": ("torch", "learning"),
+    "openspiel_tree": ("pyspiel", "games"),
+    "ppo_against_cfr": ("stable_baselines3", "learning"),
+    "self_play_ppo": ("stable_baselines3", "learning"),
+    "torchrl_rollout": ("torch", "learning"),
+    "train_ppo": ("matplotlib", "learning,plots"),
+}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_without_its_library_ends_in_one_line(name, tmp_path):
+    library, extra = EXAMPLES[name]
+    script = REPOSITORY / "examples" / f"{name}.py"
+    code = f"""
+import runpy
+try:
+    runpy.run_path({str(script)!r}, run_name="__main__")
+except SystemExit as end:
+    print(end.code)
+"""
+    assert without_extras(code, tmp_path) == f'this example needs {library}: pip install ".[{extra}]"\n'
+
+
+def test_examples_that_import_a_library_of_an_extra_are_all_tried():
+    hidden = set(re.search(r"set\((.*?)\.split", WITHOUT_EXTRAS, re.DOTALL).group(1).replace('"', " ").split())
+    for file in (REPOSITORY / "examples").glob("*.py"):
+        found = re.findall(r"^ *(?:from|import) (\w+)", file.read_text(encoding="utf-8"), re.MULTILINE)
+        assert bool(hidden & set(found)) == (file.stem in EXAMPLES), file.stem
 
 
 def test_nothing_was_begun_before_that(told):

@@ -1,12 +1,20 @@
 """``pcs-racing explain``: what an agent did in a race and why; or which move it makes in which situation."""
 
 import argparse
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcs_racing.errors import InputError
-from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command, add_rules, output_folder, rules
+from pcs_racing_agents.commands.options import (
+    DEFAULT_TRACK,
+    TRACK_HELP,
+    Commands,
+    add_command,
+    add_rules,
+    can_draw,
+    output_folder,
+    rules,
+)
 
 if TYPE_CHECKING:
     from pcs_racing_agents.explaining.contests import Contest
@@ -20,6 +28,7 @@ def add(commands: Commands) -> None:
         commands,
         "explain",
         "tell what an agent saw and did in a race, and why",
+        "pcs-racing explain --agents cfr-argmax never-switch",
         "pcs-racing explain out/mine 12",
         "pcs-racing explain out/mine 12 --car 1 --out out/race-12",
         "pcs-racing explain --agents random-moves lane-switcher --track Tarnfjord --seed 3 --out out/race",
@@ -30,7 +39,7 @@ def add(commands: Commands) -> None:
         "number", nargs="?", type=int, metavar="N", help="line of its results, from 0 (default: 0)", default=None
     )
     parser.add_argument("--agents", nargs=2, metavar="AGENT", help="instead of a folder: who drives car 0 and car 1")
-    parser.add_argument("--track", metavar="T", help=TRACK_HELP)
+    parser.add_argument("--track", metavar="T", help=f"with --agents: {TRACK_HELP} (default: {DEFAULT_TRACK})")
     add_rules(parser)
     parser.add_argument("--archive", default="default", help="archive that agents move in (default: default)")
     parser.add_argument(
@@ -57,9 +66,7 @@ def run(arguments: argparse.Namespace) -> None:
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse options that do not go together before anything is driven."""
     if (arguments.results is None) == (arguments.agents is None):
-        raise InputError("give a folder of results, or two agents with --agents and --track; one of the two")
-    if arguments.agents is not None and arguments.track is None:
-        raise InputError("--agents needs a circuit: --track NAME")
+        raise InputError("give a folder of results, or two agents with --agents; one of the two")
     if arguments.results is not None:
         for option in ("track", "duration", "races", "index"):
             if getattr(arguments, option) is not None:
@@ -76,7 +83,7 @@ def _planned(arguments: argparse.Namespace) -> "Contest":
 
     return planned_contest(
         arguments.agents,
-        arguments.track,
+        DEFAULT_TRACK if arguments.track is None else arguments.track,
         rules(arguments),
         archive=arguments.archive,
         races=20 if arguments.races is None else arguments.races,
@@ -126,7 +133,7 @@ def _race(arguments: argparse.Namespace) -> None:
 
         write_atomically(arguments.out / "race.txt", lambda file: file.write(f"{text}\n".encode()))
         print(f"to watch: {save_replay(explanation.replay, arguments.out / 'race.html')}")
-        if find_spec("matplotlib") is not None:
+        if can_draw("the picture of the race"):
             from pcs_racing_agents.explaining.pictures import explanation_picture
             from pcs_racing_agents.picture_style import save_picture
 
@@ -136,6 +143,8 @@ def _race(arguments: argparse.Namespace) -> None:
 def _situations(arguments: argparse.Namespace) -> None:
     import numpy as np
 
+    from pcs_racing.race import default_threads
+    from pcs_racing_agents.estimates import announce, racing_seconds
     from pcs_racing_agents.explaining.contests import open_results
     from pcs_racing_agents.explaining.situations import situations_text, summarise, write_situations
     from pcs_racing_agents.jobs import show_progress
@@ -149,6 +158,7 @@ def _situations(arguments: argparse.Namespace) -> None:
             raise InputError(f"--situations is {agent!r}; it must be one of {', '.join(arguments.agents)}")
         contests = [(_planned(arguments), arguments.agents.index(agent))]
     progress, total, done = show_progress(), sum(len(contest.seeds) for contest, _ in contests), 0
+    announce(racing_seconds(total, contests[0][0].game.config.horizon), default_threads())
     seen, made = [], []
     for contest, car in contests:
         matches = play_games(
@@ -165,10 +175,12 @@ def _situations(arguments: argparse.Namespace) -> None:
         progress(done, total, agent)
     arena = game_between(contests[0][0].game, contests[0][0].ego, contests[0][0].opponent)
     found = summarise(np.concatenate(seen), np.concatenate(made), arena.archive, arena.move_names, agent)
+    if arguments.results is None:
+        print(f"{contests[0][0].game.track.name}, {contests[0][0].game.config.race.name} rules, {total} races")
     print(situations_text(found))
     if arguments.out is not None:
         print(f"table: {write_situations(found, arguments.out / 'situations.csv')}")
-        if find_spec("matplotlib") is not None:
+        if can_draw("the picture of the situations"):
             from pcs_racing_agents.explaining.situations import situations_picture
             from pcs_racing_agents.picture_style import save_picture
 

@@ -1,6 +1,8 @@
 """What several commands share: the options that describe a race, and checks of where they may write."""
 
 import argparse
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -8,17 +10,22 @@ from pcs_racing.errors import InputError
 from pcs_racing.race_config import PRESETS, RaceConfig, load_race_config
 
 __all__ = [
+    "DEFAULT_TRACK",
     "POLICY_HELP",
     "TRACK_HELP",
     "Commands",
     "add_command",
     "add_preset",
     "add_rules",
+    "add_track",
+    "can_draw",
     "output_file",
     "output_folder",
     "rules",
 ]
 
+DEFAULT_TRACK = "Tarnfjord"
+"""The circuit of a command that is told none, as of the environments."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
 POLICY_HELP = "planner, planner:variant or planner:parameter=value,... (see 'pcs-racing policies')"
 
@@ -42,6 +49,11 @@ def add_command(commands: Commands, name: str, summary: str, *examples: str) -> 
     )
 
 
+def add_track(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names one circuit."""
+    parser.add_argument("--track", default=DEFAULT_TRACK, metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})")
+
+
 def add_preset(parser: argparse.ArgumentParser) -> None:
     """Add the option that names the rules."""
     presets = ", ".join(PRESETS)
@@ -50,17 +62,27 @@ def add_preset(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_rules(parser: argparse.ArgumentParser) -> None:
-    """Add the options that :func:`rules` reads, and the seed."""
+def add_rules(parser: argparse.ArgumentParser, seed: int = 0) -> None:
+    """Add the options that :func:`rules` reads, and the seed with its default."""
     add_preset(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="length of a race in s (default: the preset's, 40)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="root of starts and noise (default: 0)")
+    parser.add_argument(
+        "--seed", type=int, default=seed, metavar="N", help=f"root of starts and noise (default: {seed})"
+    )
 
 
 def rules(arguments: argparse.Namespace) -> RaceConfig:
     """Return the race configuration that the options ask for."""
     changes = {} if arguments.duration is None else {"duration": arguments.duration}
     return load_race_config(arguments.preset, **changes)
+
+
+def can_draw(what: str) -> bool:
+    """Whether pictures can be drawn; if they can't, say on stderr that one is left out, and what draws it."""
+    if find_spec("matplotlib") is not None:
+        return True
+    print(f'pcs-racing: {what} is not drawn: pip install "pcs-racing[plots]" draws it', file=sys.stderr)
+    return False
 
 
 def output_file(path: Path, *endings: str) -> Path:

@@ -38,11 +38,12 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Train, and print what the policy is worth."""
+    from pcs_racing_agents.estimates import announce, cores_of, ppo_seconds
     from pcs_racing_agents.jobs import executor_from, show_progress
     from pcs_racing_agents.ppo.curves import write_picture, write_tensorboard
     from pcs_racing_agents.ppo.scores import score_table
     from pcs_racing_agents.ppo.settings import load_ppo_settings
-    from pcs_racing_agents.ppo.train import train_ppo
+    from pcs_racing_agents.ppo.train import check_checkpoint_seconds, train_ppo
 
     changes = {"steps": arguments.steps, "seeds": arguments.seeds and tuple(arguments.seeds)}
     settings = load_ppo_settings(
@@ -52,7 +53,14 @@ def run(arguments: argparse.Namespace) -> None:
         if needed and find_spec(package) is None:
             extra = "plots" if package == "matplotlib" else "learning"
             raise ModuleNotFoundError(f'the curves need {package}: pip install "pcs-racing[{extra}]"')
+    # torch learns on one core of a process, so only other processes learn from several seeds side by side.
+    side_by_side = arguments.executor in ("processes", "dask")
+    cores = cores_of(arguments)
+    if cores is not None:
+        cores = min(cores, len(settings.seeds)) if side_by_side else 1
+    check_checkpoint_seconds(arguments.checkpoint)
     with executor_from(arguments) as executor:
+        announce(ppo_seconds(settings), cores, most=settings.patience > 0)
         trained = train_ppo(
             settings,
             arguments.out,

@@ -32,13 +32,17 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run a study and say where its results are."""
+    from pcs_racing_agents.estimates import announce, cores_of, stage_estimates
     from pcs_racing_agents.jobs import executor_from
     from pcs_racing_agents.study import load_study_config, run_study
-    from pcs_racing_agents.study.run import stage_seconds
+    from pcs_racing_agents.study.run import stage_seconds, stages_to_run
 
     changes = {} if arguments.seed is None else {"seed": arguments.seed}
     config = load_study_config(arguments.config, **changes)
+    left = stages_to_run(config, arguments.out, arguments.stage)
+    seconds = sum(spent for stage, spent in stage_estimates(config).items() if stage in left)
     with executor_from(arguments) as executor:
+        announce(seconds, cores_of(arguments))
         study = run_study(config, arguments.out, only=arguments.stage, executor=executor)
     for name, seconds in stage_seconds(study).items():
         print(f"{name:16} {seconds:8.1f} s")

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from pcs_racing.mapping.optional import require
 from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command
+from pcs_racing_agents.estimates import announce, cores_of, synthesis_seconds
 from pcs_racing_agents.jobs import add_executor_options, executor_from, show_line
 from pcs_racing_agents.synthesis.archive_run import News, Told, make_archive
-from pcs_racing_agents.synthesis.config import list_archive_configs, load_archive_config
+from pcs_racing_agents.synthesis.config import SHIPPED_TRACKS, list_archive_configs, load_archive_config
 
 __all__ = ["add", "show_news"]
 
@@ -22,15 +23,21 @@ def add(commands: Commands) -> None:
         commands,
         "synthesize",
         "search an archive of policies on some circuits",
+        "pcs-racing synthesize --out out/archive",
         "pcs-racing synthesize --track Tarnfjord Pipkin --generations 30 --population 24 --out out/mine",
         "pcs-racing synthesize --config default --out out/default",
     )
     shipped = ", ".join(list_archive_configs())
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the archive, new or begun")
     parser.add_argument("--config", metavar="C", help=f"settings: {shipped} or a YAML file; what follows changes them")
-    parser.add_argument("--track", nargs="+", metavar="T", help=f"{TRACK_HELP}; every policy races on all of them")
+    parser.add_argument(
+        "--track",
+        nargs="+",
+        metavar="T",
+        help=f"{TRACK_HELP}; every policy races on all of them (default: {', '.join(SHIPPED_TRACKS)})",
+    )
     parser.add_argument("--preset", help="rules of the race: paper, contest or a YAML file")
-    parser.add_argument("--generations", type=int, metavar="N")
+    parser.add_argument("--generations", type=int, metavar="N", help="how often new policies are proposed")
     parser.add_argument("--population", type=int, metavar="N", help="policies of a generation")
     parser.add_argument("--method", help="mo-cma-es (the paper's), nsga2, comocma, cma-mae or random")
     parser.add_argument("--seed", type=int, metavar="N", help="root of everything that is drawn")
@@ -48,7 +55,13 @@ def run(arguments: argparse.Namespace) -> None:
         changes.setdefault("name", arguments.out.resolve().name)
     config = load_archive_config(arguments.config, **changes)
     require("moocore", *(("cma",) if config.method == "mo-cma-es" else ()), extra="synthesis")  # before hours of work
+    print(
+        f"{config.name}: {', '.join(config.tracks)}, preset {config.preset}, {config.generations} generations of "
+        f"{config.population} policies",
+        flush=True,
+    )
     with executor_from(arguments) as executor:
+        announce(synthesis_seconds(config), cores_of(arguments))
         archive = make_archive(config, arguments.out, executor=executor, told=show_news())
     print(archive)
     for axis, low, high in zip(archive.characteristics, archive.nadir, archive.ideal, strict=True):

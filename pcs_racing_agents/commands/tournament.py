@@ -1,12 +1,20 @@
 """``pcs-racing tournament``: all against all, as a table, a payoff matrix and a results file."""
 
 import argparse
-from importlib.util import find_spec
 from pathlib import Path
 
 from pcs_racing.registry import parse_policy
 from pcs_racing.track import load_track
-from pcs_racing_agents.commands.options import POLICY_HELP, TRACK_HELP, Commands, add_command, add_rules, rules
+from pcs_racing_agents.commands.options import (
+    DEFAULT_TRACK,
+    POLICY_HELP,
+    TRACK_HELP,
+    Commands,
+    add_command,
+    add_rules,
+    can_draw,
+    rules,
+)
 from pcs_racing_agents.jobs import add_executor_options, executor_from, open_job, show_progress
 
 __all__ = ["add"]
@@ -18,10 +26,13 @@ def add(commands: Commands) -> None:
         commands,
         "tournament",
         "play every pair of agents, drivers and policies against each other",
+        "pcs-racing tournament --agents cfr-argmax never-switch",
         "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher --races 40",
         "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --preset contest --out out/mine",
     )
-    parser.add_argument("--track", required=True, nargs="+", metavar="T", help=TRACK_HELP)
+    parser.add_argument(
+        "--track", default=[DEFAULT_TRACK], nargs="+", metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})"
+    )
     parser.add_argument(
         "--agents",
         nargs="+",
@@ -49,6 +60,7 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Play, print the table, write the results."""
+    from pcs_racing_agents.estimates import announce, cores_of, racing_seconds
     from pcs_racing_agents.tournament import (
         payoff_picture,
         plan_tournament,
@@ -66,7 +78,10 @@ def run(arguments: argparse.Namespace) -> None:
         races_per_pair=arguments.races,
         seed=arguments.seed,
     )
+    pairs = len(plan.competitors) * (len(plan.competitors) - 1) // 2
+    races = pairs * len(plan.tracks) * plan.races_per_pair
     with executor_from(arguments) as executor:
+        announce(racing_seconds(races, plan.config.duration), cores_of(arguments))
         if arguments.out is None:
             print(tournament_text(play_plan(plan, executor=executor, progress=show_progress())))
             return
@@ -74,5 +89,5 @@ def run(arguments: argparse.Namespace) -> None:
             tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
             print(tournament_text(tournament))
             print(f"results: {write_results(tournament, arguments.out / 'results.csv')}")
-            if find_spec("matplotlib") is not None:
+            if can_draw("the payoff matrix"):
                 print(f"picture: {payoff_picture(tournament, arguments.out / 'payoffs.png')}")

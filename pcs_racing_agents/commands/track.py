@@ -1,7 +1,6 @@
 """``pcs-racing track``: list, show, import, generate and calibrate circuits."""
 
 import argparse
-from importlib.util import find_spec
 from pathlib import Path
 
 import yaml
@@ -13,7 +12,15 @@ from pcs_racing.map_files import parse_info
 from pcs_racing.maps import list_tracks
 from pcs_racing.race_config import load_race_config
 from pcs_racing.track import Calibration, Track, calibration_values, load_track
-from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command, add_preset, output_file
+from pcs_racing_agents.commands.options import (
+    DEFAULT_TRACK,
+    TRACK_HELP,
+    Commands,
+    add_command,
+    add_preset,
+    can_draw,
+    output_file,
+)
 
 __all__ = ["add"]
 
@@ -34,7 +41,7 @@ def add(commands: Commands) -> None:
     parser = add_command(
         tracks, "show", "say what a circuit is like, and draw it", "pcs-racing track show Tarnfjord --out tarnfjord.png"
     )
-    parser.add_argument("track", help=TRACK_HELP)
+    parser.add_argument("track", nargs="?", default=DEFAULT_TRACK, help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})")
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="picture to write (.png, .svg or .pdf; needs matplotlib)"
     )
@@ -80,7 +87,7 @@ def add(commands: Commands) -> None:
         "find the speeds at which driving on a circuit becomes a risk",
         "pcs-racing track calibrate maps/Sevenhills --preset contest --write",
     )
-    parser.add_argument("track", help=TRACK_HELP)
+    parser.add_argument("track", nargs="?", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK}, unless --write is given)")
     add_preset(parser)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="root of the noise (default: 0)")
     parser.add_argument("--write", action="store_true", help="keep the speed range in the circuit's NAME_track.yaml")
@@ -115,7 +122,7 @@ def run_import(arguments: argparse.Namespace) -> None:
         seed_point=arguments.seed_point,
         direction=arguments.direction,
         name=arguments.name,
-        picture=_can_draw(),
+        picture=can_draw("the picture of the circuit"),
     )
     _tell(track, arguments.out)
 
@@ -130,7 +137,7 @@ def run_generate(arguments: argparse.Namespace) -> None:
         arguments.style,
         name=arguments.name,
         width=arguments.width,
-        picture=_can_draw(),
+        picture=can_draw("the picture of the circuit"),
     )
     _tell(track, arguments.out)
 
@@ -138,7 +145,9 @@ def run_generate(arguments: argparse.Namespace) -> None:
 def run_calibrate(arguments: argparse.Namespace) -> None:
     """Scan the hazard, try the start places; keep what was found."""
     config = load_race_config(arguments.preset)
-    track = load_track(arguments.track)
+    if arguments.write and arguments.track is None:
+        raise InputError("--write changes a map folder: say which, as in 'pcs-racing track calibrate FOLDER --write'")
+    track = load_track(DEFAULT_TRACK if arguments.track is None else arguments.track)
     report = calibrate(track, config, seed=arguments.seed)
     print(report.table())
     if arguments.write:
@@ -165,11 +174,5 @@ def _direction(text: str) -> str | float:
         return text
 
 
-def _can_draw() -> bool:
-    return find_spec("matplotlib") is not None
-
-
 def _tell(track: Track, folder: Path) -> None:
     print(f"{track.summary()}\nwritten: {folder}")
-    if not _can_draw():
-        print('without a picture: pip install "pcs-racing[plots]" draws one')

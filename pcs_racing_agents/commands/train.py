@@ -1,4 +1,4 @@
-"""``pcs-racing train``: a network that tells from what a driver saw what each of its moves is worth."""
+"""``pcs-racing train``: train a network that predicts from an observation what each move is worth."""
 
 import argparse
 import csv
@@ -71,6 +71,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Train, print what the network is worth, and write it."""
     from pcs_racing_agents.approximator.curves import write_curves, write_picture, write_tensorboard
     from pcs_racing_agents.approximator.settings import load_train_settings
+    from pcs_racing_agents.estimates import announce, training_seconds
     from pcs_racing_agents.jobs import executor_from
 
     changes = {key: getattr(arguments, key) for key in ("target", "epochs", "seed")}
@@ -89,6 +90,7 @@ def run(arguments: argparse.Namespace) -> None:
         raise InputError(f"{arguments.trees[ego.index(True)]} holds ego trees, others do not; give folders of one kind")
     _check_packages(arguments)
     with hold_folder(arguments.out), executor_from(arguments) as executor:
+        announce(training_seconds(settings), 1, most=True)  # torch learns on one core
         folder = output_folder(arguments.out)
         network, fit, table, scores = learn(executor)
         network.save(folder)

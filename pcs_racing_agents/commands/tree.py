@@ -8,10 +8,13 @@ from typing import Any
 from pcs_racing.errors import InputError
 from pcs_racing.game import RaceGame, make_game
 from pcs_racing.game_config import UTILITIES
-from pcs_racing_agents.commands.options import TRACK_HELP, Commands, add_command, add_preset
+from pcs_racing_agents.commands.options import Commands, add_command, add_preset, add_track
+from pcs_racing_agents.estimates import announce, cores_of, ego_seconds, tree_seconds
 from pcs_racing_agents.jobs import Progress, add_executor_options, executor_from, show_progress
 from pcs_racing_agents.trees import StoredTrees, build_ego_trees, build_trees
 from pcs_racing_agents.trees.ego import OPPONENTS
+from pcs_racing_agents.trees.paths import check_size
+from pcs_racing_agents.trees.roots import default_seeds
 from pcs_racing_agents.trees.tree import TreeStatistics
 
 __all__ = ["add", "tree_table"]
@@ -23,12 +26,15 @@ def add(commands: Commands) -> None:
         commands,
         "tree",
         "play game trees: every move of both players, for pairs of starting policies",
+        "pcs-racing tree --pairs 8 --out out/trees",
         "pcs-racing tree --archive default --track Tarnfjord --pairs 20 --out out/trees",
         "pcs-racing tree --archive default --track Tarnfjord --preset contest --pairs 10 --seeds 4 --out out/contest",
         "pcs-racing tree --archive default --track Tarnfjord --ego 640 --out out/ego",
     )
-    parser.add_argument("--archive", required=True, help="name of a shipped archive, or its folder")
-    parser.add_argument("--track", required=True, help=TRACK_HELP)
+    parser.add_argument(
+        "--archive", default="default", help="name of a shipped archive, or its folder (default: default)"
+    )
+    add_track(parser)
     add_preset(parser)
     parser.add_argument("--moves", type=int, metavar="M", help="moves of each player (default: 4)")
     parser.add_argument("--step", type=float, metavar="S", help="driving per move in s (default: 8)")
@@ -59,6 +65,14 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Play, and say what it took."""
     game = _game(arguments)
+    moves = len(game.move_names)
+    if arguments.ego is None:
+        check_size(moves, game.config.moves)
+        seeds = default_seeds(game) if arguments.seeds is None else arguments.seeds
+        seconds = tree_seconds(game.config, moves, arguments.pairs, seeds)
+    else:
+        seconds = ego_seconds(game.config, moves, arguments.ego)
+    print(f"{game.track.name}, archive {game.archive.name}, preset {game.config.race.name}, {moves} moves", flush=True)
     begin = time.monotonic()
     played: list[int] = []
 
@@ -67,6 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
         shown(done, total, what)
 
     with executor_from(arguments) as executor:
+        announce(seconds, cores_of(arguments))
         common: dict[str, Any] = {"seed": arguments.seed, "executor": executor, "progress": progress}
         if arguments.ego is None:
             shown: Progress = show_progress("trees")
@@ -81,8 +96,8 @@ def run(arguments: argparse.Namespace) -> None:
             count, unit = len(ego), "ego trees"
             print(f"{int(ego.driven.sum())} segments driven, {ego.driven.mean():.1f} for each root")
     new = (played[-1] - played[0]) / played[-1] * count
-    seconds = time.monotonic() - begin
-    took = f"{seconds:.1f} s, {seconds / new:.3g} s each" if new > 0.0 else "all of them were there already"
+    spent = time.monotonic() - begin
+    took = f"{spent:.1f} s, {spent / new:.3g} s each" if new > 0.0 else "all of them were there already"
     print(f"{count} {unit} in {arguments.out}: {took}")
 
 

@@ -29,7 +29,7 @@ from pcs_racing_agents.ppo.seed_run import Record, Trainer
 from pcs_racing_agents.ppo.settings import DuelSettings, Settings, load_ppo_settings
 from pcs_racing_agents.tasks import in_other_processes
 
-__all__ = ["Trained", "train_ppo"]
+__all__ = ["Trained", "check_checkpoint_seconds", "train_ppo"]
 
 CHECKPOINT_SECONDS = 20.0
 
@@ -124,8 +124,7 @@ def train_ppo(
         If Stable-Baselines3 is not installed.
     """
     settings = load_ppo_settings(config, **changes)
-    if not checkpoint_seconds >= 0.0:
-        raise InputError(f"the time between two checkpoints is {checkpoint_seconds!r} s; it must be 0 or more")
+    check_checkpoint_seconds(checkpoint_seconds)
     if isinstance(settings, DuelSettings):  # what is written of them is what they were
         if policies is not None:
             settings = replace(settings, archive=policies.name)
@@ -170,6 +169,18 @@ def train_ppo(
         level.save(run.best, trained.folder, name or level.default_name, _about(trained))
         write_curve(curves, trained.folder / "curve.csv")
     return trained
+
+
+def check_checkpoint_seconds(seconds: float) -> None:
+    """Refuse a time between two checkpoints that is none.
+
+    Raises
+    ------
+    InputError
+        If it is below 0 or not a number.
+    """
+    if not seconds >= 0.0:
+        raise InputError(f"the time between two checkpoints is {seconds!r} s; it must be 0 or more")
 
 
 # What is told of it

@@ -38,8 +38,9 @@ the same of one of them.
 
 `python benchmarks/zoo.py --write` measures all that race with their defaults:
 
-- **score**: races won, a tie counting half, mean over six opponents (not over itself), {field}, on two circuits, one
-  that somebody learned on and one that nobody did. All drive the same races. With {races:.0f} races a score has a
+- **score**: races won, a tie counting half, mean over six opponents (not over itself), {field}, on two circuits,
+  which are named below. In either race some agents learned on the first of them and none on the second; the driver
+  `ppo-drive` learned on Tarnfjord and Kestrelheim. All drive the same races. With {races:.0f} races a score has a
   standard error of at least {error:.3f};
 - **rating**: Bradley-Terry with ties over the same races, 400 are odds of ten to one, mean 0, with its 95 % interval.
   It leaves out crashes that pay nobody, as all do in the paper's race: who wins or crashes has a high one, so read

@@ -172,8 +172,9 @@ ZOO: dict[str, Entry] = {
         moves=False,
     ),
     "lane-switcher": _driver(
-        "race line or overtaking lane; 20 variants, none of them seen in training",
-        "after the winner of the F1TENTH race at ICRA 2022: the paper's unseen agent",
+        "race line or overtaking lane; 20 variants. In the paper's race `response`, and with it `adaptive`, learned "
+        "against all of them; in either race `ppo` learned against four (1, 6, 11, 16)",
+        "after the winner of the F1TENTH race at ICRA 2022, which is the unseen opponent in the paper",
     ),
     "ppo-drive": Entry(
         drivers.trained_driver,

@@ -15,7 +15,10 @@ from pcs_racing_agents.ppo.settings import load_ppo_settings
 from pcs_racing_agents.rollouts.learner import load_response_settings
 from pcs_racing_agents.synthesis.config import load_archive_config
 
-__all__ = ["StudyConfig", "load_study_config"]
+__all__ = ["BEST_BLIND", "StudyConfig", "load_study_config"]
+
+BEST_BLIND = ("best-fixed", "best-schedule")
+"""Agents that never look at the race, found on training races: the best policy to walk to, the best plan of moves."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,8 @@ class StudyConfig:
     opponents : tuple of str
         Opponents of the table.
     arms : tuple of str
-        Agents of the table; the first is what the others are compared with.
+        Agents of the table; the first is what the others are compared with. With both of :data:`BEST_BLIND` among them
+        the table has the adaptivity gain; one without the other is refused.
     best : str
         Our best agent among them.
     egos, variants, lines : int
@@ -104,7 +108,7 @@ class StudyConfig:
     fitting_opponents: tuple[str, ...] = ("never-switch",)
     tracks: tuple[str, ...] = ("Tarnfjord",)
     opponents: tuple[str, ...] = ("never-switch", "random-policy", "lane-switcher")
-    arms: tuple[str, ...] = ("never-switch", "best-fixed", "cfr-argmax")
+    arms: tuple[str, ...] = ("never-switch", "best-fixed", "best-schedule", "cfr-argmax")
     best: str = "cfr-argmax"
     egos: int = 20
     variants: int = 20
@@ -139,6 +143,13 @@ class StudyConfig:
             )
         if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
             raise ConfigError(f"ppo is {self.ppo!r}; these are no settings of level duel")
+        missing = [name for name in BEST_BLIND if name not in self.arms]
+        if len(missing) == 1:
+            there = next(name for name in BEST_BLIND if name in self.arms)
+            raise ConfigError(
+                f"arms hold {there!r} but not {missing[0]!r}; name both or neither: the adaptivity gain is over the "
+                "one that won more training races"
+            )
         if self.best not in self.arms:
             raise ConfigError(f"best is {self.best!r}; it must be one of the arms, {', '.join(self.arms)}")
         check_wholes(

@@ -36,7 +36,9 @@ __all__ = [
     "train_ppo_baseline",
 ]
 
-TREE_SEED = 1_000_000  # added to the study's seed: other starts than those of any race of the table
+# Added to the study's seed: other start policies and other noise than in the races of the tables. Which start places
+# training and tables may draw from is decided in pcs_racing.race.start_lines.
+TREE_SEED = 1_000_000
 FITTING_SEED = 2_000_000
 RESPONSE_SEED = 3_000_000
 PPO_SEEDS = 2**31  # torch takes no larger ones
@@ -165,7 +167,7 @@ class _Training:
 
 
 def choose_blind(study: Study) -> None:
-    """Choose the best schedule of moves and the best policy to walk to, on races of their own."""
+    """Choose the best schedule of moves and the best policy to walk to, on training races."""
     from pcs_racing_agents.tournament.fitting import TrainingRaces, fit_best_fixed, fit_best_schedule
 
     config = study.config

@@ -12,10 +12,9 @@ from pcs_racing.files import write_atomically
 from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.csv_files import read_csv
 from pcs_racing_agents.ppo.curves import read_curve
-from pcs_racing_agents.strategies.agent import Agent
-from pcs_racing_agents.strategies.blind import Blend, Schedule, Walk
 from pcs_racing_agents.strategies.fits import load_fit
 from pcs_racing_agents.study.cell_races import cell_races
+from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.highlights import KINDS, TellingRace, telling_races, watch_race
 from pcs_racing_agents.study.moves_made import moves_in_situations
 from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
@@ -58,24 +57,15 @@ def study_table(study: Study, played: Sequence[StudyCell], name: str) -> StudyTa
 
 
 def best_blind(study: Study) -> str | None:
-    """Return the arm that never looks at the race and did best on training races; constant moves count as plans.
+    """Return the arm that never looks at the race and won most on training races; None without such arms.
 
-    The plan that was found best is at least as good on those races as any constant move, since the search begins with
-    the best of them.
+    It is the better of the best policy to walk to and the best plan of moves. Constant moves count as plans: the plan
+    that was found is at least as good on those races as any of them, since the search begins with the best of them.
     """
-    reached = {}
-    for name in ("best-fixed", "best-schedule"):
-        file = study.folder / "blind" / f"{name}.yaml"
-        if name in study.config.arms and file.is_file():
-            reached[name] = float(load_fit(file).training["reached"])
-    if reached:
-        return max(reached, key=lambda name: (reached[name], name))
-    blind = (name for name in study.config.arms[1:] if _is_blind(study.agent(name)))
-    return next(blind, None)
-
-
-def _is_blind(agent: object) -> bool:
-    return isinstance(agent, Agent) and isinstance(agent.strategy, Blend | Schedule | Walk)
+    if not set(BEST_BLIND) <= set(study.config.arms):
+        return None
+    fits = {name: load_fit(study.folder / "blind" / f"{name}.yaml") for name in BEST_BLIND}
+    return max(BEST_BLIND, key=lambda name: float(fits[name].training["reached"]))  # of equals the first
 
 
 def _content(study: Study, played: Sequence[StudyCell], main: StudyTable) -> ReportContent:

@@ -19,6 +19,7 @@ from pcs_racing.archive import PolicyArchive, load_archive
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.files import write_atomically
 from pcs_racing.game import RaceGame, make_game
+from pcs_racing.mapping.optional import require
 from pcs_racing.reading import parse_yaml
 from pcs_racing.track import Track, load_track
 from pcs_racing_agents.configuration import plain_settings
@@ -29,9 +30,10 @@ from pcs_racing_agents.strategies.agent import Agent, Competitor
 from pcs_racing_agents.strategies.setting import Setting, make_setting
 from pcs_racing_agents.strategies.zoo import build
 from pcs_racing_agents.study.clock import seconds_counted
-from pcs_racing_agents.study.config import StudyConfig
+from pcs_racing_agents.study.config import BEST_BLIND, StudyConfig
+from pcs_racing_agents.synthesis.config import load_archive_config
 
-__all__ = ["STAGES", "Stage", "Study", "run_study", "stage_seconds"]
+__all__ = ["STAGES", "Stage", "Study", "run_study", "stage_seconds", "stages_to_run"]
 
 DONE = "done.yaml"
 NETWORK_AGENTS = {
@@ -44,7 +46,6 @@ NETWORK_AGENTS = {
     "ppo": "ppo",
 }
 """What the networks of the zoo's agents are trained to say."""
-FITTED_AGENTS = ("best-schedule", "best-fixed")
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ class Study:
             options = {"network": self.network(self.config.responses[0]), "blind": self.agent("best-fixed")}
         elif kind is not None and self.network(kind).is_dir():
             options = {"network": self.network(kind)}
-        elif name in FITTED_AGENTS:
+        elif name in BEST_BLIND:
             options = {"fit": self.folder / "blind" / f"{name}.yaml"}
         return build(name, self.setting, seed=seed, **options)
 
@@ -196,21 +197,51 @@ def run_study(
         If there is no such stage.
     InputError
         If the folder holds something else, or a stage needs what an earlier one has not left yet.
+    ModuleNotFoundError
+        If a library is missing that one of the stages needs; nothing is begun then.
+    """
+    left = stages_to_run(config, folder, only)
+    study = Study(config, Path(folder), executor, quiet)
+    for name in config.every_track:
+        study.track(name)  # an unknown circuit is an error now, not in an hour
+    with claim_folder(study.folder, "study", plain_settings(config)):
+        for stage in _stages():
+            if stage.name in left:
+                _run_stage(study, stage)
+    return study
+
+
+def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] | None = None) -> list[str]:
+    """Return the stages that are still to be run, in order, after checking that what they need is installed.
+
+    Parameters
+    ----------
+    config, folder, only
+        As for :func:`run_study`.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such stage.
+    ModuleNotFoundError
+        If a library is missing that one of them needs; the message says how to install it.
     """
     chosen = list(STAGES if only is None else only)
     for name in chosen:
         if name not in STAGES:
             raise UnknownNameError(f"stage {name!r} is unknown; a study has {', '.join(STAGES)}")
-    study = Study(config, Path(folder), executor, quiet)
-    for name in config.every_track:
-        study.track(name)  # an unknown circuit is an error now, not in an hour
-    if config.ppo is not None and "ppo" in chosen and not (study.folder / "ppo" / DONE).is_file():
-        check_packages()  # likewise
-    with claim_folder(study.folder, "study", plain_settings(config)):
-        for stage in _stages():
-            if stage.name in chosen:
-                _run_stage(study, stage)
-    return study
+    # The report costs seconds and shows what is there: it is always written anew.
+    left = [
+        name for name in STAGES if name in chosen and (name == "report" or not (Path(folder) / name / DONE).is_file())
+    ]
+    if "archive" in left and config.synthesis is not None:
+        method = load_archive_config(config.synthesis).method
+        require("moocore", *(("cma",) if method == "mo-cma-es" else ()), extra="synthesis")
+    if ("networks" in left and config.pairs > 0) or ("responses" in left and config.responses):
+        require("torch", extra="learning")
+    if "ppo" in left and config.ppo is not None:
+        check_packages()
+    return left
 
 
 def stage_seconds(study: Study) -> dict[str, float]:
@@ -237,9 +268,6 @@ def _run_stage(study: Study, stage: Stage) -> None:
         if not (study.folder / earlier / DONE).is_file():
             raise InputError(f"stage {stage.name!r} needs stage {earlier!r}, which is not done in {study.folder}")
     file = folder / DONE
-    # The report costs seconds and shows what is there: it is always written anew.
-    if file.is_file() and stage.name != "report":
-        return
     if not study.quiet:
         print(f"{stage.name}: {stage.does}", flush=True)
     folder.mkdir(exist_ok=True)

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ from pcs_racing.frenet import SPEED
 from pcs_racing.planner import OWN_PSI, OWN_S
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race_kernel import PLAN_EVERY
-from pcs_racing.recording import record_drive
+from pcs_racing.recording import LAST_INDEX, record_drive, tell_apart
 
 PAPER = load_race_config("paper", duration=6.0)
 CONTEST = load_race_config("contest", duration=6.0)
@@ -87,7 +89,7 @@ def test_what_a_replay_holds(oval):
     assert replay.duration == pytest.approx(PAPER.duration)
     assert replay.paths.shape[:2] == (plans, 2)
     assert len(replay.candidates) == plans
-    assert replay.car_names == (ego.name, opponent.name)
+    assert replay.car_names == ("lattice (car 0)", "lattice (car 1)")  # both policies are of one name
     np.testing.assert_allclose(replay.half_sizes, [[0.29, 0.155], [0.25, 0.125]])
     assert ((replay.ittc > 0.0) & (replay.ittc <= PAPER.ittc_horizon)).all()
     assert "wins by" in replay.outcome
@@ -140,7 +142,28 @@ def test_a_race_that_ends_in_a_crash_ends_the_replay(oval):
     assert "fault of blind: lattice wins" in loser.outcome
 
 
-@pytest.mark.parametrize("index", [-1, 1.5, True])
+def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):
+    """Starts repeat when every line was driven from both sides; the noise is the race's own."""
+    ego, opponent = policies("lattice")
+    short = load_race_config("contest", duration=0.5)
+    period = 2 * short.start_lines
+    near, far = (
+        record_race(oval, ego, opponent, short, seed=3, index=index) for index in (1, LAST_INDEX // period * period + 1)
+    )
+    np.testing.assert_array_equal(near.cars[0], far.cars[0])
+    assert not np.array_equal(near.cars[-1], far.cars[-1])
+
+
+def test_two_cars_of_one_policy_are_told_apart(oval):
+    ego, opponent = policies("lattice")
+    assert (ego.name, opponent.name) == ("lattice", "lattice")
+    replay = record_race(oval, opponent, ego, PAPER)
+    assert re.match(r"lattice \(car [01]\) wins by ", replay.outcome)
+    assert replay.car_names == tell_apart(("lattice", "lattice")) == ("lattice (car 0)", "lattice (car 1)")
+    assert tell_apart(("lattice", "python")) == ("lattice", "python")
+
+
+@pytest.mark.parametrize("index", [-1, 1.5, True, LAST_INDEX + 1, 10**12])
 def test_a_bad_index_is_refused(oval, index):
     with pytest.raises(InputError, match=f"index is {index}"):
         record_race(oval, *policies("lattice"), PAPER, index=index)

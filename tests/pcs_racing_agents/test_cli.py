@@ -1,4 +1,6 @@
+import argparse
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -13,7 +15,7 @@ from PIL import Image
 from pcs_racing import list_tracks, load_track, read_replay
 from pcs_racing.maps import shipped_folder
 from pcs_racing.planners import BUILT_IN
-from pcs_racing_agents.cli import main
+from pcs_racing_agents.cli import _parser, main
 
 SHORT = ["--duration", "4"]
 PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]
@@ -43,8 +45,31 @@ def test_a_race_tells_what_happened(run):
     assert out.startswith("Pipkin, 58.")
     assert "preset paper, seed 3, race 0" in out
     assert "car 0: lattice:pace=0.8, " in out
-    assert re.search(r"\n(lattice:pace=0.\d wins by .* m after 4 s|crash after .* s, fault of .*)\n$", out)
+    assert re.search(r"\n(lattice:pace=0.\d wins by .* m after 4 s|crash after .* s, fault of .*)\nto watch it: ", out)
     assert run("race", "--track", "Pipkin", *PAIR, *SHORT, "--seed", 3)[1] == out  # the same seed, the same race
+
+
+def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = run("race")
+    assert code == 0
+    assert out.startswith("Tarnfjord, ")
+    assert " overtakes\n" in out
+    assert re.search(r"\n(\S+) wins by \d+\.\d m after 40 s\n", out)  # no crash
+    (again,) = re.findall(r"^to watch it: pcs-racing (.*)$", out, re.MULTILINE)
+    code, watched, _ = run(*shlex.split(again))
+    assert code == 0
+    assert watched.splitlines()[:-1] == out.splitlines()[:-1]  # the same race
+    assert watched.endswith("replay: race.html\n")
+    assert read_replay(tmp_path / "race.html").track_name == "Tarnfjord"
+
+
+def test_two_cars_of_one_policy_are_told_apart(run):
+    code, out, _ = run("race", "--track", "Pipkin", "--ego", "lattice", "--opponent", "lattice", *SHORT)
+    assert code == 0
+    assert "car 0: lattice (car 0), " in out
+    assert "car 1: lattice (car 1), " in out
+    assert re.search(r"\n(lattice \(car [01]\) wins by|crash after .*, fault of lattice \(car [01]\))", out)
 
 
 def test_a_race_writes_a_replay(run, tmp_path):
@@ -215,6 +240,12 @@ def test_policies_lists_every_planner_and_parameter(run):
         (["race", "--track", "Pipkin", *PAIR, "--duration", "-1"], "duration is -1.0"),
         (["race", "--track", "Pipkin", *PAIR, "--seed", "-1"], "seed is -1"),
         (["race", "--track", "Pipkin", *PAIR, "--index", "-1"], "index is -1"),
+        (
+            ["race", *PAIR, "--index", "20000000000"],
+            "index is 20000000000; it must be a whole number from 0 to 4294967295",
+        ),
+        (["race", *PAIR, "--index", "1000000000000"], "index is 1000000000000"),
+        (["track", "calibrate", "--write"], "--write changes a map folder: say which"),
         (["race", "--track", "Pipkin", *PAIR, "--replay", "no/such/folder/race.html"], "there is no folder"),
         (["race", "--track", "Pipkin", *PAIR, "--replay", "race.mp4"], "must end in .html or .json"),
         (["tournament", "--track", "Pipkin", "--policies", "lattice"], "a tournament needs at least 2"),
@@ -277,12 +308,43 @@ def test_an_error_in_the_program_itself_is_not_hidden(run, monkeypatch):
         run("policies", "lattice")
 
 
-@pytest.mark.parametrize("argument", ["--help", "race --help", "track --help", "track import --help"])
-def test_help_shows_an_example(argument, capsys):
+def commands(parser: argparse.ArgumentParser, name: str = "pcs-racing"):
+    """Every command by its whole name, groups of commands included."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for key, command in action.choices.items():
+                yield f"{name} {key}", command
+                yield from commands(command, f"{name} {key}")
+
+
+COMMANDS = dict(commands(_parser()))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_a_help_text_with_examples_that_it_understands(name, capsys):
     with pytest.raises(SystemExit) as stop:
-        main(argument.split())
+        main([*name.split()[1:], "--help"])
     assert stop.value.code == 0
-    assert "pcs-racing " in capsys.readouterr().out.split("options:")[-1] or argument == "--help"
+    told = capsys.readouterr().out
+    examples = re.findall(r"^(?:examples?:)?\s*(pcs-racing .*)$", told[told.rindex("example") :], re.MULTILINE)
+    assert examples
+    for example in examples:
+        assert example.startswith(name)
+        _parser().parse_args(shlex.split(example)[1:])
+    for action in COMMANDS[name]._actions:
+        assert action.help or isinstance(action, argparse._SubParsersAction), f"{name} {action.dest}"
+
+
+@pytest.mark.parametrize("name", [name for name, parser in COMMANDS.items() if "--track" in parser.format_help()])
+def test_every_command_that_needs_a_circuit_has_one(name):
+    assert "(default: Tarnfjord" in " ".join(COMMANDS[name].format_help().split())
+
+
+@pytest.mark.parametrize("arguments", [["show"], ["calibrate"]])
+def test_a_circuit_that_nobody_named_is_told(run, arguments):
+    code, out, _ = run("track", *arguments)
+    assert code == 0
+    assert out.startswith("Tarnfjord")
 
 
 def test_as_a_process(tmp_path):

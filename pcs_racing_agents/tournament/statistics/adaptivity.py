@@ -51,8 +51,10 @@ def adaptivity_gain(
 
     Choosing the best blind arm on the test races themselves would make it look better than it is, and the gain
     smaller; choosing the adaptive arm on them would make the gain larger. So both must be chosen on training races,
-    which share no start with the test. The interval holds for the blind arm that was chosen. With too few training
-    races that is not the best one, and the gain is flattered; ``over_each`` shows whether another one does better.
+    which should start at other places than the test races. This function sees scores only, and refuses no more than the
+    very same ones; which places the races of a study draw from is decided in :func:`pcs_racing.race.start_lines`. The
+    interval holds for the blind arm that was chosen. With too few training races that is not the best one, and the gain
+    is flattered; ``over_each`` shows whether another one does better.
 
     Parameters
     ----------

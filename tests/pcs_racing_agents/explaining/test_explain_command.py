@@ -96,8 +96,20 @@ def test_two_agents_race_as_in_a_tournament(saved, capsys):
     assert len(contest.seeds) == 4
     assert told.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
     assert main([*arguments, "--situations", "random-moves"]) == 0
+    assert capsys.readouterr().out.startswith("Pipkin, contest rules, 4 races\n")
     assert main([*arguments, "--situations", "somebody"]) == 2
     assert "must be one of random-moves, never-switch" in capsys.readouterr().err
+
+
+def test_a_picture_that_is_left_out_is_told(saved, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("pcs_racing_agents.commands.options.find_spec", lambda name: None)
+    arguments = ["explain", "--agents", "random-moves", "never-switch", "--duration", "5", "--archive", str(saved)]
+    assert main([*arguments, "--races", "2", "--out", str(tmp_path)]) == 0
+    out, err = capsys.readouterr()
+    assert " on Tarnfjord, paper rules: " in out  # the default circuit
+    assert "picture: " not in out
+    assert 'the picture of the race is not drawn: pip install "pcs-racing[plots]" draws it' in err
+    assert {file.name for file in tmp_path.iterdir()} == {"race.txt", "race.html"}
 
 
 @pytest.mark.parametrize(
@@ -105,7 +117,7 @@ def test_two_agents_race_as_in_a_tournament(saved, capsys):
     [
         ([], "give a folder of results, or two agents"),
         (["{folder}", "--agents", "a", "b"], "give a folder of results, or two agents"),
-        (["--agents", "a", "b"], "--agents needs a circuit"),
+        (["--agents", "a", "b"], "agent 'a' is unknown"),
         (["{folder}", "--races", "4"], "--races goes with --agents"),
         (["{folder}", "1", "--situations", "a"], "leave out the number of one"),
         (["{folder}", "12"], "there is no race 12"),

@@ -17,8 +17,11 @@ from pcs_racing_agents.cli import main
 from pcs_racing_agents.configuration import plain_settings
 from pcs_racing_agents.jobs import make_executor
 from pcs_racing_agents.ppo.curves import read_curve
+from pcs_racing_agents.strategies.fits import load_fit, save_fit
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
-from pcs_racing_agents.study.run import Study, stage_seconds
+from pcs_racing_agents.study.config import BEST_BLIND
+from pcs_racing_agents.study.reporting import best_blind
+from pcs_racing_agents.study.run import Study, stage_seconds, stages_to_run
 from pcs_racing_agents.study.ship import main as ship
 
 TINY = load_study_config(
@@ -32,7 +35,7 @@ TINY = load_study_config(
     fitting_games=2,
     fixed_targets=2,
     opponents=("never-switch", "lane-switcher"),
-    arms=("never-switch", "best-fixed", "cfr-argmax", "quick"),
+    arms=("never-switch", "best-fixed", "best-schedule", "cfr-argmax", "quick"),
     egos=2,
     variants=2,
     lines=1,
@@ -53,7 +56,7 @@ def finished(tmp_path_factory):
 
 def test_a_study_leaves_its_results(finished):
     lines = (finished.folder / "results.csv").read_text(encoding="utf-8").splitlines()
-    main, further = 2 * 4 * 8, 3 * 5 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
+    main, further = 2 * 5 * 8, 3 * 6 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
     assert len(lines) == 1 + main + further
     assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
     page = (finished.folder / "report.html").read_text(encoding="utf-8")
@@ -68,8 +71,8 @@ def test_every_agent_is_judged_also_such_as_stay(finished):
         rows = list(csv.DictReader(file))
     assert {row["agent"] for row in rows} == {*TINY.every_arm, "equilibrium", "random moves"}
     for row in rows:
-        stays = row["agent"] in ("never-switch", "best-fixed")
-        assert (row["lost_to_equilibrium"] == "") == stays or row["agent"] == "best-fixed"
+        if row["agent"] not in BEST_BLIND:  # whose moves, and so whether they stay, depend on the training races
+            assert (row["lost_to_equilibrium"] == "") == (row["agent"] == "never-switch")
         assert float(row["lost_to_best_response"]) >= -1e-6
 
 
@@ -170,9 +173,30 @@ def test_stages_come_in_order(tmp_path):
         run_study(TINY, tmp_path / "x", only=["races"], quiet=True)
 
 
+@pytest.mark.parametrize("better", BEST_BLIND)
+def test_the_gain_is_over_the_blind_agent_that_won_more_training_races(finished, tmp_path, better):
+    other = Study(TINY, tmp_path)
+    (tmp_path / "blind").mkdir()
+    for name in BEST_BLIND:
+        fit = load_fit(finished.folder / "blind" / f"{name}.yaml")
+        reached = 0.7 if name == better else 0.6
+        save_fit(replace(fit, training={**fit.training, "reached": reached}), tmp_path / "blind" / f"{name}.yaml")
+    assert best_blind(other) == better
+    assert best_blind(replace(other, config=replace(TINY, arms=("never-switch", "quick")))) is None
+
+
+def test_the_table_names_the_blind_agent_that_it_compares_with(finished):
+    compared = best_blind(finished)
+    with open(finished.folder / "table.csv", newline="", encoding="utf-8") as file:
+        bases = {row["base"] for row in csv.DictReader(file) if row["kind"] == "adaptivity gain"}
+    assert bases == {compared}
+    assert f"quick - {compared}" in (finished.folder / "table.txt").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"arms": ("never-switch", "best-fixed", "quick")}, "arms hold 'best-fixed' but not 'best-schedule'"),
         ({"arms": ("never-switch",), "best": "response"}, "best is 'response'; it must be one of the arms"),
         ({"egos": 1}, "egos is 1; it must be a whole number from 2"),
         ({"pairs": 1}, "networks need at least 3 trees"),
@@ -189,7 +213,24 @@ def test_impossible_studies_are_refused(changes, message):
         load_study_config("quick", **changes)
 
 
-@pytest.mark.parametrize("name", ["quick", "paper", "contest"])
-def test_shipped_studies_load(name):
+@pytest.mark.parametrize("name", ["quick", "paper", "contest", "contest-second"])
+def test_shipped_studies_load_and_have_the_blind_agents_in_their_main_table(name):
     config = load_study_config(name)
-    assert config.best in config.arms
+    assert {config.best, *BEST_BLIND} <= set(config.arms)
+
+
+@pytest.mark.parametrize(
+    ("changes", "library", "extra"),
+    [({"ppo": None}, "torch", "learning"), ({"synthesis": "default"}, "moocore", "synthesis")],
+)
+def test_a_missing_library_is_told_before_any_work(monkeypatch, tmp_path, changes, library, extra):
+    monkeypatch.setattr("pcs_racing.mapping.optional.find_spec", lambda name: None if name == library else object())
+    with pytest.raises(ModuleNotFoundError, match=rf"{library} is needed .*\[{extra}\]"):
+        run_study(replace(TINY, **changes), tmp_path / "x", quiet=True)
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_library_is_asked_for_only_by_stages_that_are_still_to_run(monkeypatch, finished):
+    monkeypatch.setattr("pcs_racing.mapping.optional.find_spec", lambda name: None)
+    assert stages_to_run(TINY, finished.folder) == ["report"]
+    assert stages_to_run(TINY, finished.folder / "new", ["trees", "archive"]) == ["archive", "trees"]

@@ -1,0 +1,45 @@
+"""Which seed gives a first race worth watching: driven to its end, with overtakes, and close.
+
+    python benchmarks/first_race.py                                  # the drivers that `pcs-racing race` has by itself
+    python benchmarks/first_race.py --ego lattice --opponent lane-switcher:3 --track Brackwater --seeds 40
+
+A line for each seed whose race 0 ends without a crash and with an overtake, the closest first. `SEED` in
+pcs_racing_agents/commands/race.py is one of these seeds; start places or drivers that change may ask for another one.
+"""
+
+import argparse
+
+import numpy as np
+
+from pcs_racing import load_race_config, load_track, parse_policy, run_races
+from pcs_racing_agents.commands.options import DEFAULT_TRACK
+from pcs_racing_agents.commands.race import EGO, OPPONENT
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--track", default=DEFAULT_TRACK, help="name or folder of a circuit")
+    parser.add_argument("--ego", default=EGO, help="driver of car 0")
+    parser.add_argument("--opponent", default=OPPONENT, help="driver of car 1")
+    parser.add_argument("--preset", default="paper", help="rules of the race")
+    parser.add_argument("--seeds", type=int, default=30, help="try seeds 0 to this number, less one")
+    arguments = parser.parse_args()
+    track, config = load_track(arguments.track), load_race_config(arguments.preset)
+    ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
+    crashes, found = 0, []
+    for seed in range(arguments.seeds):
+        result = run_races(track, [ego], opponent, config, seed=seed)
+        crashes += int(result.crashed[0])
+        overtakes = int(result.state.overtakes[0].sum())
+        if not result.crashed[0] and overtakes > 0:
+            found.append((abs(float(result.lead[0])), seed, overtakes, int(result.winner[0])))
+    print(f"{track.name}, {config.name}: {ego.name} against {opponent.name}, race 0 of {arguments.seeds} seeds")
+    print(f"{crashes} end in a crash, {len(found)} are driven to the end with an overtake")
+    for lead, seed, overtakes, winner in sorted(found):
+        print(f"seed {seed:3d}: {overtakes} overtakes, car {winner} wins by {lead:.1f} m")
+    if found:
+        print(f"median of their leads: {np.median([lead for lead, *_ in found]):.1f} m")
+
+
+if __name__ == "__main__":
+    main()
