@@ -102,6 +102,7 @@ def test_openspiel_s_linear_and_discounted_cfr():
         assert judge(game, solver.average_policy()) == pytest.approx(ours, rel=1e-10)
 
 
+@pytest.mark.compare
 @pytest.mark.parametrize("name", ["kuhn", "blurred", "hidden seeds"])
 def test_gambit_finds_the_same_value(name, tmp_path):
     gambit = pytest.importorskip("pygambit", reason="pygambit is not installed")
