@@ -28,7 +28,7 @@ demo: $(VENV)/base.stamp
 
 # The kernels are compiled once before the tests begin, rather than by every worker at the same time.
 test: $(VENV)/test.stamp
-	$(VENV)/bin/pcs-racing tournament --track Pipkin --agents random-moves lane-switcher --races 2
+	$(RUN) tools/compile_kernels.py
 	$(RUN) -m pytest -n 2 --dist worksteal
 
 # Some of these libraries are large, so that nothing else waits for them.
@@ -56,7 +56,7 @@ INTERPRETED := tests/interpreted tests/pcs_racing/test_collision.py tests/pcs_ra
 COVERED := $(RUN) -m pytest --cov --cov-report= --cov-fail-under=0
 
 coverage: $(VENV)/test.stamp
-	$(VENV)/bin/pcs-racing tournament --track Pipkin --agents random-moves lane-switcher --races 2
+	$(RUN) tools/compile_kernels.py
 	$(COVERED) -n 2 --dist worksteal
 	NUMBA_DISABLE_JIT=1 PCS_RACING_MAPS=none $(COVERED) --cov-append -p no:xdist $(INTERPRETED) \
 		-W ignore::RuntimeWarning

@@ -57,6 +57,17 @@ VARIANTS = {
     "one-thread": Variant(
         "one thread everywhere", {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     ),
+    "all-at-once": Variant(
+        "generic, blas-haswell, numpy-avx2 and one-thread together",
+        {
+            "NUMBA_CPU_NAME": "generic",
+            "OPENBLAS_CORETYPE": "Haswell",
+            "NPY_DISABLE_CPU_FEATURES": WIDE,
+            "NUMBA_NUM_THREADS": "1",
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        },
+    ),
     "read-only": Variant("sources that can't be written to, and not root", read_only=True),
 }
 
@@ -109,12 +120,13 @@ def run(name: str, variant: Variant, python: str, workers: str, tests: Sequence[
         environment = environment_of(variant, scratch, sources)
         if "NPY_DISABLE_CPU_FEATURES" in variant.environment:
             environment["NPY_DISABLE_CPU_FEATURES"] = disabled_here(variant.environment["NPY_DISABLE_CPU_FEATURES"])
-            if not environment["NPY_DISABLE_CPU_FEATURES"]:
+            if not environment["NPY_DISABLE_CPU_FEATURES"] and len(variant.environment) == 1:
                 return Outcome("not run: this processor has no AVX-512")
         elsewhere = {"cwd": scratch / "tmp", "env": environment, **who}
         if subprocess.run([python, "-c", ""], check=False, capture_output=True, **elsewhere).returncode:
             return Outcome(f"not run: {who.get('user', 'this user')} may not run {python}")
-        command = [python, "-m", "pytest", "-p", "no:cacheprovider", "-n", workers, "--dist", "worksteal", "-rfE"]
+        parallel = ("-n", workers, "--dist", "worksteal") if workers != "0" else ()
+        command = [python, "-m", "pytest", "-p", "no:cacheprovider", *parallel, "-rfE"]
         before = os.times()
         with open(out / f"{name}.log", "w", encoding="utf-8") as log:
             command += ["--rootdir", str(sources), "--basetemp", str(scratch / "tmp" / "pytest"), *tests]
