@@ -90,7 +90,7 @@ clean:
 	rm -rf out build dist docs/generated .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path "./$(VENV)/*" -prune -exec rm -rf {} +
 
-# The stamps keep pip from running again until pyproject.toml changes.
+# The stamps keep pip from running again until pyproject.toml changes. Wheels only: nothing here may need a compiler.
 
 $(RUN):
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("Python 3.11 or newer is needed: make PYTHON=...")'
@@ -103,7 +103,7 @@ $(VENV)/base.stamp: pyproject.toml | $(RUN)
 
 $(VENV)/test.stamp: pyproject.toml | $(RUN)
 	@echo "installing into $(VENV), PyTorch included (some minutes, once)"
-	$(PIP) --editable ".[test,lint]"
+	$(PIP) --only-binary=:all: --editable ".[test,lint]"
 	@touch $@ $(VENV)/base.stamp
 
 $(VENV)/compare.stamp: $(VENV)/test.stamp
