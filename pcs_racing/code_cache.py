@@ -53,8 +53,9 @@ def forget_stale_code(package: Path) -> None:
 def _place(folder: Path) -> Path:
     """Where numba keeps the code of the modules in a folder: it looks for the first of three that may be written to."""
     elsewhere = caching._CacheLocator.get_suitable_cache_subpath(str(folder / "module.py"))
-    if config.CACHE_DIR:  # NUMBA_CACHE_DIR
-        return Path(config.CACHE_DIR) / elsewhere
+    named = getattr(config, "CACHE_DIR", "")  # NUMBA_CACHE_DIR
+    if named:
+        return Path(named) / elsewhere
     beside = folder / "__pycache__"
     if os.access(beside if beside.exists() else folder, os.W_OK):
         return beside

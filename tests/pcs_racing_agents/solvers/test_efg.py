@@ -109,7 +109,7 @@ def test_gambit_finds_the_same_value(name, tmp_path):
     tree = TREES[name]
     rounded = GameTree(np.round(tree.payoffs, 2), tree.moves, tree.chance, tree.infosets)
     game = gambit.read_efg(write_efg(rounded, tmp_path / "game.efg"))
-    solved = gambit.nash.lp_solve(game, rational=False).equilibria[0]
+    solved = gambit.nash.lp_solve(game, rational=False).equilibrium
     value = float(solved.payoff(game.players["car_0"]))
     assert value == pytest.approx(solve_sequence_form(rounded).value, abs=1e-8)
     if rounded.averaged.perfect:
