@@ -110,7 +110,7 @@ def test_gambit_finds_the_same_value(name, tmp_path):
     rounded = GameTree(np.round(tree.payoffs, 2), tree.moves, tree.chance, tree.infosets)
     game = gambit.read_efg(write_efg(rounded, tmp_path / "game.efg"))
     solved = gambit.nash.lp_solve(game, rational=False).equilibrium
-    value = float(solved.payoff(game.players["car_0"]))
+    value = float(solved.payoffs["car_0"])
     assert value == pytest.approx(solve_sequence_form(rounded).value, abs=1e-8)
     if rounded.averaged.perfect:
         assert value == pytest.approx(solve_exact(rounded).value, abs=1e-8)
