@@ -5,11 +5,13 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 
-.PHONY: help demo test lint types benchmarks docs release wheel-test coverage fuzz benchmark-history clean
+.PHONY: help demo test compare machines lint types benchmarks docs release wheel-test coverage fuzz benchmark-history clean
 
 help:
 	@echo "make demo        the paper's study in small: trees, networks, races, a report to look at (under 5 minutes)"
 	@echo "make test        the test suite"
+	@echo "make compare     comparisons with other libraries (Gambit, pymoo, CMA-MAE and others), which it installs"
+	@echo "make machines    the test suite as other machines would run it; PYTHONS=\"python3.12 python3.13\" adds those"
 	@echo "make lint        style, and the format of the code"
 	@echo "make types       static types"
 	@echo "make benchmarks  every figure of the documentation, measured again"
@@ -26,8 +28,16 @@ demo: $(VENV)/base.stamp
 
 # The kernels are compiled once before the tests begin, rather than by every worker at the same time.
 test: $(VENV)/test.stamp
-	$(VENV)/bin/pcs-racing tournament --track Pipkin --agents random-moves lane-switcher --races 2
+	$(RUN) tools/compile_kernels.py
 	$(RUN) -m pytest -n 2 --dist worksteal
+
+# Some of these libraries are large, so that nothing else waits for them.
+compare: $(VENV)/compare.stamp
+	$(RUN) -m pytest -m compare -rs
+
+PYTHONS ?=
+machines: $(VENV)/test.stamp
+	$(RUN) tools/try_machines.py --pythons $(PYTHONS)
 
 lint: $(VENV)/test.stamp
 	$(RUN) -m ruff check .
@@ -46,7 +56,7 @@ INTERPRETED := tests/interpreted tests/pcs_racing/test_collision.py tests/pcs_ra
 COVERED := $(RUN) -m pytest --cov --cov-report= --cov-fail-under=0
 
 coverage: $(VENV)/test.stamp
-	$(VENV)/bin/pcs-racing tournament --track Pipkin --agents random-moves lane-switcher --races 2
+	$(RUN) tools/compile_kernels.py
 	$(COVERED) -n 2 --dist worksteal
 	NUMBA_DISABLE_JIT=1 PCS_RACING_MAPS=none $(COVERED) --cov-append -p no:xdist $(INTERPRETED) \
 		-W ignore::RuntimeWarning
@@ -61,7 +71,7 @@ benchmark-history: $(VENV)/test.stamp
 	$(RUN) benchmarks/record.py --check
 	$(RUN) benchmarks/record.py --add
 
-benchmarks: $(VENV)/test.stamp
+benchmarks: $(VENV)/compare.stamp
 	@for script in benchmarks/*.py; do echo "== $$script"; $(RUN) "$$script" || exit 1; done
 
 docs: $(VENV)/docs.stamp
@@ -80,7 +90,7 @@ clean:
 	rm -rf out build dist docs/generated .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path "./$(VENV)/*" -prune -exec rm -rf {} +
 
-# The stamps keep pip from running again until pyproject.toml changes.
+# The stamps keep pip from running again until pyproject.toml changes. Wheels only: nothing here may need a compiler.
 
 $(RUN):
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("Python 3.11 or newer is needed: make PYTHON=...")'
@@ -93,8 +103,12 @@ $(VENV)/base.stamp: pyproject.toml | $(RUN)
 
 $(VENV)/test.stamp: pyproject.toml | $(RUN)
 	@echo "installing into $(VENV), PyTorch included (some minutes, once)"
-	$(PIP) --editable ".[test,lint]"
+	$(PIP) --only-binary=:all: --editable ".[test,lint]"
 	@touch $@ $(VENV)/base.stamp
+
+$(VENV)/compare.stamp: $(VENV)/test.stamp
+	$(PIP) --editable ".[compare]"
+	@touch $@
 
 $(VENV)/docs.stamp: pyproject.toml | $(RUN)
 	$(PIP) --editable ".[docs]"

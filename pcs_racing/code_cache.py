@@ -12,6 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from numba.core import caching, config
+from numba.misc.appdirs import AppDirs
+
 __all__ = ["forget_stale_code"]
 
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+pcs_racing[^\n(]*(?:\([^)]*\))?", re.MULTILINE)
@@ -26,7 +29,7 @@ def forget_stale_code(package: Path) -> None:
     package : Path
         Folder of a package whose compiled functions may call each other and those of ``pcs_racing``.
     """
-    note = package / "__pycache__" / "numba_sources.json"
+    note = _place(package) / "numba_sources.json"
     try:
         sources = sorted({*package.rglob("*.py"), *Path(__file__).parent.rglob("*.py")})
         stamps = {str(source): [(status := source.stat()).st_size, status.st_mtime_ns] for source in sources}
@@ -36,14 +39,27 @@ def forget_stale_code(package: Path) -> None:
         now, before = _digests(sources), noted.get("digests", {})
         for module in now:
             if before.get(module) != now[module]:
-                for cached in package.rglob(f"__pycache__/{module}.*.nb[ci]"):
-                    cached.unlink(missing_ok=True)
-        note.parent.mkdir(exist_ok=True)
+                for folder in {source.parent for source in sources if source.is_relative_to(package)}:
+                    for cached in _place(folder).glob(f"{module}.*.nb[ci]"):
+                        cached.unlink(missing_ok=True)
+        note.parent.mkdir(parents=True, exist_ok=True)
         temporary = note.with_suffix(f".{os.getpid()}.tmp")
         temporary.write_text(json.dumps({"stamps": stamps, "digests": now}))
         os.replace(temporary, note)
     except OSError:
-        return  # not ours to write to: an installation, whose files never change one by one
+        return  # nowhere to write to: then numba keeps nothing either
+
+
+def _place(folder: Path) -> Path:
+    """Where numba keeps the code of the modules in a folder: it looks for the first of three that may be written to."""
+    elsewhere = caching._CacheLocator.get_suitable_cache_subpath(str(folder / "module.py"))
+    named = getattr(config, "CACHE_DIR", "")  # NUMBA_CACHE_DIR
+    if named:
+        return Path(named) / elsewhere
+    beside = folder / "__pycache__"
+    if os.access(beside if beside.exists() else folder, os.W_OK):
+        return beside
+    return Path(AppDirs(appname="numba", appauthor=False).user_cache_dir) / elsewhere
 
 
 def _read(note: Path) -> dict[str, dict[str, Any]]:

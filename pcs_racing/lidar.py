@@ -143,12 +143,13 @@ class Lidar:
         if self.noise > 0.0 and not isinstance(rng, np.random.Generator):
             raise InputError(f"a lidar with noise needs rng, a numpy.random.Generator, got {rng!r}")
         out = np.empty((at.size // 3, self.beams))
+        # Writeable though nobody writes: numba compiles read-only arrays as a type of their own.
         _scan_all(
             self.track.arrays,
             self.kernel,
-            np.ascontiguousarray(at.reshape(-1, 3)),
+            np.require(at.reshape(-1, 3), requirements=["C", "W"]),
             opponents is not None,
-            np.ascontiguousarray(others.reshape(-1, 3)),
+            np.require(others.reshape(-1, 3), requirements=["C", "W"]),
             0.5 * length,
             0.5 * width,
             out,

@@ -5,11 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
-# The first example of a compiled function includes its compilation: timing examples would test the machine.
-settings.register_profile("untimed", deadline=None)
-settings.load_profile("untimed")
+# The first example of a compiled function includes its compilation: timing examples would test the machine. The same
+# examples are drawn everywhere, and none are kept in a folder that may be read-only; `make fuzz` looks for new ones.
+settings.register_profile(
+    "everywhere", deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("everywhere")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

@@ -247,10 +247,10 @@ class DriveBatch:
         ahead = np.array([round(distance / ds) % len(line) for distance in options.look_ahead], np.int64)
         if options.beams > 0:
             beams = Lidar(self.track, options.beams, options.fov, options.max_range).kernel
-            # A writeable copy: all lidars then have the same compiled type.
-            beams = beams._replace(cos=beams.cos.copy(), sin=beams.sin.copy())
         else:
-            beams = Beams(0.0, 1.0, 1.0, np.empty(0), np.empty(0))
+            nothing = np.empty(0)
+            nothing.flags.writeable = False  # as a lidar's are: both have the same compiled type then
+            beams = Beams(0.0, 1.0, 1.0, nothing, nothing)
         self._sight = (ahead, self.alone, beams, float(options.lidar_noise))
 
     def _prepare_races(self, threads: int | None) -> None:
@@ -264,7 +264,7 @@ class DriveBatch:
         self.names = np.array([policy.name for policy in self.opponents] or ["none"], dtype=object)
         self.theta = np.zeros((races, 2, setup.theta_size))
         cars = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
-        self.vehicles = np.ascontiguousarray(np.broadcast_to(cars, (races, *cars.shape)))
+        self.vehicles = np.tile(cars, (races, 1, 1))  # never read-only, which would be another type to compile
         # Nobody asks a control-level environment for characteristics: no time to collision is measured.
         self._settings = setup.settings._replace(ittc_horizon=0.0)
         with announce_compilation(step_races, "the control-level environment", 15):

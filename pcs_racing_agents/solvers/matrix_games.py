@@ -59,7 +59,8 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     InputError
         If a payoff is not finite or a shape is impossible.
     """
-    games = np.ascontiguousarray(payoffs, dtype=np.float64)
+    # Writeable though nobody writes: numba compiles read-only arrays, as a tree's are, as a type of their own.
+    games = np.require(payoffs, np.float64, ["C", "W"])
     if games.ndim not in (2, 3) or 0 in games.shape:
         raise InputError(f"payoffs have shape {games.shape}; they must have (B, A, C) or (A, C), none of them 0")
     if not np.isfinite(games).all():

@@ -3,6 +3,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from numba.core import caching, config
 
 from pcs_racing.code_cache import forget_stale_code
 from pcs_racing.compilation import announce_compilation, compiled
@@ -42,8 +43,9 @@ def test_what_is_compiled_already_is_not_announced(tmp_path, capsys):
 
 
 @pytest.fixture
-def package(tmp_path) -> Path:
+def package(tmp_path, monkeypatch) -> Path:
     """A package of three modules, each with cached code; ``top`` imports ``base``."""
+    monkeypatch.setattr(config, "CACHE_DIR", "")  # numba keeps code beside the sources
     cache = tmp_path / "__pycache__"
     cache.mkdir()
     (tmp_path / "base.py").write_text("A = 1\n")
@@ -95,6 +97,27 @@ def test_without_a_readable_note_everything_is_dropped(package, note):
     (package / "__pycache__" / "numba_sources.json").write_text(note)
     forget_stale_code(package)
     assert cached(package) == set()
+
+
+@pytest.mark.parametrize("why", ["the folder that was asked for", "sources that can't be written to"])
+def test_code_that_numba_keeps_elsewhere_is_dropped_as_well(package, tmp_path_factory, monkeypatch, why):
+    """Code is put where numba puts that of a function in this package, not where this test thinks that it does."""
+    folder = tmp_path_factory.mktemp("elsewhere")
+    if why == "the folder that was asked for":
+        monkeypatch.setattr(config, "CACHE_DIR", str(folder))
+        locator = caching.UserProvidedCacheLocator
+    else:
+        monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+        monkeypatch.setattr("pcs_racing.code_cache.os.access", lambda path, mode: False)
+        locator = caching.UserWideCacheLocator
+    found = locator(lambda: None, str(package / "base.py"))
+    kept = Path(found.get_cache_path())
+    forget_stale_code(package)
+    for module in ("base", "other"):
+        (kept / f"{module}.f-1.py311.nbi").touch()
+    (package / "base.py").write_text("A = 2\n")
+    forget_stale_code(package)
+    assert [path.name for path in kept.glob("*.nbi")] == ["other.f-1.py311.nbi"]
 
 
 def test_a_folder_that_is_not_ours_is_no_error(package):

@@ -52,6 +52,7 @@ def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     found = commands(folder)
     assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
     found["train"] = ["train", str(folder / "trees"), "--config", "quick", "--epochs", "12", "--name", "small"]
+    found["train"] += ["--no-tensorboard"]  # nobody compares its curves, which hold times
     return found
 
 
@@ -71,8 +72,7 @@ def test_killed_at_random_moments_the_results_are_the_same(long_commands, tmp_pa
         assert done.returncode in (0, -signal.SIGKILL), done.stderr
         killed += done.returncode != 0
     assert killed > 0
-    last = call(KILLED, 0, *command, "--out", tmp_path / "killed")
-    assert last.returncode == 0, last.stderr
+    assert main([*command, "--out", str(tmp_path / "killed")]) == 0
     assert files(tmp_path / "killed") == files(tmp_path / "whole")
 
 

@@ -20,7 +20,8 @@ def blocks():
         heading = section.partition("\n")[0]
         found = re.finditer(rf"({NOT_RUN})?```python\n(.*?)```", section, re.DOTALL)
         for number, match in enumerate(found):
-            yield pytest.param(match[2], match[1] is None, section, id=f"{heading} {number}")
+            marks = [pytest.mark.compare] * ("sb3_contrib" in match[2])
+            yield pytest.param(match[2], match[1] is None, section, id=f"{heading} {number}", marks=marks)
 
 
 def need_imports(code):

@@ -102,14 +102,15 @@ def test_openspiel_s_linear_and_discounted_cfr():
         assert judge(game, solver.average_policy()) == pytest.approx(ours, rel=1e-10)
 
 
+@pytest.mark.compare
 @pytest.mark.parametrize("name", ["kuhn", "blurred", "hidden seeds"])
 def test_gambit_finds_the_same_value(name, tmp_path):
     gambit = pytest.importorskip("pygambit", reason="pygambit is not installed")
     tree = TREES[name]
     rounded = GameTree(np.round(tree.payoffs, 2), tree.moves, tree.chance, tree.infosets)
     game = gambit.read_efg(write_efg(rounded, tmp_path / "game.efg"))
-    solved = gambit.nash.lp_solve(game, rational=False).equilibria[0]
-    value = float(solved.payoff(game.players["car_0"]))
+    solved = gambit.nash.lp_solve(game, rational=False).equilibrium
+    value = float(solved.payoffs["car_0"])
     assert value == pytest.approx(solve_sequence_form(rounded).value, abs=1e-8)
     if rounded.averaged.perfect:
         assert value == pytest.approx(solve_exact(rounded).value, abs=1e-8)

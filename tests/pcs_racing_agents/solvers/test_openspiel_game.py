@@ -118,6 +118,7 @@ def test_external_sampling():
     assert pyspiel.exploitability(game, solver.average_policy()) < 0.1
 
 
+@pytest.mark.compare
 def test_psro_and_alpha_rank():
     """Best responses added to a meta-game until nobody gains; then the ranks of what was found."""
     pytest.importorskip("cvxpy", reason="cvxpy, which OpenSpiel's PSRO imports, is not installed")

@@ -159,10 +159,10 @@ def test_a_finished_run_started_again_races_nothing(made, monkeypatch, tmp_path)
     assert results(folder) == results(made[1])
 
 
-@pytest.mark.parametrize("method", ["random", "nsga2"])
+@pytest.mark.parametrize("method", ["random", pytest.param("nsga2", marks=pytest.mark.compare)])
 def test_other_methods_search_behind_the_same_call(method, tmp_path):
     if method == "nsga2":
-        pytest.importorskip("pymoo")
+        pytest.importorskip("pymoo", reason="pymoo is not installed")
     archive = make_archive(with_(method=method), tmp_path)
     assert archive.settings["method"] == method
     assert len(archive.explored.parameters) == 30

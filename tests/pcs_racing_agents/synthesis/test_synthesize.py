@@ -1,4 +1,5 @@
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -37,8 +38,15 @@ def same(one, other):
         np.testing.assert_array_equal(news[:7], others[:7])
 
 
-@pytest.fixture(params=METHODS)
+# Whose library is in the extra compare alone.
+THEIRS = {"nsga2": "pymoo", "comocma": "comocma", "cma-mae": "ribs"}
+
+
+@pytest.fixture(params=[pytest.param(name, marks=[pytest.mark.compare] * (name in THEIRS)) for name in METHODS])
 def method(request, monkeypatch):
+    library = THEIRS.get(request.param)
+    if library is not None and find_spec(library) is None:
+        pytest.skip(f"{library} is not installed")
     if request.param == "cma-mae":
         import numba
 
