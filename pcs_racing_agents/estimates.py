@@ -10,8 +10,8 @@ README.md). Compilation is not counted.
 import argparse
 import sys
 
+from pcs_racing.driving import default_threads
 from pcs_racing.game_config import GameConfig
-from pcs_racing.race import default_threads
 from pcs_racing_agents.approximator.settings import TrainSettings
 from pcs_racing_agents.ppo.settings import DuelSettings, Settings
 from pcs_racing_agents.rollouts.learner import ResponseSettings, load_response_settings

@@ -143,7 +143,7 @@ def _race(arguments: argparse.Namespace) -> None:
 def _situations(arguments: argparse.Namespace) -> None:
     import numpy as np
 
-    from pcs_racing.race import default_threads
+    from pcs_racing.driving import default_threads
     from pcs_racing_agents.estimates import announce, racing_seconds
     from pcs_racing_agents.explaining.contests import open_results
     from pcs_racing_agents.explaining.situations import situations_text, summarise, write_situations
