@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing import vehicle as _vehicle
 from pcs_racing.compilation import announce_compilation
+from pcs_racing.elementary import exponential
 from pcs_racing.errors import InputError
 from pcs_racing.frenet import KAPPA, LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.planner import COMMAND_SLOTS, VIEW_SIZE, Planner, Policy
@@ -85,7 +86,7 @@ class RaceSetup:
             speed_low=low,
             speed_high=high,
             noise_sd=float(self.config.steering_noise),
-            noise_keep=float(np.exp(-CONTROL_EVERY * DT / self.config.noise_time)),
+            noise_keep=float(exponential(-CONTROL_EVERY * DT / self.config.noise_time)),
             ittc_horizon=float(self.config.ittc_horizon),
         )
 
