@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing import vehicle as _vehicle
+from pcs_racing.elementary import exponential
 from pcs_racing.errors import InputError
 from pcs_racing.frenet import SPEED
 from pcs_racing.planner import Policy
@@ -121,7 +122,7 @@ def hazard_scan(
         advance(setup, state, theta, at_scale.ticks, threads=threads)
         # A race ends for both cars at the first crash, so count crashes per time driven rather than per car.
         driven = 2.0 * DT * float(state.tick.sum())
-        hazards.append(1.0 - np.exp(-40.0 * float((state.crash == 1).sum()) / driven))
+        hazards.append(1.0 - exponential(-40.0 * float((state.crash == 1).sum()) / driven))
     return np.array(hazards)
 
 
