@@ -23,12 +23,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy._core._multiarray_umath import __cpu_dispatch__
 
 ROOT = Path(__file__).resolve().parent.parent
 Digests = Iterator[tuple[str, Any]]
 
-NO_AVX512 = "X86_V4 AVX512_ICL AVX512_SPR"  # the names of numpy 2.4; older ones are added below
-OLD_AVX512 = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL"
+NO_AVX = " ".join(__cpu_dispatch__)  # numpy's own names for what it can do without
+NO_AVX512 = " ".join(name for name in __cpu_dispatch__ if name.startswith(("AVX512", "X86_V4")))
 GLIBC = "-AVX512F,-AVX512VL,-AVX512DQ,-AVX512BW,-AVX2,-FMA,-FMA4"
 # What each process is told, by the name of the column.
 SETTINGS: dict[str, dict[str, str]] = {
@@ -36,7 +37,7 @@ SETTINGS: dict[str, dict[str, str]] = {
     "compiled for any": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
     "compiled for haswell": {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"},
     "numpy without AVX-512": {"NPY_DISABLE_CPU_FEATURES": NO_AVX512},
-    "numpy without AVX": {"NPY_DISABLE_CPU_FEATURES": f"{NO_AVX512} X86_V3"},
+    "numpy without AVX": {"NPY_DISABLE_CPU_FEATURES": NO_AVX},
     "C library without FMA": {"GLIBC_TUNABLES": f"glibc.cpu.hwcaps={GLIBC}"},
     "BLAS for Prescott": {"OPENBLAS_CORETYPE": "Prescott"},
     "BLAS for Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
@@ -44,7 +45,7 @@ SETTINGS: dict[str, dict[str, str]] = {
     "all of the oldest": {
         "NUMBA_CPU_NAME": "generic",
         "NUMBA_CPU_FEATURES": "",
-        "NPY_DISABLE_CPU_FEATURES": f"{NO_AVX512} X86_V3",
+        "NPY_DISABLE_CPU_FEATURES": NO_AVX,
         "GLIBC_TUNABLES": f"glibc.cpu.hwcaps={GLIBC}",
         "OPENBLAS_CORETYPE": "Prescott",
     },
@@ -183,7 +184,7 @@ def statistics(folders: list[Path]) -> Digests:
     first = rng.integers(0, 8, 600)
     second = (first + rng.integers(1, 8, 600)) % 8
     result = rng.integers(-1, 2, 600)
-    ratings = rate(names[first], names[second], result, rng=rng, replicates=50)
+    ratings = rate(names[first], names[second], result, rng=rng, replicates=100)
     yield "ratings", [np.asarray(value) for value in vars(ratings).values() if isinstance(value, np.ndarray)]
     estimate = clustered_mean(rng.normal(size=600), first, second)
     yield "clustered mean", [value for value in vars(estimate).values() if isinstance(value, float)]
