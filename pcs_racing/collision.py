@@ -8,6 +8,7 @@ looks at a lidar scan.
 import numpy as np
 
 from pcs_racing.compilation import compiled, kernel
+from pcs_racing.elementary import sine_cosine
 from pcs_racing.frenet import interpolate, wrap_s
 
 __all__ = [
@@ -55,10 +56,8 @@ def rectangles_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     reach = half_length0 + half_width0 + half_length1 + half_width1  # no less than the two half diagonals together
     if dx * dx + dy * dy >= reach * reach:
         return False
-    c0 = np.cos(psi0)
-    s0 = np.sin(psi0)
-    c1 = np.cos(psi1)
-    s1 = np.sin(psi1)
+    s0, c0 = sine_cosine(psi0)
+    s1, c1 = sine_cosine(psi1)
     c = abs(c0 * c1 + s0 * s1)
     s = abs(c0 * s1 - s0 * c1)
     if abs(dx * c0 + dy * s0) >= half_length0 + half_length1 * c + half_width1 * s:
@@ -97,8 +96,7 @@ def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
 @kernel
 def _wall_in_rectangle(walls, seen_start, seen, distance, middle, stretch, x, y, psi, half_length, half_width):  # type: ignore[no-untyped-def]
     """Whether a wall that can be seen from a stretch passes through the inside of a rectangle."""
-    c = np.cos(psi)
-    s = np.sin(psi)
+    s, c = sine_cosine(psi)
     dx = x - middle[stretch, 0]
     dy = y - middle[stretch, 1]
     reach = np.sqrt(dx * dx + dy * dy) + np.sqrt(half_length * half_length + half_width * half_width)
@@ -150,8 +148,9 @@ def hits_wall(  # type: ignore[no-untyped-def]
     step = half_length * (2.0 / 3.0)
     part = np.sqrt(0.25 * step * step + half_width * half_width) + error
     if clearance > part:
-        du = step * np.cos(psi) * per_cell
-        dv = step * np.sin(psi) * per_cell
+        s, c = sine_cosine(psi)
+        du = step * c * per_cell
+        dv = step * s * per_cell
         if (
             interpolate(distance, u + du - 0.5, v + dv - 0.5) > part
             and interpolate(distance, u - du - 0.5, v - dv - 0.5) > part
@@ -245,15 +244,13 @@ def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     """Centroid of the area two rectangles share, relative to (x0, y0); half way between their centres if none."""
     polygon = np.empty((8, 2))
     other = np.empty((8, 2))
-    c = np.cos(psi1)
-    s = np.sin(psi1)
+    s, c = sine_cosine(psi1)
     for i in range(4):
         u = half_length1 if i in (0, 3) else -half_length1
         v = half_width1 if i < 2 else -half_width1
         polygon[i, 0] = x1 - x0 + u * c - v * s
         polygon[i, 1] = y1 - y0 + u * s + v * c
-    c = np.cos(psi0)
-    s = np.sin(psi0)
+    s, c = sine_cosine(psi0)
     count = _clip(polygon, 4, c, s, half_length0, other)
     count = _clip(other, count, -c, -s, half_length0, polygon)
     count = _clip(polygon, count, -s, c, half_width0, other)
@@ -276,8 +273,7 @@ def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
 @kernel
 def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
     """The axis of direction psi, turned to point along (dx, dy), and how deep shapes of this reach overlap on it."""
-    ax = np.cos(psi)
-    ay = np.sin(psi)
+    ay, ax = sine_cosine(psi)
     apart = dx * ax + dy * ay
     if apart < 0.0:
         return -ax, -ay, reach + apart
@@ -310,8 +306,8 @@ def contact_fault(state0, state1, half_length0, half_width0, half_length1, half_
     x1, y1, v1, psi1, rate1, beta1 = state1[0], state1[1], state1[3], state1[4], state1[5], state1[6]
     dx = x1 - x0
     dy = y1 - y0
-    c = abs(np.cos(psi1 - psi0))
-    s = abs(np.sin(psi1 - psi0))
+    s, c = sine_cosine(psi1 - psi0)
+    s, c = abs(s), abs(c)
     axes = np.empty((4, 3))  # unit vector from the first car towards the second, penetration along it
     axes[0] = _axis(dx, dy, psi0, half_length0 + half_length1 * c + half_width1 * s)
     axes[1] = _axis(dx, dy, psi0 + 0.5 * np.pi, half_width0 + half_length1 * s + half_width1 * c)
@@ -328,8 +324,10 @@ def contact_fault(state0, state1, half_length0, half_width0, half_length1, half_
     nx /= norm
     ny /= norm
     mx, my = _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, half_length1, half_width1)
-    share0 = (v0 * np.cos(psi0 + beta0) - rate0 * my) * nx + (v0 * np.sin(psi0 + beta0) + rate0 * mx) * ny
-    share1 = (v1 * np.cos(psi1 + beta1) - rate1 * (my - dy)) * nx + (v1 * np.sin(psi1 + beta1) + rate1 * (mx - dx)) * ny
+    s0, c0 = sine_cosine(psi0 + beta0)
+    s1, c1 = sine_cosine(psi1 + beta1)
+    share0 = (v0 * c0 - rate0 * my) * nx + (v0 * s0 + rate0 * mx) * ny
+    share1 = (v1 * c1 - rate1 * (my - dy)) * nx + (v1 * s1 + rate1 * (mx - dx)) * ny
     share0 = max(share0, 0.0)
     share1 = max(-share1, 0.0)
     margin = max(EQUAL_SHARES * max(share0, share1), EQUAL_SPEEDS)

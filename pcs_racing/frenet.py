@@ -259,7 +259,7 @@ def to_cartesian(track, s, d):  # type: ignore[no-untyped-def]
 def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
     """Whether the straight way between two points stays off the walls; in cells from the corner of the grid."""
     rows, cols = distance.shape
-    steps = int(2.0 * np.hypot(u1 - u0, v1 - v0)) + 1
+    steps = int(2.0 * np.sqrt((u1 - u0) * (u1 - u0) + (v1 - v0) * (v1 - v0))) + 1
     for k in range(steps + 1):
         i = int(np.floor(v0 + (v1 - v0) * k / steps))
         j = int(np.floor(u0 + (u1 - u0) * k / steps))

@@ -10,6 +10,7 @@ beam, so that nothing has to be tested for being visible.
 import numpy as np
 
 from pcs_racing.compilation import kernel
+from pcs_racing.elementary import sine_cosine
 from pcs_racing.frenet import wrap_s
 
 __all__ = ["minimum_ittc", "segment_ittc"]
@@ -95,8 +96,7 @@ def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: i
     nearest = np.sqrt(x * x + y * y) - half_length - half_width  # no point of it is nearer
     if speed == 0.0 or nearest >= best * speed:
         return best
-    c = np.cos(psi)
-    s = np.sin(psi)
+    s, c = sine_cosine(psi)
     lx = half_length * c
     ly = half_length * s
     wx = -half_width * s

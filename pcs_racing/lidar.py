@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.compilation import compiled
+from pcs_racing.elementary import sines_cosines
 from pcs_racing.errors import InputError
 from pcs_racing.frenet import locate
 from pcs_racing.lidar_kernel import WORK_SHAPE, Beams, scan_into
@@ -93,7 +94,7 @@ class Lidar:
     def kernel(self) -> Beams:
         """The beams as `scan_into` takes them."""
         step = self.fov / (self.beams - 1) if self.beams > 1 else 2.0 * np.pi
-        cos, sin = np.cos(self.angles), np.sin(self.angles)
+        sin, cos = sines_cosines(self.angles)
         cos.flags.writeable = sin.flags.writeable = False
         return Beams(float(self.angles[0]), float(step), float(self.max_range), cos, sin)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.collision import inside_wall
 from pcs_racing.compilation import compiled
+from pcs_racing.elementary import sine_cosine
 from pcs_racing.frenet import wrap_s
 from pcs_racing.grid import cast
 
@@ -168,8 +169,7 @@ def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-
 @compiled
 def _draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):  # type: ignore[no-untyped-def]
     """Draw a rectangle, centred at (x, y) relative to the lidar, into a buffer of inverse ranges."""
-    c = np.cos(psi)
-    s = np.sin(psi)
+    s, c = sine_cosine(psi)
     count = 0
     for k in range(4):
         u = half_length if k in (0, 3) else -half_length
@@ -268,8 +268,7 @@ def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_lengt
         return
     # The buffer holds inverse ranges until the end; 0 means that nothing was drawn.
     out[:] = 0.0
-    cos = np.cos(psi)
-    sin = np.sin(psi)
+    sin, cos = sine_cosine(psi)
     _draw_walls(track, beams, x, y, cos, sin, s, work, out)
     empty = 0
     for k in range(out.shape[0]):

@@ -20,6 +20,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.compilation import kernel
+from pcs_racing.elementary import arctangent, sine_cosine
 from pcs_racing.errors import InputError, UnknownNameError
 from pcs_racing.frenet import TrackArrays
 
@@ -188,10 +189,11 @@ def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untype
     course = view[OWN_PSI] + view[OWN_BETA]
     dx = x - view[OWN_X]
     dy = y - view[OWN_Y]
-    across = -dx * np.sin(course) + dy * np.cos(course)
+    sine, cosine = sine_cosine(course)
+    across = -dx * sine + dy * cosine
     arc = 2.0 * across / max(dx * dx + dy * dy, 1e-6)
     understeer = view[UNDERSTEER] + view[UNDERSTEER_GAIN] * acceleration
-    steer = np.arctan(view[WHEELBASE] * arc) + understeer * view[OWN_V] * view[OWN_V] * kappa
+    steer = arctangent(view[WHEELBASE] * arc) + understeer * view[OWN_V] * view[OWN_V] * kappa
     return min(max(steer, -view[STEER_MAX]), view[STEER_MAX])
 
 

@@ -12,6 +12,7 @@ from pcs_racing import race_state as _state
 from pcs_racing import vehicle as _vehicle
 from pcs_racing.collision import contact_fault, hits_wall, rectangles_overlap
 from pcs_racing.compilation import kernel
+from pcs_racing.elementary import sine_cosine
 from pcs_racing.frenet import COS, SIN, foot, locate
 from pcs_racing.ittc import rectangle_ittc, walls_ittc
 
@@ -106,7 +107,8 @@ def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignor
     view[_planner.OPP_D] = state.frenet[race, other, 1]
     row = track.line[int(state.frenet[race, other, 0] / track.ds) % track.line.shape[0]]
     course = opponent[_vehicle.PSI] + opponent[_vehicle.BETA]
-    view[_planner.OPP_D_DOT] = opponent[_vehicle.V] * (np.sin(course) * row[COS] - np.cos(course) * row[SIN])
+    sine, cosine = sine_cosine(course)
+    view[_planner.OPP_D_DOT] = opponent[_vehicle.V] * (sine * row[COS] - cosine * row[SIN])
     view[_planner.GAP] = state.progress[race, other] - state.progress[race, car]
     view[_planner.OWN_LENGTH] = vehicles[car, _vehicle.LENGTH]
     view[_planner.OWN_WIDTH] = vehicles[car, _vehicle.WIDTH]
@@ -251,8 +253,8 @@ def measure_ittc(  # type: ignore[no-untyped-def]
     walls, seen_start, seen, seen_distance, seen_middle, seen_stretch, cars, frenet, sums, race, vehicles, horizon
 ):
     """Sample the minimum time to collision of both cars."""
-    sine0, cosine0 = _vehicle.sine_cosine(cars[race, 0, _vehicle.PSI] + cars[race, 0, _vehicle.BETA])
-    sine1, cosine1 = _vehicle.sine_cosine(cars[race, 1, _vehicle.PSI] + cars[race, 1, _vehicle.BETA])
+    sine0, cosine0 = sine_cosine(cars[race, 0, _vehicle.PSI] + cars[race, 0, _vehicle.BETA])
+    sine1, cosine1 = sine_cosine(cars[race, 1, _vehicle.PSI] + cars[race, 1, _vehicle.BETA])
     v0x = cars[race, 0, _vehicle.V] * cosine0
     v0y = cars[race, 0, _vehicle.V] * sine0
     v1x = cars[race, 1, _vehicle.V] * cosine1

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pcs_racing import frenet as _frenet
 from pcs_racing.driving import pad_parameters
+from pcs_racing.elementary import lengths
 from pcs_racing.errors import InputError
 from pcs_racing.planner import COMMAND_SLOTS, PATH_SPEED, PATH_Y, VIEW_SIZE, Policy
 from pcs_racing.race import RaceResult, RaceSetup, advance, start_races, starts_of
@@ -237,7 +238,7 @@ def _plans(log: _Log) -> dict[str, Any]:
 def _followed(path: Floats) -> Floats:
     """The plans of both cars as points x, y, speed, time; NaN for a driver that plans nothing."""
     out = np.array(path)
-    step = np.hypot(*np.moveaxis(np.diff(path[..., : PATH_Y + 1], axis=1), -1, 0))
+    step = lengths(np.diff(path[..., : PATH_Y + 1], axis=1))
     speed = np.maximum(0.5 * (path[:, 1:, PATH_SPEED] + path[:, :-1, PATH_SPEED]), 0.1)
     out[:, 0, 3] = 0.0
     out[:, 1:, 3] = np.cumsum(step / speed, axis=1)

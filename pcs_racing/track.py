@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing import frenet
 from pcs_racing.compilation import compiled
+from pcs_racing.elementary import arctangent2
 from pcs_racing.errors import InputError, MapError, UnknownNameError
 from pcs_racing.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
 from pcs_racing.grid import distance_to_walls
@@ -344,7 +345,7 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
     note = " and ".join(reasons)
     try:
         if center is None:
-            heading = None if race is None else float(np.arctan2(*(race[1] - race[0])[::-1]))
+            heading = None if race is None else float(arctangent2(*(race[1] - race[0])[::-1]))
             seed = None if race is None else race[0]
             center = centerline_from_grid(occupied, resolution, origin, seed_point=seed, direction=heading)
         if race is None or air < CLEARANCE - TOLERANCE:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.compilation import compiled
+from pcs_racing.elementary import lengths
 from pcs_racing.errors import MapError
 from pcs_racing.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
 from pcs_racing.grid import cast, distance_to_walls, flood, lookup_grid, way_out
@@ -83,7 +84,7 @@ def check_line(points: ArrayLike, what: str) -> Floats:
     xy = clean_closed(xy)
     if len(xy) < 10:
         raise MapError(f"{what} has {len(xy)} different points: at least 10 are needed")
-    step = np.linalg.norm(np.roll(xy, -1, axis=0) - xy, axis=1)
+    step = lengths(np.roll(xy, -1, axis=0) - xy)
     if step[-1] > max(3.0 * step[:-1].max(), 1.0):
         raise MapError(
             f"{what} is open: from its last point {_at(xy[-1])} to its first {_at(xy[0])} it is {step[-1]:.2f} m, more "
@@ -311,7 +312,7 @@ def _first_crossing(xy, step):  # type: ignore[no-untyped-def]
         last = n if i > 0 else n - 1
         while j < last:
             cx, cy = xy[j]
-            far = int(np.hypot(cx - ax, cy - ay) / step)
+            far = int(np.sqrt((cx - ax) * (cx - ax) + (cy - ay) * (cy - ay)) / step)
             if far > 3:
                 j += far - 2
                 continue

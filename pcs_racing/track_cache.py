@@ -27,6 +27,7 @@ MAX_BYTES = 256_000_000
 
 # Files whose code decides what is cached: a change in any of them makes all that is cached out of date.
 _TRACK_CODE = (
+    "elementary.py",
     "frenet.py",
     "grid.py",
     "map_files.py",
@@ -38,6 +39,7 @@ _TRACK_CODE = (
     "mapping/centerline.py",
     "mapping/clearance.py",
     "mapping/curves.py",
+    "mapping/fourier.py",
     "mapping/raceline.py",
     "mapping/speed.py",
 )

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.compilation import compiled
+from pcs_racing.elementary import sine_cosine
 from pcs_racing.grid import cast
 
 __all__ = ["Outlines", "seen_lists", "simplify", "trace_outlines"]
@@ -107,7 +108,7 @@ def _corners(points, tolerance):  # type: ignore[no-untyped-def]
         first, last = stack.pop()
         x0, y0 = points[first]
         x1, y1 = points[last % n]
-        length = np.hypot(x1 - x0, y1 - y0)
+        length = np.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
         worst = tolerance
         at = -1
         for k in range(first + 1, last):
@@ -118,7 +119,7 @@ def _corners(points, tolerance):  # type: ignore[no-untyped-def]
                 along = min(max(along, 0.0), length) / length
                 dx -= along * (x1 - x0)
                 dy -= along * (y1 - y0)
-            away = np.hypot(dx, dy)
+            away = np.sqrt(dx * dx + dy * dy)
             if away > worst:
                 worst = away
                 at = k
@@ -139,7 +140,7 @@ def _protrusion(vertex, corner, ends):  # type: ignore[no-untyped-def]
         x, y = vertex[a]
         dx = vertex[(a + 1) % m, 0] - x
         dy = vertex[(a + 1) % m, 1] - y
-        length = np.hypot(dx, dy)
+        length = np.sqrt(dx * dx + dy * dy)
         last = corner[a + 1] if a + 1 < m else corner[0] + n
         for k in range(corner[a] + 1, last + 1):
             out[a] = max(out[a], (dx * (ends[k % n, 1] - y) - dy * (ends[k % n, 0] - x)) / length)
@@ -156,8 +157,8 @@ def _shift_left(vertex, shift):  # type: ignore[no-untyped-def]
         ay = vertex[k, 1] - vertex[k - 1, 1]
         bx = vertex[(k + 1) % n, 0] - vertex[k, 0]
         by = vertex[(k + 1) % n, 1] - vertex[k, 1]
-        a = np.hypot(ax, ay)
-        b = np.hypot(bx, by)
+        a = np.sqrt(ax * ax + ay * ay)
+        b = np.sqrt(bx * bx + by * by)
         nx = -ay / a - by / b
         ny = ax / a + bx / b
         # The sum of the two unit normals, squared; bounded below so that a sharp corner doesn't leap away.
@@ -240,7 +241,8 @@ def _cell_faces(outlines, shape):  # type: ignore[no-untyped-def]
 @compiled
 def _segment_at(drivable, number, faces, owner, x, y, angle):  # type: ignore[no-untyped-def]
     """Segment that a ray meets, -1 from a viewpoint in a wall."""
-    _, i, j, side = cast(drivable, x, y, np.cos(angle), np.sin(angle), np.inf)
+    sine, cosine = sine_cosine(angle)
+    _, i, j, side = cast(drivable, x, y, cosine, sine, np.inf)
     return owner[faces[number[i, j], side]] if side >= 0 else -1
 
 

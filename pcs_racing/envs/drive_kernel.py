@@ -6,6 +6,7 @@ from pcs_racing import race_state as _state
 from pcs_racing import vehicle as _vehicle
 from pcs_racing.collision import car_hits_wall
 from pcs_racing.compilation import compiled, kernel
+from pcs_racing.elementary import sine_cosine
 from pcs_racing.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
 from pcs_racing.lidar_kernel import scan_into
 from pcs_racing.race_kernel import CONTROL_EVERY, DT, advance_races, steering_noise
@@ -107,15 +108,16 @@ def _observe(line, ds, length, cars, frenet, progress, memory, ahead, alone, rac
         for i in range(k, k + 9):
             row[i] = 0.0
         return
-    c = np.cos(psi)
-    sn = np.sin(psi)
+    sn, c = sine_cosine(psi)
     dx = cars[race, 1, _vehicle.X] - cars[race, 0, _vehicle.X]
     dy = cars[race, 1, _vehicle.Y] - cars[race, 0, _vehicle.Y]
     course = cars[race, 1, _vehicle.PSI] + cars[race, 1, _vehicle.BETA]
     own_course = psi + cars[race, 0, _vehicle.BETA]
     speed = cars[race, 1, _vehicle.V]
-    vx = speed * np.cos(course) - v * np.cos(own_course)
-    vy = speed * np.sin(course) - v * np.sin(own_course)
+    sine, cosine = sine_cosine(course)
+    own_sine, own_cosine = sine_cosine(own_course)
+    vx = speed * cosine - v * own_cosine
+    vy = speed * sine - v * own_sine
     gap = frenet[race, 1, 0] - s
     row[k] = 1.0
     row[k + 1] = gap - length * np.floor(gap / length + 0.5)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pcs_racing.elementary import arctangent2, headings, lengths, sine_cosine
 from pcs_racing.errors import MapError
 from pcs_racing.grid import distance_to_walls
 from pcs_racing.mapping.clearance import checked_grid
@@ -73,7 +74,7 @@ def centerline_from_grid(
     to_outside = distance_to_walls(region | hole, resolution)
     line = _zero_contour(to_outside - to_hole) * resolution + corner
     line = resample(smooth(resample(line, 0.1), SMOOTHING), SPACING)
-    first = straightest(line) if seed is None else int(np.argmin(np.hypot(*(line - seed).T)))
+    first = straightest(line) if seed is None else int(np.argmin(lengths(line - seed)))
     line = directed(np.roll(line, -first, axis=0), direction)
     cells = ((line - corner) / resolution - 0.5).T[::-1]
     inner, outer = (ndimage.map_coordinates(field, cells, order=1) for field in (to_hole, to_outside))
@@ -176,7 +177,7 @@ def _zero_contour(values: np.ndarray) -> np.ndarray:
 def straightest(line: np.ndarray) -> int:
     """Index of the point in the middle of the straightest stretch."""
     ahead = np.roll(line, -1, axis=0) - line
-    angle = np.arctan2(ahead[:, 1], ahead[:, 0])
+    angle = headings(ahead)
     turn = np.mod(np.diff(angle, prepend=angle[-1]) + np.pi, 2.0 * np.pi) - np.pi
     half = max(int(0.5 * START_STRAIGHT * len(line) / curve_length(line)), 1)
     window = np.arange(-half, half + 1)
@@ -190,8 +191,8 @@ def directed(line: np.ndarray, direction: str | float | None) -> np.ndarray:
         against = (signed_area(line) < 0.0) != (direction == "clockwise")
     else:
         ahead = line[1] - line[-1]
-        psi = math.atan2(ahead[1], ahead[0])
-        along = math.cos(psi - float(direction))
+        psi = float(arctangent2(ahead[1], ahead[0]))
+        _, along = sine_cosine(psi - float(direction))
         if abs(along) < 0.2:
             raise MapError(
                 f"heading {direction:g} rad lies across the track, which runs at {psi:.2f} or {psi + math.pi:.2f} rad "

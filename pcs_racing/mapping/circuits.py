@@ -1,11 +1,11 @@
 """Random circuits: drawn, judged, and turned into a grid with a race line. The same seed gives the same circuit."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
+from pcs_racing.elementary import sine_cosine
 from pcs_racing.errors import InputError, MapError, UnknownNameError
 from pcs_racing.mapping.centerline import directed, straightest
 from pcs_racing.mapping.curves import curve_length, first_crossing, resample, signed_area, smooth
@@ -242,7 +242,7 @@ def _draft(
         return None, "with an outline that is not simple"
     length = rng.uniform(shortest, longest)
     turn = rng.uniform(0.0, 2.0 * np.pi)
-    rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    sine, cosine = sine_cosine(turn)
     least = 0.5 * RADIUS_RATIO * width
     radii = least + rng.exponential(2.5, size=len(corners))
     # Rounding shortens the line: scale twice.
@@ -250,7 +250,8 @@ def _draft(
         corners = corners * (length / curve_length(corners))
         line = resample(rounded(corners, radii, 0.1), 0.1)
         length *= length / curve_length(line)
-    line = smooth(line, EASING) @ rotation
+    x, y = smooth(line, EASING).T
+    line = np.column_stack([x * cosine - y * sine, x * sine + y * cosine])
     samples = sample_closed(line, 0.3)
     if not shortest <= samples.length <= longest:
         return None, "of the wrong length"

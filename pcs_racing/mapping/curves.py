@@ -3,7 +3,9 @@
 import numpy as np
 from numba import njit
 
+from pcs_racing.elementary import lengths
 from pcs_racing.errors import MapError
+from pcs_racing.mapping.fourier import transform
 from pcs_racing.splines import sample_closed
 
 __all__ = ["checked_curve", "curve_length", "first_crossing", "resample", "signed_area", "smooth"]
@@ -33,10 +35,10 @@ def checked_curve(points: np.ndarray, what: str) -> np.ndarray:
         raise MapError(
             f"the {what} holds a coordinate that is not finite, in row {int(np.argwhere(~np.isfinite(xy))[0, 0])}"
         )
-    xy = xy[np.hypot(*(xy - np.roll(xy, 1, axis=0)).T) > 1e-9]
+    xy = xy[lengths(xy - np.roll(xy, 1, axis=0)) > 1e-9]
     if len(xy) < 4:
         raise MapError(f"the {what} has {len(xy)} different points: a closed curve needs at least 4")
-    steps = np.hypot(*(np.roll(xy, -1, axis=0) - xy).T)
+    steps = lengths(np.roll(xy, -1, axis=0) - xy)
     if steps[-1] > 10.0 * np.median(steps) and steps[-1] > 0.1 * steps.sum():
         raise MapError(f"the {what} is open: its last point lies {steps[-1]:.2f} m from its first")
     return xy
@@ -44,7 +46,7 @@ def checked_curve(points: np.ndarray, what: str) -> np.ndarray:
 
 def curve_length(xy: np.ndarray) -> float:
     """Length in m of a closed polyline, shape (N, 2)."""
-    return float(np.hypot(*(np.roll(xy, -1, axis=0) - xy).T).sum())
+    return float(lengths(np.roll(xy, -1, axis=0) - xy).sum())
 
 
 def signed_area(xy: np.ndarray) -> float:
@@ -88,10 +90,14 @@ def smooth(xy: np.ndarray, wavelength: float) -> np.ndarray:
     -------
     ndarray, shape (N, 2)
     """
-    waves_per_metre = np.abs(np.fft.fftfreq(len(xy))) * len(xy) / curve_length(xy)
-    modes = np.fft.fft(xy[:, 0] + 1j * xy[:, 1]) / (1.0 + (wavelength * waves_per_metre) ** 4)
-    z = np.fft.ifft(modes)
-    return np.column_stack([z.real, z.imag])
+    n = len(xy)
+    waves = np.minimum(np.arange(n), n - np.arange(n))  # around the loop
+    ratio = (wavelength / curve_length(xy) * waves) ** 2
+    share = 1.0 / (n * (1.0 + ratio * ratio))
+    real, imaginary = transform(xy[:, 0], xy[:, 1])
+    # The inverse transform is the transform with its two parts exchanged.
+    y, x = transform(imaginary * share, real * share)
+    return np.column_stack([x, y])
 
 
 @njit(cache=True, nogil=True)

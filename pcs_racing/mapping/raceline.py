@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from pcs_racing.elementary import headings, lengths
 from pcs_racing.errors import InputError, MapError
 from pcs_racing.grid import distance_to_walls
 from pcs_racing.mapping.clearance import checked_grid, corridor, room_at, wall_clearance
@@ -204,11 +205,11 @@ def _improve(
     step = curve_length(line) / len(line)
     # Three-point curvature: unlike a spline's it answers to a move just as the program's second differences do, so that
     # rounds don't overshoot in the shortest waves.
-    angle = np.arctan2(ahead[:, 1], ahead[:, 0])
+    angle = headings(ahead)
     kappa = np.mod(angle - np.roll(angle, 1) + np.pi, 2.0 * np.pi) - np.pi
     kappa /= step
     along = ahead + np.roll(ahead, 1, axis=0)
-    along /= np.hypot(*along.T)[:, None]
+    along /= lengths(along)[:, None]
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     low, high = corridor(line, normal, room, resolution, corner, need, REACH)
     if (low > high).any():
@@ -242,10 +243,11 @@ def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray, le
     bend = sparse.diags(kappa**2) + (shift - 2.0 * one + shift.T) / step**2
     metric = one + CHATTER * (slope.T @ slope)
     P = 2.0 * bend.T @ metric @ bend + length_weight * slope.T @ slope
-    q = 2.0 * bend.T @ (metric @ kappa) - kappa**3 - length_weight * kappa
+    q = 2.0 * bend.T @ (metric @ kappa) - kappa * kappa * kappa - length_weight * kappa
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
+    settings.direct_solve_method = "qdldl"  # no instructions beyond SSE2, whatever the processor has
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-6
     solver = clarabel.DefaultSolver(
         sparse.triu(P, format="csc"),

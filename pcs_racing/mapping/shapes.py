@@ -3,10 +3,12 @@
 All are drawn in units of their own; ``circuits`` scales, rounds and judges them.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 
+from pcs_racing.elementary import headings, lengths, sine_cosine, sines_cosines
 from pcs_racing.mapping.optional import require
 
 __all__ = ["STYLES", "hairpin_polygon", "hull_polygon", "rounded", "voronoi_polygon"]
@@ -30,7 +32,7 @@ def hull_polygon(rng: np.random.Generator) -> np.ndarray:
     for a, b in zip(hull, np.roll(hull, -1, axis=0), strict=True):
         corners.append(a)
         side = b - a
-        length = float(np.hypot(*side))
+        length = float(lengths(side))
         if length > 0.25:
             # Inwards is to the left of a side; dents go deeper than bulges.
             depth = length * rng.triangular(-0.15, 0.25, 0.55)
@@ -68,7 +70,7 @@ def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
         # Cells that touch few chosen ones make long, winding unions.
         around = {k: len(neighbours[k] & set(chosen)) for c in chosen for k in neighbours[c] if k not in chosen}
         names = sorted(around)
-        weights = np.array([0.3 ** around[k] for k in names])
+        weights = np.array([math.prod([0.3] * around[k]) for k in names])
         chosen.append(int(rng.choice(names, p=weights / weights.sum())))
     # A side of the union belongs to one chosen cell; it runs with that cell on its left.
     after: dict[int, int] = {}
@@ -106,7 +108,7 @@ def hairpin_polygon(rng: np.random.Generator) -> np.ndarray:
     lengths = rng.uniform(0.55, 1.0, size=arms)
     corners = []
     for k in range(arms):
-        along = np.array([np.cos(angles[k]), np.sin(angles[k])])
+        along = _direction(angles[k])
         left = np.array([-along[1], along[0]])
         half = rng.uniform(0.06, 0.09)
         skew = rng.uniform(-0.05, 0.05)
@@ -114,8 +116,8 @@ def hairpin_polygon(rng: np.random.Generator) -> np.ndarray:
         corners += [tip - half * left - skew * along, tip + half * left + skew * along]
         gap = (angles[(k + 1) % arms] - angles[k]) % (2.0 * np.pi)
         middle = angles[k] + gap * rng.uniform(0.4, 0.6)
-        crotch = rng.uniform(0.1, 0.18) / max(np.sin(0.5 * min(gap, np.pi)), 0.5)
-        corners.append(crotch * np.array([np.cos(middle), np.sin(middle)]))
+        crotch = rng.uniform(0.1, 0.18) / max(_direction(0.5 * min(gap, np.pi))[1], 0.5)
+        corners.append(crotch * _direction(middle))
     return np.array(corners)
 
 
@@ -146,11 +148,13 @@ def rounded(corners: np.ndarray, radii: np.ndarray, step: float) -> np.ndarray:
     """
     before = corners - np.roll(corners, 1, axis=0)
     after = np.roll(corners, -1, axis=0) - corners
-    length_before, length_after = np.hypot(*before.T), np.hypot(*after.T)
+    length_before, length_after = lengths(before), lengths(after)
     before /= length_before[:, None]
     after /= length_after[:, None]
-    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], np.sum(before * after, axis=1))
-    half_turn = np.tan(0.5 * np.abs(turn))
+    across = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    turn = headings(np.column_stack([np.sum(before * after, axis=1), across]))
+    sines, cosines = sines_cosines(0.5 * np.abs(turn))
+    half_turn = sines / cosines
     room = 0.49 * np.minimum(length_before, length_after)
     tangent = np.minimum(radii * half_turn, room)
     points = []
@@ -164,15 +168,22 @@ def rounded(corners: np.ndarray, radii: np.ndarray, step: float) -> np.ndarray:
             angle = np.linspace(0.0, turn[k], n + 1)
             side = np.sign(turn[k]) * radius
             normal = np.array([-before[k, 1], before[k, 0]])
-            arc = begin + radius * np.sin(np.abs(angle))[:, None] * before[k]
-            arc = arc + side * (1.0 - np.cos(angle))[:, None] * normal
+            sines, cosines = sines_cosines(np.abs(angle))
+            arc = begin + radius * sines[:, None] * before[k]
+            arc = arc + side * (1.0 - cosines)[:, None] * normal
         points.append(arc)
         end = corners[k] + tangent[k] * after[k]
         nxt = (k + 1) % len(corners)
         target = corners[nxt] - tangent[nxt] * before[nxt]
-        n = max(int(np.hypot(*(target - end)) / step), 1)
+        n = max(int(lengths(target - end) / step), 1)
         points.append(end + (target - end) * (np.arange(1, n) / n)[:, None])
     return np.vstack(points)
+
+
+def _direction(angle: float) -> np.ndarray:
+    """Unit vector of an angle in rad."""
+    sine, cosine = sine_cosine(angle)
+    return np.array([cosine, sine])
 
 
 def _convex_hull(points: np.ndarray) -> np.ndarray:
@@ -196,7 +207,7 @@ def _convex_hull(points: np.ndarray) -> np.ndarray:
 def _without_short_sides(corners: np.ndarray, shortest: float) -> np.ndarray:
     """Polygon whose sides below a length are replaced by their middle, shortest first."""
     while len(corners) > 4:
-        sides = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
+        sides = lengths(np.roll(corners, -1, axis=0) - corners)
         k = int(np.argmin(sides))
         if sides[k] >= shortest:
             break

@@ -16,6 +16,7 @@ import numpy as np
 
 from pcs_racing import planner as _view
 from pcs_racing.compilation import compiled
+from pcs_racing.elementary import arcsine, sine_cosine, sines_cosines, tangent
 from pcs_racing.lidar import WORK_SHAPE, Beams, scan_into
 from pcs_racing.planner import PATH_POINTS, Parameter, Planner
 
@@ -41,8 +42,9 @@ SLOWEST = 1.0  # m/s, to creep out of a dead end
 SIDE_BEAMS = BEAMS // 6  # the outer 30 degrees on each side
 LEAN = 0.4  # rad per metre that a side is too near
 _ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
-_COS = np.cos(_ANGLES)
-_SIN = np.sin(_ANGLES)
+_SIN, _COS = sines_cosines(_ANGLES)
+# Of the angle between two beams that are so many apart.
+_APART_SIN, _APART_COS = sines_cosines(STEP * np.arange(BEAMS))
 
 # Scratch: the lidar's own working memory, the ranges, and the free distances.
 _RANGES = WORK_SHAPE[0] * WORK_SHAPE[1]
@@ -58,13 +60,12 @@ def free_distances(ranges, bubble, free):  # type: ignore[no-untyped-def]
     for j in range(BEAMS):
         near = ranges[j]
         # Within the bubble every forward direction is blocked at once.
-        spread = np.arcsin(bubble / near) if near > bubble else 0.5 * np.pi
+        spread = arcsine(bubble / near) if near > bubble else 0.5 * np.pi
         reach = int(spread / STEP)
         for k in range(max(j - reach, 0), min(j + reach + 1, BEAMS)):
-            # Where a beam enters a circle around a point `near` away and `angle` aside.
-            angle = (k - j) * STEP
-            across = near * np.sin(angle)
-            ahead = near * np.cos(angle) - np.sqrt(max(bubble * bubble - across * across, 0.0))
+            # Where a beam enters a circle around a point `near` away, some beams aside.
+            across = near * _APART_SIN[abs(k - j)]
+            ahead = near * _APART_COS[abs(k - j)] - np.sqrt(max(bubble * bubble - across * across, 0.0))
             free[k] = min(free[k], max(ahead, 0.0))
 
 
@@ -127,17 +128,20 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     angle, longest = widest_gap(free, theta[DEPTH])
     angle += lean(ranges, theta[SIDE_AIR])
     reach = theta[REACH]
-    tightest = np.tan(view[_view.STEER_MAX]) / view[_view.WHEELBASE]
-    kappa = min(max(2.0 * np.sin(angle) / reach, -tightest), tightest)
+    tightest = tangent(view[_view.STEER_MAX]) / view[_view.WHEELBASE]
+    sine, _ = sine_cosine(angle)
+    kappa = min(max(2.0 * sine / reach, -tightest), tightest)
     ahead = free[BEAMS // 2]
     speed = np.sqrt(2.0 * theta[BRAKING] * min(ahead, longest))
     speed = min(speed, np.sqrt(theta[LATERAL] / max(abs(kappa), 1e-6)), theta[TOP_SPEED])
     for j in range(PATH_POINTS):
         s = 1.5 * reach * j / (PATH_POINTS - 1)
         bend = 0.5 * kappa * s
-        chord = s * np.sinc(bend / np.pi)
-        path[j, _view.PATH_X] = x0 + chord * np.cos(course + bend)
-        path[j, _view.PATH_Y] = y0 + chord * np.sin(course + bend)
+        sine, _ = sine_cosine(bend)
+        chord = s * sine / bend if bend != 0.0 else s
+        sine, cosine = sine_cosine(course + bend)
+        path[j, _view.PATH_X] = x0 + chord * cosine
+        path[j, _view.PATH_Y] = y0 + chord * sine
         path[j, _view.PATH_SPEED] = max(speed, SLOWEST)
         path[j, _view.PATH_KAPPA] = kappa
 

@@ -14,11 +14,10 @@ added to the steering. The farthest look-ahead is 1.3 m instead of 2.0 m, and th
 wall instead of 0.3 m: race lines with 0.15 m of air leave little room for cutting corners.
 """
 
-import numpy as np
-
 from pcs_racing import frenet as _frenet
 from pcs_racing import planner as _view
 from pcs_racing.compilation import compiled
+from pcs_racing.elementary import sine_cosine
 from pcs_racing.frenet import project, to_cartesian
 from pcs_racing.planner import PATH_POINTS, Parameter, Planner, calm_speed
 from pcs_racing.planners.pure_pursuit import (
@@ -137,8 +136,7 @@ def _lane_d(track, memory, lane, s):  # type: ignore[no-untyped-def]
 @compiled
 def _blocked(track, theta, view, memory, lane):  # type: ignore[no-untyped-def]
     """Whether a corner of the opponent's box lies near a lane."""
-    c = np.cos(view[_view.OPP_PSI])
-    n = np.sin(view[_view.OPP_PSI])
+    n, c = sine_cosine(view[_view.OPP_PSI])
     for k in range(4):
         u = 0.5 * view[_view.OPP_LENGTH] if k in (0, 3) else -0.5 * view[_view.OPP_LENGTH]
         w = 0.5 * view[_view.OPP_WIDTH] if k < 2 else -0.5 * view[_view.OPP_WIDTH]
@@ -229,7 +227,8 @@ def control(track, theta, view, memory, scratch, path, command):  # type: ignore
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
     dx = x - view[_view.OWN_X]
     dy = y - view[_view.OWN_Y]
-    error = 2.0 * (dy * np.cos(course) - dx * np.sin(course)) / max(dx * dx + dy * dy, 1e-6)
+    sine, cosine = sine_cosine(course)
+    error = 2.0 * (dy * cosine - dx * sine) / max(dx * dx + dy * dy, 1e-6)
     kappa = track.line[line_index(track, s0), _frenet.KAPPA]
     if max(abs(kappa), abs(track.line[line_index(track, s), _frenet.KAPPA])) > CORNER:
         steer = theta[GAIN_CORNER] * error

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from pcs_racing import frenet as _frenet
 from pcs_racing import planner as _view
 from pcs_racing.compilation import kernel
+from pcs_racing.elementary import sine_cosine, tangent
 from pcs_racing.frenet import angle_between, offset
 from pcs_racing.planner import PATH_POINTS, Parameter, Planner
 from pcs_racing.planners import spiral
-from pcs_racing.planners.spiral import SEGMENTS, sample_spirals, sine_cosine, solve_spirals, spiral_curvature
+from pcs_racing.planners.spiral import SEGMENTS, sample_spirals, solve_spirals, spiral_curvature
 
 __all__ = ["LATTICE"]
 
@@ -167,8 +168,7 @@ def _lay_goals(line, ds, length, view, distance, first, course, scratch):  # typ
     left = max(line[i, _frenet.LEFT] - keep, 0.0)
     step = (left - right) / (ACROSS - 1)
     on_line = int(-right / step + 0.5) if step > 1e-9 else 0
-    c = np.cos(course)
-    sn = np.sin(course)
+    sn, c = sine_cosine(course)
     # The same for the whole row: where the line is, and which way across the track.
     x, y, psi = offset(line, ds, length, s, 0.0)
     heading = angle_between(psi, course)
@@ -176,8 +176,8 @@ def _lay_goals(line, ds, length, view, distance, first, course, scratch):  # typ
     dy = y - view[_view.OWN_Y]
     line_x = dx * c + dy * sn
     line_y = -dx * sn + dy * c
-    across_x = -np.sin(heading)
-    across_y = np.cos(heading)
+    sine, across_y = sine_cosine(heading)
+    across_x = -sine
     for k in range(ACROSS):
         g = first + k
         d = 0.0 if k == on_line else right + k * step
@@ -227,7 +227,7 @@ def _predict(line, ds, s, v, target_scale, late_braking, keep, steps, scratch, f
         scratch[_OWN_HIGH + first + k] = max(line[i, _frenet.LEFT] - keep, 0.0)
 
 
-@kernel(fastmath=spiral.FAST)
+@kernel
 def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side, gives_way, followed):  # type: ignore[no-untyped-def]
     """Trouble (overlap within a second) and proximity of all spirals at one speed with the predicted opponent."""
     for g in range(GOALS):
@@ -261,7 +261,7 @@ def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side
         fade *= 0.85
 
 
-@kernel(fastmath=spiral.FAST)
+@kernel
 def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend, opponent_d):  # type: ignore[no-untyped-def]
     """Sum up what a spiral costs whatever the speed, rejections by walls included, into the base row."""
     w_length = 2.5 * _power_of_ten(theta[LENGTH])
@@ -271,6 +271,7 @@ def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend,
     w_deviation = 0.5 * _power_of_ten(theta[DEVIATION])
     w_walls = _power_of_ten(theta[WALLS])
     before = max(memory[_M_LENGTH], 0.1)
+    per_before = 1.0 / before
     before_d = memory[_M_D]
     before_slope = memory[_M_SLOPE] * before
     before_goal = memory[_M_GOAL]
@@ -278,8 +279,8 @@ def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend,
         length = scratch[spiral.LENGTH + g]
         goal = scratch[_GOAL_D + g]
         middle = _hermite(0.5, d0, slope * length, goal)
-        change = goal - _hermite((since + length) / before, before_d, before_slope, before_goal)
-        middle_change = middle - _hermite((since + 0.5 * length) / before, before_d, before_slope, before_goal)
+        change = goal - _hermite((since + length) * per_before, before_d, before_slope, before_goal)
+        middle_change = middle - _hermite((since + 0.5 * length) * per_before, before_d, before_slope, before_goal)
         tight = max(TIGHT - scratch[_MIN_AIR + g], 0.0)
         scratch[_BASE + g] = (
             w_length / length
@@ -304,10 +305,10 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     line = track.line
     ds = track.ds
     line_psi = line[_sample_at(line, ds, s0), _frenet.PSI]
-    slope = np.tan(min(max(angle_between(course, line_psi), -1.2), 1.2))
+    slope = tangent(min(max(angle_between(course, line_psi), -1.2), 1.2))
     scale = view[_view.SPEED_LOW] + theta[PACE] * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
     # The yaw rate lags the steering; half of each is where the car is about to be.
-    kappa0 = 0.5 * (view[_view.OWN_PSI_DOT] / v + np.tan(view[_view.OWN_DELTA]) / view[_view.WHEELBASE])
+    kappa0 = 0.5 * (view[_view.OWN_PSI_DOT] / v + tangent(view[_view.OWN_DELTA]) / view[_view.WHEELBASE])
     kappa0 = min(max(kappa0, -1.2), 1.2)
     late = theta[LATE_BRAKING]
 
@@ -430,10 +431,12 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 @kernel
 def _write_path(line, ds, view, scratch, g, kappa0, course, scale, factor, late, path):  # type: ignore[no-untyped-def]
     """Sample the chosen spiral, with a speed at each point that its curvature allows."""
-    c0 = np.cos(course)
-    s0 = np.sin(course)
+    s0, c0 = sine_cosine(course)
     length = scratch[spiral.LENGTH + g]
     h = length / (PATH_POINTS - 1)
+    a1, a2, a3 = spiral_curvature(
+        length, scratch[spiral.W + g], scratch[spiral.GOAL_HEADING + g], kappa0, scratch[spiral.GOAL_KAPPA + g]
+    )
     x = 0.0
     y = 0.0
     c = 1.0
@@ -447,14 +450,7 @@ def _write_path(line, ds, view, scratch, g, kappa0, course, scale, factor, late,
         if j > 0:
             a, b0, b3, d = _PATH_BASIS[j - 1, 0], _PATH_BASIS[j - 1, 1], _PATH_BASIS[j - 1, 2], _PATH_BASIS[j - 1, 3]
             u = j / (PATH_POINTS - 1)
-            new = spiral_curvature(
-                u,
-                length,
-                scratch[spiral.W + g],
-                scratch[spiral.GOAL_HEADING + g],
-                kappa0,
-                scratch[spiral.GOAL_KAPPA + g],
-            )
+            new = kappa0 + u * (a1 + u * (a2 + u * a3))
             heading = (
                 a * scratch[spiral.GOAL_HEADING + g]
                 + length * (b0 * kappa0 + b3 * scratch[spiral.GOAL_KAPPA + g])

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing import frenet as _frenet
 from pcs_racing import planner as _view
 from pcs_racing.compilation import compiled
+from pcs_racing.elementary import hyperbolic_tangent
 from pcs_racing.errors import InputError
 from pcs_racing.frenet import angle_between
 from pcs_racing.planner import Parameter, Planner
@@ -96,7 +97,7 @@ def tanh_layer(theta, at, x, size, y, width):  # type: ignore[no-untyped-def]
         total = theta[at + size]
         for j in range(size):
             total += theta[at + j] * x[j]
-        y[i] = np.tanh(total)
+        y[i] = hyperbolic_tangent(total)
         at += size + 1
     return at
 

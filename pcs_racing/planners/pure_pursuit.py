@@ -15,6 +15,7 @@ import numpy as np
 from pcs_racing import frenet as _frenet
 from pcs_racing import planner as _view
 from pcs_racing.compilation import compiled
+from pcs_racing.elementary import tangent
 from pcs_racing.frenet import angle_between, to_cartesian, wrap_s
 from pcs_racing.planner import PATH_POINTS, Parameter, Planner
 
@@ -75,7 +76,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
     length = theta[LOOKAHEAD] + theta[LOOKAHEAD_TIME] * view[_view.OWN_V]
     line_psi = track.line[line_index(track, s0), _frenet.PSI]
-    rise = length * np.tan(min(max(angle_between(course, line_psi), -1.0), 1.0))
+    rise = length * tangent(min(max(angle_between(course, line_psi), -1.0), 1.0))
     scale = view[_view.SPEED_LOW] + theta[PACE] * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
     d1 = 0.0
     most = np.inf

@@ -17,8 +17,9 @@ References
 import numpy as np
 
 from pcs_racing.compilation import kernel
+from pcs_racing.elementary import sine_cosine
 
-__all__ = ["SEGMENTS", "SPIRALS", "heading_basis", "sample_spirals", "sine_cosine", "solve_spirals", "spiral_curvature"]
+__all__ = ["SEGMENTS", "SPIRALS", "heading_basis", "sample_spirals", "solve_spirals", "spiral_curvature"]
 
 SPIRALS = 16  # two vectors of eight
 SEGMENTS = 8
@@ -38,20 +39,29 @@ POINT_Y = POINT_X + SPIRALS * (SEGMENTS + 1)
 _A, _B, _C, _D, _E, _F = (POINT_Y + SPIRALS * (SEGMENTS + 1 + k) for k in range(6))
 BLOCK = _F + SPIRALS
 
-# Reassociation and contraction only change the last bits; with no NaN about, minima and maxima become single
-# instructions.
-FAST = {"contract", "reassoc", "nsz", "arcp", "nnan"}
-
-_NODES = 0.5 * (np.polynomial.legendre.leggauss(8)[0] + 1.0)
-_WEIGHTS = 0.5 * np.polynomial.legendre.leggauss(8)[1]
+# Gauss and Legendre's rule of eight points on [0, 1], to the last bit: numpy's function finds it by LAPACK.
+_NODES = np.array(
+    [
+        0.019855071751231884,
+        0.10166676129318664,
+        0.2372337950418355,
+        0.4082826787521751,
+        0.591717321247825,
+        0.7627662049581645,
+        0.8983332387068134,
+        0.9801449282487681,
+    ]
+)
+_HALF = [0.05061426814518813, 0.11119051722668724, 0.15685332293894363, 0.181341891689181]
+_WEIGHTS = np.array(_HALF + _HALF[::-1])
 
 
 def heading_basis(u: float) -> tuple[float, float, float, float]:
     """Coefficients (a, c0, c3, d) of the heading at ``u``: theta = a theta_end + length (c0 p0 + c3 p3) + d w."""
-    b0 = u - 11.0 / 4.0 * u**2 + 3.0 * u**3 - 9.0 / 8.0 * u**4
-    b1 = 9.0 / 2.0 * u**2 - 15.0 / 2.0 * u**3 + 27.0 / 8.0 * u**4
-    b2 = -9.0 / 4.0 * u**2 + 6.0 * u**3 - 27.0 / 8.0 * u**4
-    b3 = u**2 / 2.0 - 3.0 / 2.0 * u**3 + 9.0 / 8.0 * u**4
+    b0 = u * (1.0 + u * (-11.0 / 4.0 + u * (3.0 - 9.0 / 8.0 * u)))
+    b1 = u * u * (9.0 / 2.0 + u * (-15.0 / 2.0 + 27.0 / 8.0 * u))
+    b2 = u * u * (-9.0 / 4.0 + u * (6.0 - 27.0 / 8.0 * u))
+    b3 = u * u * (1.0 / 2.0 + u * (-3.0 / 2.0 + 9.0 / 8.0 * u))
     return 4.0 / 3.0 * (b1 + b2), b0 - (b1 + b2) / 6.0, b3 - (b1 + b2) / 6.0, 0.5 * (b1 - b2)
 
 
@@ -60,36 +70,19 @@ _SEGMENT_BASIS = np.array([heading_basis(j / SEGMENTS) for j in range(1, SEGMENT
 
 
 @kernel(inline="always")
-def sine_cosine(angle):  # type: ignore[no-untyped-def]
-    """Sine and cosine of an angle in [-pi, pi], free of branches; the error stays below 1e-7.
-
-    Taylor polynomials at half the angle, then the double-angle formulas.
-    """
-    h = 0.5 * angle
-    q = h * h
-    s = h * (
-        1.0 + q * (-1 / 6 + q * (1 / 120 + q * (-1 / 5040 + q * (1 / 362880 + q * (-1 / 39916800 + q / 6227020800)))))
-    )
-    c = 1.0 + q * (
-        -1 / 2
-        + q * (1 / 24 + q * (-1 / 720 + q * (1 / 40320 + q * (-1 / 3628800 + q * (1 / 479001600 - q / 87178291200)))))
-    )
-    return 2.0 * s * c, 1.0 - 2.0 * s * s
-
-
-@kernel(inline="always")
-def spiral_curvature(u, length, w, end_heading, kappa0, kappa1):  # type: ignore[no-untyped-def]
-    """Curvature of a solved spiral at ``u`` in [0, 1], 1/m."""
-    total = (8.0 * end_heading / length - kappa0 - kappa1) / 3.0  # p1 + p2
-    p1 = 0.5 * (total + w / length)
-    p2 = 0.5 * (total - w / length)
+def spiral_curvature(length, w, end_heading, kappa0, kappa1):  # type: ignore[no-untyped-def]
+    """Coefficients (a1, a2, a3) of a solved spiral's curvature: ``kappa0 + u (a1 + u (a2 + u a3))`` at u, 1/m."""
+    per_length = 1.0 / length
+    total = (8.0 * end_heading * per_length - kappa0 - kappa1) * (1.0 / 3.0)  # p1 + p2
+    p1 = 0.5 * (total + w * per_length)
+    p2 = 0.5 * (total - w * per_length)
     a1 = -5.5 * kappa0 + 9.0 * p1 - 4.5 * p2 + kappa1
     a2 = 9.0 * kappa0 - 22.5 * p1 + 18.0 * p2 - 4.5 * kappa1
     a3 = -4.5 * kappa0 + 13.5 * p1 - 13.5 * p2 + 4.5 * kappa1
-    return kappa0 + u * (a1 + u * (a2 + u * a3))
+    return a1, a2, a3
 
 
-@kernel(fastmath=FAST)
+@kernel
 def solve_spirals(block, kappa0):  # type: ignore[no-untyped-def]
     """Find the spirals from the origin, heading along x, to the goals of a block.
 
@@ -162,7 +155,7 @@ def _mark_missed(block):  # type: ignore[no-untyped-def]
         block[BROKEN + g] = 0.0 if miss < MISSED else 1.0
 
 
-@kernel(fastmath=FAST)
+@kernel
 def sample_spirals(block, kappa0, x0, y0, course):  # type: ignore[no-untyped-def]
     """Fill in the points of solved spirals, in the frame of the map, and what their curvature is like.
 
@@ -184,6 +177,9 @@ def sample_spirals(block, kappa0, x0, y0, course):  # type: ignore[no-untyped-de
         block[MAX_KAPPA + g] = 0.0
         block[MEAN_KAPPA + g] = 0.0
         block[KAPPA_RATE + g] = 0.0
+        block[_D + g], block[_E + g], block[_F + g] = spiral_curvature(
+            block[LENGTH + g], block[W + g], block[GOAL_HEADING + g], kappa0, block[GOAL_KAPPA + g]
+        )
     for j in range(SEGMENTS):
         a = _SEGMENT_BASIS[j, 0]
         b0 = _SEGMENT_BASIS[j, 1]
@@ -195,12 +191,12 @@ def sample_spirals(block, kappa0, x0, y0, course):  # type: ignore[no-untyped-de
             length = block[LENGTH + g]
             end = block[GOAL_HEADING + g]
             kappa1 = block[GOAL_KAPPA + g]
-            kappa = spiral_curvature(u, length, block[W + g], end, kappa0, kappa1)
+            kappa = kappa0 + u * (block[_D + g] + u * (block[_E + g] + u * block[_F + g]))
             s, c = sine_cosine(a * end + length * (b0 * kappa0 + b3 * kappa1) + d * block[W + g])
             h = length * (1.0 / SEGMENTS)
             before = block[_C + g]
             # Trapezoid rule with its end correction, exact to the fifth order of the step.
-            bend = h * h / 12.0
+            bend = h * h * (1.0 / 12.0)
             block[POINT_X + SPIRALS + here + g] = (
                 block[POINT_X + here + g] + 0.5 * h * (block[_A + g] + c) + bend * (s * kappa - block[_B + g] * before)
             )
@@ -211,11 +207,13 @@ def sample_spirals(block, kappa0, x0, y0, course):  # type: ignore[no-untyped-de
             block[_B + g] = s
             block[_C + g] = kappa
             block[MAX_KAPPA + g] = max(block[MAX_KAPPA + g], abs(kappa))
-            block[MEAN_KAPPA + g] += abs(kappa) * (1.0 / SEGMENTS)
-            block[KAPPA_RATE + g] = max(block[KAPPA_RATE + g], abs(kappa - before) / h)
+            block[MEAN_KAPPA + g] += abs(kappa)
+            block[KAPPA_RATE + g] = max(block[KAPPA_RATE + g], abs(kappa - before))
+    for g in range(SPIRALS):
+        block[MEAN_KAPPA + g] *= 1.0 / SEGMENTS
+        block[KAPPA_RATE + g] *= SEGMENTS / block[LENGTH + g]
     _mark_missed(block)
-    c0 = np.cos(course)
-    s0 = np.sin(course)
+    s0, c0 = sine_cosine(course)
     for k in range(SPIRALS * (SEGMENTS + 1)):
         x = block[POINT_X + k]
         y = block[POINT_Y + k]
