@@ -18,6 +18,7 @@ SPACING = 0.3  # of the result, m
 SMOOTHING = 1.0  # waves of this length are halved, m: far above a cell, below the tightest hairpin
 RIM = 3  # cells of wall around the track, so that the rim itself never counts as the nearer wall
 SPECK = 0.5  # holes of less area are dirt or obstacles on the track, m^2
+ROUNDING = 1e-23  # squared turns along that stretch that may be rounding errors, rad^2
 START_STRAIGHT = 8.0  # the start line lies where this stretch of line is straightest, m
 
 
@@ -182,7 +183,9 @@ def straightest(line: np.ndarray) -> int:
     half = max(int(0.5 * START_STRAIGHT * len(line) / curve_length(line)), 1)
     window = np.arange(-half, half + 1)
     blame = (turn**2)[(np.arange(len(line))[:, None] + window) % len(line)].sum(axis=1)
-    return int(np.argmin(blame))
+    # On a long straight without a bend all points are alike but for rounding errors: then one in their middle.
+    best = np.flatnonzero(blame <= blame.min() + ROUNDING)
+    return int(best[len(best) // 2])
 
 
 def directed(line: np.ndarray, direction: str | float | None) -> np.ndarray:

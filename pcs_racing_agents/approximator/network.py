@@ -104,7 +104,7 @@ class RegretNetwork:
             raise InputError(f"{where}: scale is {self.scale.min():g} at its smallest; it must be above 0")
         # The scaling of the inputs is part of the first layer from here on: one pass less for every decision.
         first = self.weights[0].astype(np.float64) / self.scale
-        bias = self.biases[0] - first @ self.mean.astype(np.float64)
+        bias = self.biases[0] - (first * self.mean).sum(axis=1)
         layers = [first.astype(np.float32), *self.weights[1:]], [bias.astype(np.float32), *self.biases[1:]]
         packed_sizes, packed = pack_layers(*layers)
         put("_sizes", packed_sizes)

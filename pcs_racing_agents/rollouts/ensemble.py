@@ -60,7 +60,7 @@ def _layer(network: RegretNetwork, layer: int, like: RegretNetwork) -> tuple[NDA
         return weight, bias
     ratio = like.scale.astype(np.float64) / network.scale
     shift = (like.mean.astype(np.float64) - network.mean) / network.scale
-    return weight * ratio, bias + weight @ shift
+    return weight * ratio, bias + (weight * shift).sum(axis=1)
 
 
 def _diagonal(blocks: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -143,7 +143,7 @@ def node_values(tree: GameTree, profile: Profile) -> list[Floats]:
 def play_value(tree: GameTree, profile: Profile) -> float:
     """What car 0 gets in expectation if both follow the profile."""
     tree = tree.averaged
-    return float(tree.chance @ node_values(tree, profile)[0])
+    return float((tree.chance * node_values(tree, profile)[0]).sum())
 
 
 def q_values(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
@@ -213,7 +213,7 @@ def best_response(tree: GameTree, profile: Profile, player: int) -> BestResponse
         strategy.append(np.eye(at_rows.shape[1])[best])
         q.append(at_rows)
         values = np.take_along_axis(at_nodes, best[tree.infosets[k][player]][:, None], axis=1)[:, 0]
-    return BestResponse(float(tree.chance @ values), strategy[::-1], q[::-1])
+    return BestResponse(float((tree.chance * values).sum()), strategy[::-1], q[::-1])
 
 
 def exploitability(tree: GameTree, profile: Profile) -> Exploitability:

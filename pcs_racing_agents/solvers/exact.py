@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from pcs_racing.errors import InputError
 from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
@@ -59,12 +61,13 @@ def solve_exact(tree: GameTree) -> ExactResult:
     for k in reversed(range(game.depth)):
         games = values[-1].reshape(-1, *game.moves[k])
         solution = solve_matrix_games(games)
-        q0 = (games @ solution.columns[:, :, None])[:, :, 0]
-        q1 = -(solution.rows[:, None, :] @ games)[:, 0, :]
+        # Sums in a fixed order: BLAS would choose one by the processor.
+        q0 = np.einsum("gab,gb->ga", games, solution.columns)
+        q1 = -np.einsum("ga,gab->gb", solution.rows, games)
         values.append(solution.values)
         profile.append((solution.rows, solution.columns))
         q.append((q0, q1))
         advantages.append((q0 - solution.values[:, None], q1 + solution.values[:, None]))
         gap = max(gap, float(solution.gaps.max()))
-    value = float(game.chance @ values[-1])
+    value = float((game.chance * values[-1]).sum())
     return ExactResult(value, profile[::-1], values[::-1], q[::-1], advantages[::-1], gap)

@@ -208,7 +208,7 @@ class GameTree:
         if self.roots == 1 or not self.hides_chance:
             return self
         shape = [size for pair in self.moves for size in pair]
-        return GameTree.from_payoffs((self.chance @ self.payoffs).reshape(shape))
+        return GameTree.from_payoffs(np.einsum("r,r...->...", self.chance, self.payoffs).reshape(shape))
 
     def swapped(self) -> "GameTree":
         """Return the same game with the names of the cars exchanged."""
