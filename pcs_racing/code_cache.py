@@ -1,19 +1,29 @@
-"""Numba's code on disk, thrown away when the sources behind it change.
+"""Numba's code on disk: thrown away when the sources behind it change, and written by one process at a time.
 
 Numba looks at the file of the function that it loads, but not at the files of the functions which that one calls: after
 an edit or an update it would go on running parts of the old code. This module knows which file imports which.
+
+Numba reads the index of a function's code, adds a line and writes it back. Two processes that do so at the same time
+may end with a line of one that points to the code of the other. Here they take turns.
 """
 
 import hashlib
 import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
 from numba.core import caching, config
 from numba.misc.appdirs import AppDirs
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 __all__ = ["forget_stale_code"]
 
@@ -89,3 +99,28 @@ def _digests(sources: Sequence[Path]) -> dict[str, str]:
             reached.update(new)
         digests[name] = hashlib.sha256("".join(texts[other] for other in sorted(reached)).encode()).hexdigest()
     return digests
+
+
+def _one_at_a_time(save: Callable[..., None]) -> Callable[..., None]:
+    """Let those who add to a folder of cached code take turns, whatever process they are in."""
+
+    @wraps(save)
+    def save_alone(cache: Any, key: Any, data: Any) -> None:
+        with _turn(Path(cache._cache_path) / ".lock"):
+            save(cache, key, data)
+
+    return save_alone
+
+
+@contextmanager
+def _turn(path: Path) -> Iterator[None]:
+    if fcntl is None:
+        yield
+        return
+    with open(path, "ab") as lock:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield  # closing the file ends the turn
+
+
+caching.IndexDataCacheFile.save = _one_at_a_time(caching.IndexDataCacheFile.save)

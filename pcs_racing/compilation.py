@@ -9,16 +9,16 @@ from typing import Any
 from numba import njit
 
 from pcs_racing.code_cache import forget_stale_code
-from pcs_racing.machine_code import keep_own_copies
 
 __all__ = ["announce_compilation", "compiled", "kernel"]
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function with numba: cached on disk, without the GIL, with IEEE division, and alike in every process.
+    """Compile a function with numba: cached on disk, without the GIL, with IEEE division.
 
     Division by zero then gives infinity as in numpy; a check for it would keep the compiler from using vector
-    instructions.
+    instructions. Leave ``fastmath`` off, and take sines and the like from :mod:`pcs_racing.elementary`: then a function
+    computes the same bits on every processor, and in each of the copies that its callers contain.
 
     Parameters
     ----------
@@ -30,12 +30,7 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     # Stated even where it is the default: otherwise a function compiled for a kernel would inherit the kernel's choice.
     options.setdefault("_nrt", True)
     decorate = njit(cache=True, nogil=True, error_model="numpy", **options)
-
-    def decorated(function: Callable[..., Any]) -> Any:
-        keep_own_copies(function)
-        return decorate(function)
-
-    return decorated if function is None else decorated(function)
+    return decorate if function is None else decorate(function)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:

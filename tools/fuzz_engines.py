@@ -78,7 +78,7 @@ def import_instrumented() -> None:
         ".".join(path.relative_to(package).with_suffix("").parts)
         for name in ("pcs_racing", "pcs_racing_agents")
         for path in sorted((package / name).rglob("*.py"))
-        if WITHOUT_BYTECODE.search(path.read_text(encoding="utf-8")) or path.stem in ("compilation", "machine_code")
+        if WITHOUT_BYTECODE.search(path.read_text(encoding="utf-8")) or path.stem in ("compilation", "code_cache")
     ]
     told, sys.stderr = sys.stderr, _Silence()  # it names every module
     try:

@@ -1,9 +1,14 @@
 import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from numba.core import caching, config
+from numba.core.caching import IndexDataCacheFile
 
 from pcs_racing.code_cache import forget_stale_code
 from pcs_racing.compilation import announce_compilation, compiled
@@ -122,3 +127,53 @@ def test_code_that_numba_keeps_elsewhere_is_dropped_as_well(package, tmp_path_fa
 
 def test_a_folder_that_is_not_ours_is_no_error(package):
     forget_stale_code(package / "nowhere" / "at all")
+
+
+def test_two_writers_of_one_index_take_turns(tmp_path, monkeypatch):
+    """Without turns both read the index before the other has written it, and a line is lost or points elsewhere."""
+    load_index = IndexDataCacheFile._load_index
+
+    def slowly(self):
+        index = load_index(self)
+        time.sleep(0.02)
+        return index
+
+    def write(number):
+        IndexDataCacheFile(str(tmp_path), "f-1.py311", "stamp").save(f"signature {number}", f"code {number}")
+
+    monkeypatch.setattr(IndexDataCacheFile, "_load_index", slowly)
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(write, range(6)))
+    monkeypatch.undo()
+    for number in range(6):
+        found = IndexDataCacheFile(str(tmp_path), "f-1.py311", "stamp").load(f"signature {number}")
+        assert found == f"code {number}"
+
+
+RACES = """
+import hashlib
+import sys
+
+import numpy as np
+
+from pcs_racing import make_game
+from pcs_racing.planners import spiral
+
+if sys.argv[1] == "spirals first":
+    spiral.solve_spirals(np.ones(10_000), 0.1)
+    spiral.sample_spirals(np.ones(10_000), 0.1, 0.0, 0.0, 0.0)
+game = make_game("Pipkin")
+state = game.reset(games=20, seed=1)
+for _ in range(2):
+    state = game.step(state, np.zeros((20, 2), dtype=int))
+print(hashlib.sha256(state.race.cars.tobytes()).hexdigest())
+"""
+
+
+def test_races_do_not_depend_on_what_was_loaded_before():
+    """A process binds all callers to the copies of these two functions that it loaded first."""
+    said = [
+        subprocess.run([sys.executable, "-c", RACES, before], capture_output=True, text=True, check=True).stdout
+        for before in ("nothing first", "spirals first")
+    ]
+    assert said[0] == said[1]
