@@ -5,7 +5,7 @@ the width of its vectors), and the versions differ in the last bit, which a race
 made of additions, multiplications, divisions and square roots in a fixed order alone, which IEEE 754 rounds in one way.
 
 Reductions and coefficients are those of fdlibm (sine and cosine) [1]_ and Cephes (the others) [2]_. The errors named
-below are checked against mpmath in the tests.
+below are checked against long double in the tests.
 
 References
 ----------

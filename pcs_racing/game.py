@@ -365,7 +365,10 @@ class RaceGame:
                 first = np.where(races.crashed, 0.0, first)
         fault = races.fault.astype(np.float64)
         first = first + self.config.fault_penalty * (fault[:, 1] - fault[:, 0])
-        return np.asarray(first * self.config.discount ** np.asarray(moves), np.float64)
+        made = np.asarray(moves)
+        factors = np.full(made.max(initial=0) + 1, self.config.discount)
+        factors[0] = 1.0
+        return np.asarray(first * np.cumprod(factors)[made], np.float64)  # not "**", whose bits depend on the processor
 
     def winner(self, state: GameState) -> NDArray[np.int8]:
         """The car that won (0 or 1), shape (B,); -1 for a tie, a crash that pays nobody, and while a game goes on."""

@@ -265,8 +265,8 @@ def _check_workers(found: dict[str, dict[str, str]]) -> None:
                     f"the worker at {address} has {what} {value}, not {here[what]}; install the same there"
                 )
             _log.warning(
-                "the worker at %s has a processor of another kind (%s, here %s): results may differ in the last bit "
-                "from those of one machine; NUMBA_CPU_NAME set alike for all of them prevents that",
+                "the worker at %s has a processor of another kind (%s, here %s): what is trained or searched there may "
+                "differ in the last bit from what one machine makes",
                 address,
                 value,
                 here[what],
