@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pcs_racing import vehicle as _vehicle
 from pcs_racing.driving import default_threads, drive, kernel_settings, pad_parameters
+from pcs_racing.elementary import exponential
 from pcs_racing.errors import InputError
 from pcs_racing.frenet import SPEED, X, Y
 from pcs_racing.planner import Policy
@@ -165,7 +166,7 @@ def hazard_scan(
         drive(track, settings, (LATTICE, LATTICE), (F1TENTH, F1TENTH), state, theta, settings.end_tick, threads=threads)
         # A race ends for both cars at the first crash, so count crashes per time driven rather than per car.
         driven = 2.0 * DT * float(state.tick.sum())
-        hazards.append(1.0 - float(np.exp(-40.0 * float((state.crash == 1).sum()) / driven)))
+        hazards.append(1.0 - float(exponential(-40.0 * float((state.crash == 1).sum()) / driven)))
         if hazards[-1] > enough:
             break
     return np.array(hazards)

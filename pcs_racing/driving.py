@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.compilation import announce_compilation
+from pcs_racing.elementary import exponential
 from pcs_racing.errors import InputError
 from pcs_racing.planner import COMMAND_SLOTS, VIEW_SIZE, Planner, Policy
 from pcs_racing.race_config import RaceConfig
@@ -31,7 +32,7 @@ def kernel_settings(config: RaceConfig, speed_range: tuple[float, float]) -> Ker
         speed_low=speed_range[0],
         speed_high=speed_range[1],
         noise_sd=float(config.steering_noise),
-        noise_keep=float(np.exp(-CONTROL_EVERY * DT / config.noise_time)),
+        noise_keep=float(exponential(-CONTROL_EVERY * DT / config.noise_time)),
         ittc_horizon=float(config.ittc_horizon),
     )
 
