@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from numba.core import caching, config
-from numba.core.caching import IndexDataCacheFile
 from numba.misc.appdirs import AppDirs
 
 try:
@@ -124,4 +123,4 @@ def _turn(path: Path) -> Iterator[None]:
         yield  # closing the file ends the turn
 
 
-IndexDataCacheFile.save = _one_at_a_time(IndexDataCacheFile.save)
+caching.IndexDataCacheFile.save = _one_at_a_time(caching.IndexDataCacheFile.save)
