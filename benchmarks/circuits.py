@@ -95,7 +95,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--maps", type=Path, help="folder of map folders, beside the circuits that ship")
     parser.add_argument("--only", nargs="+", help="names of circuits")
-    parser.add_argument("--races", type=int, default=400, help="races of a circuit and preset (default 400)")
+    parser.add_argument("--races", type=int, default=1000, help="races of a circuit and preset (default 1000)")
     parser.add_argument("--seed", type=int, default=1, help="of policies, start lines and noise (default 1)")
     parser.add_argument("--csv", type=Path, help="file to write the table to")
     arguments = parser.parse_args()

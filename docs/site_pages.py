@@ -20,9 +20,9 @@ ENVIRONMENTS = {
     "drive": ("pcs_racing.envs.drive", "DriveEnv", "Drive: steering and speed"),
 }
 NAMES = {
-    "head_to_head": '`pettingzoo.make("parallel", "pcs_racing/head_to_head-v0")`, or `"aec"`',
-    "duel": '`gym.make("pcs_racing/Duel-v0")`',
-    "drive": '`gym.make("pcs_racing/Drive-v0")`',
+    "head_to_head": '`pettingzoo.make("parallel", "pcs_racing/head_to_head-v1")`, or `"aec"`',
+    "duel": '`gym.make("pcs_racing/Duel-v1")`',
+    "drive": '`gym.make("pcs_racing/Drive-v1")`',
 }
 COPIES = {
     "changelog": "CHANGELOG.md",

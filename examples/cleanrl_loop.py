@@ -84,7 +84,7 @@ def main() -> None:
     torch.manual_seed(a.seed)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     opponent = None if a.opponent == "none" else a.opponent
-    envs = gym.make_vec("pcs_racing/Drive-v0", num_envs=a.envs, track=a.track, opponent=opponent, normalize=True)
+    envs = gym.make_vec("pcs_racing/Drive-v1", num_envs=a.envs, track=a.track, opponent=opponent, normalize=True)
     size, actions = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
     agent = Agent(size, actions)
     optimiser = torch.optim.Adam(agent.parameters(), lr=a.learning_rate, eps=1e-5)
@@ -148,7 +148,7 @@ def main() -> None:
 
 def drive(agent: Agent, scale: "RunningScale", a: Arguments, opponent: str | None) -> None:
     """Ten episodes with the mean of the policy."""
-    env = gym.make("pcs_racing/Drive-v0", track=a.track, opponent=opponent, normalize=True)
+    env = gym.make("pcs_racing/Drive-v1", track=a.track, opponent=opponent, normalize=True)
     for episode in range(10):
         seen, _ = env.reset(seed=1_000_000 + episode)
         over = False

@@ -94,7 +94,7 @@ def main() -> None:
     torch.set_num_threads(1)
     steps = 4 * given.games  # a game has four moves, fewer after a crash
 
-    duel = GymWrapper(gym.make("pcs_racing/Duel-v0", track=given.track), categorical_action_encoding=True)
+    duel = GymWrapper(gym.make("pcs_racing/Duel-v1", track=given.track), categorical_action_encoding=True)
     duel.set_seed(given.seed)
     player = Player(duel.observation_spec["observation"].shape[-1], duel.action_spec.space.n)
     policy = TensorDictModule(player, in_keys=["observation"], out_keys=["action"])

@@ -68,7 +68,7 @@ assert main(["tournament", "--track", "Pipkin", "--agents", *agents, "--races", 
 assert main(["race", "--track", "Pipkin", "--ego", "lattice", "--opponent", "gap-follower"]) == 0
 
 agent = pcs_racing_agents.make("cfr-argmax")
-duel = gym.make("pcs_racing/Duel-v0", opponent=pcs_racing_agents.make("response"), stay=True)
+duel = gym.make("pcs_racing/Duel-v1", opponent=pcs_racing_agents.make("response"), stay=True)
 seen, _ = duel.reset(seed=1)
 move, _ = agent.predict(seen)
 duel.step(int(move))
@@ -97,7 +97,7 @@ NEEDS = {
         'main(["tree", "--archive", "default", "--track", "Pipkin", "--out", "trees", "--executor", "dask"])',
         "cluster",
     ),
-    "a window": ("gym.make('pcs_racing/Duel-v0', render_mode='human').reset(seed=1)", "window"),
+    "a window": ("gym.make('pcs_racing/Duel-v1', render_mode='human').reset(seed=1)", "window"),
 }
 
 

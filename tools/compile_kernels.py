@@ -47,7 +47,7 @@ def environments() -> None:
     import pcs_racing  # noqa: F401
 
     for options in ({"opponent": "lattice", "beams": 8}, {"opponent": None}):
-        env = gymnasium.make_vec("pcs_racing/Drive-v0", num_envs=2, track=TRACK, **options)
+        env = gymnasium.make_vec("pcs_racing/Drive-v1", num_envs=2, track=TRACK, **options)
         env.reset(seed=0)
         env.step(np.zeros((2, 2), np.float32))
         env.close()

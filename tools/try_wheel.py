@@ -42,7 +42,7 @@ AGENT = """
 import gymnasium as gym
 import pcs_racing, pcs_racing_agents
 agent = pcs_racing_agents.make("cfr-argmax")
-duel = gym.make("pcs_racing/Duel-v0", opponent=pcs_racing_agents.make("best-fixed"), stay=True)
+duel = gym.make("pcs_racing/Duel-v1", opponent=pcs_racing_agents.make("best-fixed"), stay=True)
 seen, info = duel.reset(seed=1)
 over = False
 while not over:

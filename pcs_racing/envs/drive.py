@@ -160,11 +160,13 @@ class DriveEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Vectorized environment
 
-    ``gym.make_vec("pcs_racing/Drive-v0", num_envs=256)`` gives :class:`pcs_racing.envs.drive_vector.DriveVectorEnv`:
+    ``gym.make_vec("pcs_racing/Drive-v1", num_envs=256)`` gives :class:`pcs_racing.envs.drive_vector.DriveVectorEnv`:
     one compiled call for all races, and the same numbers as this class gives with the same seeds.
 
     ## Version History
 
+    * v1: opponents of the lattice leave room and do not brake for a car behind; start lines at places found by driving;
+      the same bits on every x86-64 machine.
     * v0: first version.
 
     Examples

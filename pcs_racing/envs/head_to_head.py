@@ -137,15 +137,17 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
     ## Vectorized environment
 
     `pcs_racing.game.RaceGame` plays any number of games at once, with the same rules: this environment is a batch of
-    one. `gymnasium.make_vec("pcs_racing/Duel-v0", num_envs=256)` is the single-agent view of such a batch.
+    one. `gymnasium.make_vec("pcs_racing/Duel-v1", num_envs=256)` is the single-agent view of such a batch.
 
     ## Version History
 
+    - v1: fifty start lines at places found by driving, which no table uses; drivers leave room and do not brake for a
+      car behind; the same bits on every x86-64 machine.
     - v0: first version.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
-        "name": "head_to_head_v0",
+        "name": "head_to_head_v1",
         "render_modes": ["human", "rgb_array"],
         "render_fps": WINDOW_FPS,
         "is_parallelizable": True,

@@ -27,8 +27,8 @@ KINDS: dict[str, type[Any]] = {
     "duel": DuelVectorEnv,
     "drive": DriveVectorEnv,
     "self-play": SelfPlayVectorEnv,
-    "pcs_racing/Duel-v0": DuelVectorEnv,
-    "pcs_racing/Drive-v0": DriveVectorEnv,
+    "pcs_racing/Duel-v1": DuelVectorEnv,
+    "pcs_racing/Drive-v1": DriveVectorEnv,
 }
 """What can be made, by name."""
 
@@ -39,7 +39,7 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
     Parameters
     ----------
     kind : str
-        "duel" or "pcs_racing/Duel-v0"; "drive" or "pcs_racing/Drive-v0"; "self-play": both cars of ``num_envs / 2``
+        "duel" or "pcs_racing/Duel-v1"; "drive" or "pcs_racing/Drive-v1"; "self-play": both cars of ``num_envs / 2``
         games belong to the learner, whose policy plays against itself.
     num_envs : int
         Number of environments; even for self-play.

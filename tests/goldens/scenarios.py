@@ -20,7 +20,7 @@ from pcs_racing.seeds import race_seeds
 __all__ = ["RACES_ID", "SCENARIOS", "TRACK", "file_name", "track_hash"]
 
 TRACK = "Pipkin"
-RACES_ID = "pcs_racing/Races-v0"
+RACES_ID = "pcs_racing/Races-v1"
 """The races below the environments, which have no id of their own; its number goes up with theirs."""
 
 PRESETS = ("paper", "contest")

@@ -51,9 +51,9 @@ def test_the_checkers_of_gymnasium_and_sb3_are_content(arguments):
 
 def test_it_is_made_by_name():
     register_environments()
-    env = gym.make("pcs_racing/Drive-v0", opponent=None)
+    env = gym.make("pcs_racing/Drive-v1", opponent=None)
     assert isinstance(env.unwrapped, DriveEnv)
-    envs = gym.make_vec("pcs_racing/Drive-v0", num_envs=3, opponent=None)
+    envs = gym.make_vec("pcs_racing/Drive-v1", num_envs=3, opponent=None)
     assert isinstance(envs, DriveVectorEnv)
     assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.SAME_STEP
 

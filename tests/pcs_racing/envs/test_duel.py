@@ -63,8 +63,8 @@ def test_the_checkers_of_gymnasium_and_sb3_are_content(opponent):
 
 def test_it_is_made_by_name():
     register_environments()
-    assert isinstance(gym.make("pcs_racing/Duel-v0", **SHORT).unwrapped, DuelEnv)
-    envs = gym.make_vec("pcs_racing/Duel-v0", num_envs=3, **SHORT)
+    assert isinstance(gym.make("pcs_racing/Duel-v1", **SHORT).unwrapped, DuelEnv)
+    envs = gym.make_vec("pcs_racing/Duel-v1", num_envs=3, **SHORT)
     assert isinstance(envs, DuelVectorEnv)
     assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.SAME_STEP
 

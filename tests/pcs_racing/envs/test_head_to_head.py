@@ -98,10 +98,10 @@ def test_rendering(monkeypatch):
 
 @pytest.mark.parametrize("kind", ["parallel", "aec"])
 def test_made_by_name(kind):
-    env = pettingzoo.make(kind, "pcs_racing/head_to_head-v0", track="Pipkin", archive="default", max_cycles=3)
+    env = pettingzoo.make(kind, "pcs_racing/head_to_head-v1", track="Pipkin", archive="default", max_cycles=3)
     assert env.unwrapped.possible_agents == ["car_0", "car_1"]
     assert isinstance(env, pettingzoo.ParallelEnv if kind == "parallel" else pettingzoo.AECEnv)
-    assert str(env) == "head_to_head_v0"
+    assert str(env) == "head_to_head_v1"
 
 
 def test_registering_again_changes_nothing():

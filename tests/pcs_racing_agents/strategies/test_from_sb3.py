@@ -16,7 +16,7 @@ def models(oval, setting):
     torch = pytest.importorskip("torch")
     PPO = pytest.importorskip("stable_baselines3").PPO
 
-    env = gym.make("pcs_racing/Duel-v0", track=oval, archive=setting.archive, step_seconds=0.8, stay=True)
+    env = gym.make("pcs_racing/Duel-v1", track=oval, archive=setting.archive, step_seconds=0.8, stay=True)
     relu = {"activation_fn": torch.nn.ReLU, "net_arch": [24, 16]}
     return [PPO("MlpPolicy", env, seed=0, policy_kwargs=kwargs, device="cpu") for kwargs in (relu, None)]
 

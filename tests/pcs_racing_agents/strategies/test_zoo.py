@@ -64,7 +64,7 @@ def test_an_agent_is_an_opponent_of_the_environments(setting, oval):
 
     opponent = always(setting, "restraint +")
     duel = gym.make(
-        "pcs_racing/Duel-v0", track=oval, archive=setting.archive, step_seconds=0.8, stay=True, opponent=opponent
+        "pcs_racing/Duel-v1", track=oval, archive=setting.archive, step_seconds=0.8, stay=True, opponent=opponent
     )
     duel.reset(seed=1)
     assert duel.step(4)[-1]["opponent_move"] == "restraint +"
