@@ -22,7 +22,8 @@ def _map(folder, name="Ring"):
     t = np.linspace(0.0, 2.0 * np.pi, 25)
     lines = np.column_stack([np.cos(t), np.sin(t), np.full(25, 0.5), np.full(25, 0.6)])
     race = np.column_stack([t, np.cos(t), np.sin(t), t, np.ones(25), np.full(25, 3.0), np.zeros(25)])
-    info = {"seed": 5, "style": "hull", "license": "MIT", "speed_range": {"contest": [0.9, 1.2]}}
+    own = {"speed_range": [0.9, 1.2], "start_spacing": 0.45, "start_places": {"front": [[1.0, 5.5]]}}
+    info = {"seed": 5, "style": "hull", "license": "MIT", "calibration": {"contest": own}}
     return MapFolder(name, folder, grid, 0.05, (-1.25, 2.5), lines[:-1], race, info)
 
 
@@ -297,6 +298,11 @@ def test_short_and_binary_lines_are_refused(folder):
         read_map(folder)
 
 
+def calibration(speeds: str = "[0.5, 1.0]", spacing: str = "0.45", places: str = "{front: [[1.0, 2.0]]}") -> str:
+    """A track file with a calibration for one preset, as text."""
+    return f"calibration: {{contest: {{speed_range: {speeds}, start_spacing: {spacing}, start_places: {places}}}}}"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -306,10 +312,20 @@ def test_short_and_binary_lines_are_refused(folder):
         ("style: 5", "style must be text, got 5"),
         ("width: [1]", "width must be a number"),
         ("length_range: [9, 5]", "length_range must be .* with 0 < low < high"),
-        ("speed_range: 1.0", "speed_range must give"),
-        ("speed_range: {contest: [1.0]}", r"speed_range of contest must be \[low, high\]"),
-        ("speed_range: {contest: [0.0, 1.0]}", "0 < low < high"),
-        ("speed_range: {contest: [.nan, 1.0]}", "must be a number from 0 to 10"),
+        ("calibration: 1.0", "calibration must give values for each race preset"),
+        (
+            "calibration: {contest: {speed_range: [0.5, 1.0]}}",
+            "must have the keys speed_range, start_spacing, start_pl",
+        ),
+        (calibration(speeds="[1.0]"), r"speed_range in the calibration of contest must be \[low, high\]"),
+        (calibration(speeds="[0.0, 1.0]"), "0 < low < high"),
+        (calibration(speeds="[.nan, 1.0]"), "must be a number from 0 to 10"),
+        (calibration(spacing="-1.0"), "start_spacing in the calibration of contest must be a number from 0 to 10"),
+        (calibration(places="[]"), "must list stretches for each side"),
+        (calibration(places="{front: []}"), r"start_places front .* must list \[first, last\]"),
+        (calibration(places="{front: [[5.0, 1.0]]}"), "must be .* one after the other"),
+        (calibration(places="{front: [[1.0, 2.0], [1.5, 3.0]]}"), "must be .* one after the other"),
+        (calibration(places="{front: [[a, b]]}"), "must be .* one after the other"),
     ],
 )
 def test_impossible_track_values_are_refused(folder, text, message):

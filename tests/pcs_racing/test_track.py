@@ -12,7 +12,7 @@ from pcs_racing import track as track_module
 from pcs_racing.errors import MapError, UnknownNameError
 from pcs_racing.frenet import COS, KAPPA, LEFT, PSI, RIGHT, SIN, SPEED
 from pcs_racing.maps import MapFolder, write_map
-from pcs_racing.track import build_track, load_track
+from pcs_racing.track import Calibration, build_track, load_track
 
 
 @pytest.fixture(autouse=True)
@@ -47,7 +47,8 @@ def folder(oval, tmp_path):
     rows = np.zeros((len(parts["raceline_xy"]) + 1, 7))
     rows[:, 1:3] = np.vstack([parts["raceline_xy"], parts["raceline_xy"][:1]])
     grid = (parts["occupied"], parts["resolution"], parts["origin"])
-    info = {"speed_range": {"contest": [0.9, 1.1]}}
+    own = {"speed_range": [0.9, 1.1], "start_spacing": 0.45, "start_places": {"front": [[1.0, 5.5]]}}
+    info = {"calibration": {"contest": own}}
     return write_map(MapFolder("Big Oval", tmp_path / "Big Oval", *grid, parts["centerline"], rows, info))
 
 
@@ -216,7 +217,7 @@ def test_two_parts_of_a_track_with_a_thin_wall_between_are_told_apart():
 def test_a_folder_gives_the_same_track_as_its_values(folder, oval):
     loaded = load_track(folder)
     assert loaded.name == "Big Oval"
-    assert loaded.speed_range == {"contest": (0.9, 1.1)}
+    assert loaded.calibration == {"contest": Calibration((0.9, 1.1), 0.45, {"front": ((1.0, 5.5),)})}
     assert loaded.folder == folder
     np.testing.assert_allclose(loaded.line[:, :2], oval.line[:, :2], atol=1e-3)
     np.testing.assert_array_equal(loaded.arrays.distance, oval.arrays.distance)
@@ -293,10 +294,12 @@ def test_without_a_home_nothing_is_kept(folder, monkeypatch):
 def test_a_changed_file_is_noticed(folder):
     one = load_track(folder)
     info = folder / "Big Oval_track.yaml"
-    info.write_text("speed_range: {contest: [0.5, 0.6]}")
-    assert load_track(folder).speed_range == {"contest": (0.5, 0.6)}
+    info.write_text(
+        "calibration: {contest: {speed_range: [0.5, 0.6], start_spacing: 0.5, start_places: {front: [[2, 3]]}}}"
+    )
+    assert load_track(folder).calibration == {"contest": Calibration((0.5, 0.6), 0.5, {"front": ((2.0, 3.0),)})}
     info.unlink()
-    assert load_track(folder).speed_range == {}
+    assert load_track(folder).calibration == {}
     assert load_track(folder).content_hash == one.content_hash
 
 

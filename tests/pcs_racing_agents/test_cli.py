@@ -201,21 +201,22 @@ def test_track_generate_is_repeatable(run, tmp_path):
     assert one.content_hash == two.content_hash
 
 
-def test_track_calibrate_finds_and_keeps_a_speed_range(run, copied):
+def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, copied):
     file = copied / "Pipkin_track.yaml"
     before = yaml.safe_load(file.read_text())
-    before.pop("speed_range", None)
+    before.pop("calibration")
     file.write_text(yaml.safe_dump(before))
     code, out, _ = run("track", "calibrate", copied, "--preset", "contest")
     assert code == 0
     assert "Pipkin, contest: speed range" in out
-    assert load_track(copied).speed_range == {}  # nothing is kept unless asked for
+    assert load_track(copied).calibration == {}  # nothing is kept unless asked for
     run("track", "calibrate", copied, "--preset", "contest", "--write")
-    low, high = load_track(copied).speed_range["contest"]
-    assert 0.5 < low < high < 1.3
+    own = load_track(copied).calibration["contest"]
+    assert own == load_track("Pipkin").calibration["contest"]
+    low, high = own.speed_range
     assert f"speed range {low:.2f} to {high:.2f}" in out
     after = yaml.safe_load(file.read_text())
-    assert after.pop("speed_range") == {"contest": [low, high]}
+    assert after.pop("calibration") == {"contest": calibration_values(own)}
     assert after == before
 
 

@@ -53,14 +53,17 @@ def test_regenerating_restores_the_files_and_keeps_the_rest(tmp_path):
     folder = tmp_path / "Loop"
     generate_map(folder, 5, "voronoi", picture=False)
     note = folder / "Loop_track.yaml"
-    note.write_text(note.read_text() + "speed_range: {contest: [0.9, 1.2]}\n")
+    note.write_text(
+        note.read_text()
+        + "calibration: {contest: {speed_range: [0.9, 1.2], start_spacing: 0.45, start_places: {front: [[1.0, 5.5]]}}}\n"
+    )
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     (folder / "Loop_raceline.csv").write_text("")
     (folder / "Loop_raceline.csv").unlink()
     regenerate(folder)
     for name in ("Loop_map.png", "Loop_map.yaml", "Loop_centerline.csv", "Loop_raceline.csv"):
         assert (folder / name).read_bytes() == before[name], name
-    assert read_map(folder).info["speed_range"] == {"contest": [0.9, 1.2]}
+    assert read_map(folder).info["calibration"]["contest"]["speed_range"] == [0.9, 1.2]
 
 
 def test_a_bare_map_is_completed(tmp_path):
