@@ -24,7 +24,7 @@ from pcs_racing.race_config import CONTEST, PAPER, PRESETS, RaceConfig
 from pcs_racing.race_kernel import DT
 from pcs_racing.race_state import empty_state
 from pcs_racing.seeds import race_seeds
-from pcs_racing.start_places import PLACE_EVERY, Places, fit_places, places_of
+from pcs_racing.start_places import PLACE_EVERY, fit_places, places_of
 from pcs_racing.track import Calibration, Track, calibration_from_values, calibration_values
 from pcs_racing.track_cache import CALIBRATION, cache_folder, cache_key, load_cached, store
 from pcs_racing.vehicle import F1TENTH
@@ -34,9 +34,9 @@ __all__ = [
     "calibrate",
     "calibration_of",
     "hazard_scan",
-    "places_for",
     "preset_of",
     "start_layout",
+    "starts_for",
 ]
 
 SCALES = tuple(np.round(np.arange(0.60, 1.301, 0.05), 2).tolist())
@@ -203,13 +203,13 @@ def calibrate(
     low = high - (WIDTH_WITH_NOISE if noisy else WIDTH_WITHOUT_NOISE)
     speed_range = (round(float(low), 2), round(float(high), 2))
     settings = kernel_settings(config, speed_range)
-    spacing, places = fit_places(track, config, settings, _spacings(config), threads=threads)
+    fit = fit_places(track, config, settings, _spacings(config), threads=threads)
     return CalibrationReport(
         track.name,
         config.name,
         tuple(scales.tolist()),
         tuple(np.round(hazard, 4).tolist()),
-        Calibration(speed_range, spacing, places),
+        Calibration(speed_range, *fit),
     )
 
 
@@ -233,11 +233,11 @@ def calibration_of(track: Track, config: RaceConfig) -> Calibration:
     return _known[memo]
 
 
-def places_for(track: Track, config: RaceConfig) -> Places:
-    """Stretches of start places for a configuration by the side that they favour, in m.
+def starts_for(track: Track, config: RaceConfig) -> Calibration:
+    """The calibration that says where a configuration starts.
 
-    They are the calibration's if the configuration starts as its preset does; another kind of start is tried out by
-    driving, once, and kept in the cache.
+    It is the preset's if the configuration starts as its preset does; another kind of start is tried out by driving,
+    once, and kept in the cache.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def places_for(track: Track, config: RaceConfig) -> Places:
     """
     calibration = calibration_of(track, config)
     if start_layout(config) == start_layout(preset_of(config)):
-        return calibration.start_places
+        return calibration
     memo = (track.content_hash, preset_of(config).name, *start_layout(config))
     if memo not in _known:
 
@@ -255,7 +255,7 @@ def places_for(track: Track, config: RaceConfig) -> Places:
             return Calibration(calibration.speed_range, *fit_places(track, config, settings, [config.start_spacing]))
 
         _known[memo] = _cached(track, config, f"places for a {config.start} start", find)
-    return _known[memo].start_places
+    return _known[memo]
 
 
 _known: dict[tuple[object, ...], Calibration] = {}

@@ -46,7 +46,7 @@ INFO_KEYS = {
     "width": "of the track in m, for the generator",
     "length_range": "shortest and longest length in m, for the generator",
     "resolution": "of the grid in m, for the generator",
-    "calibration": "for each race preset speed_range, start_spacing and start_places",
+    "calibration": "for each race preset speed_range, start_spacing, start_places and left_share",
 }
 """What ``NAME_track.yaml`` may hold."""
 
@@ -127,11 +127,12 @@ def parse_info(file: Path, data: bytes) -> dict[str, Any]:
 
 
 def _check_calibration(file: Path, what: str, own: Any) -> None:
-    keys = ("speed_range", "start_spacing", "start_places")
+    keys = ("speed_range", "start_spacing", "start_places", "left_share")
     if not isinstance(own, dict) or own.keys() != set(keys):
         raise MapError(f"{file}: {what} must have the keys {', '.join(keys)}, got {own!r:.80}")
     _range(file, f"speed_range in the {what}", own["speed_range"], 10.0)
     _number(file, f"start_spacing in the {what}", own["start_spacing"], 0.0, 10.0)
+    _number(file, f"left_share in the {what}", own["left_share"], 0.0, 1.0)
     places = own["start_places"]
     if not isinstance(places, dict) or not 0 < len(places) <= 2 or not all(isinstance(side, str) for side in places):
         raise MapError(f"{file}: start_places in the {what} must list stretches for each side, got {places!r:.80}")

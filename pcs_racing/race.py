@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.calibration import calibration_of, places_for, preset_of, start_layout
+from pcs_racing.calibration import calibration_of, preset_of, start_layout, starts_for
 from pcs_racing.driving import drive, kernel_settings, pad_parameters
 from pcs_racing.errors import InputError
 from pcs_racing.planner import Planner, Policy
@@ -105,11 +105,14 @@ def start_lines(
         If the circuit has no place for the start that the configuration asks for.
     """
     rng = np.random.default_rng(seed)
-    # Most places favour one side: as many lines of either kind, so that the sides are fair on the whole.
-    sides = [split_places(places_of(stretches), split) for stretches in places_for(track, config).values()]
-    sides = [side for side in sides if len(side) > 0]
-    first = int(rng.integers(len(sides)))
-    wanted = [(config.start_lines + (first + k) % len(sides)) // len(sides) for k in range(len(sides))]
+    known = starts_for(track, config)
+    sides = [split_places(places_of(stretches), split) for stretches in known.start_places.values()]
+    if len(sides) == 2:
+        # Rounded up or down at random, so that no number of lines favours a side.
+        left = min(int(known.left_share * config.start_lines + rng.uniform()), config.start_lines)
+        wanted = [left, config.start_lines - left]
+    else:
+        wanted = [config.start_lines]
     chosen = np.concatenate([_spread(side, number, rng) for side, number in zip(sides, wanted, strict=True)])
     return chosen[rng.permutation(config.start_lines)]
 

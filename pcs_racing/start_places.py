@@ -7,7 +7,7 @@ a table.
 
 Side by side, most places favour one side: there the car on it leads after the first seconds whoever drives it, and
 mostly wins against an equal. Fit places are kept by the side that they favour, and start lines are drawn from both
-kinds alike.
+kinds, so many of each that neither side gains on the whole.
 """
 
 from collections.abc import Sequence
@@ -36,10 +36,10 @@ FIRST_SECONDS = 2.5  # s; a race that is over by then was decided by its start
 PACES = ((0.5, 0.5), (0.0, 0.0), (1.0, 1.0), (0.2, 0.8), (0.8, 0.2), (0.0, 1.0), (1.0, 0.0), (0.4, 0.5), (0.9, 1.0))
 RANDOM_PAIRS = 7
 EQUALS = [k for k, (ego, rival) in enumerate(PACES) if abs(ego - rival) < 0.15]
-ALLOWED = (0.01, 0.02, 0.03)  # share of races over within the first seconds: the first with places enough is taken
+ALLOWED = (0.015, 0.025, 0.035)  # share of races over within the first seconds: the first with places enough is taken
 ENOUGH = 10  # places that favour either side
 FEWEST = 8  # places in all, without which a spacing does not work
-BLOCK = 2.0  # m; stretches of that length serve training and tests in turn
+BLOCK = 1.0  # m; stretches of that length serve training and tests in turn
 BATCH = 64  # places driven at once
 
 
@@ -105,7 +105,7 @@ def fit_places(
     spacings: Sequence[float],
     *,
     threads: int | None = None,
-) -> tuple[float, Places]:
+) -> tuple[float, Places, float]:
     """Find where a circuit is fit to start from.
 
     Parameters
@@ -123,6 +123,8 @@ def fit_places(
     places : dict
         For each side that places favour ("left" and "right", or "front" for starts one behind the other) the stretches
         of such places: arc lengths of the first and the last one, m, ascending.
+    left_share : float
+        Share of start lines to draw from the places that favour the left; 0.5 where cars start one behind the other.
 
     Raises
     ------
@@ -138,15 +140,20 @@ def fit_places(
             fit = (together <= allowed) & (crashes < 1.0)
             counts = [np.count_nonzero(fit & side) for side in sides.values()]
             if min(counts) >= ENOUGH or (allowed == ALLOWED[-1] and sum(counts) >= FEWEST):
-                return float(spacing), {
-                    name: _stretches(fit & side) for name, side in sides.items() if (fit & side).any()
-                }
+                places = {name: _stretches(here) for name, here in found.items() if here.any()}
+                return float(spacing), places, _left_share(favour, found)
     tried = ", ".join(f"{spacing:g}" for spacing in spacings)
     raise InputError(
         f"track {track.name!r} has no place from which two cars get away from a {config.start} start with gap "
         f"{config.start_gap:g} m at {config.start_speed:g} m/s, {tried} m apart; widen the track, or set another start "
         "in the race settings"
     )
+
+
+def _left_share(favour: Floats, found: dict[str, NDArray[np.bool_]]) -> float:
+    """Share of lines on the left places with which the gains of both sides cancel."""
+    gains = [abs(float(favour[here].mean())) if here.any() else 0.0 for here in found.values()]
+    return round(gains[1] / (gains[0] + gains[1]), 2) if len(gains) == 2 and min(gains) > 0.0 else 0.5
 
 
 def _stretches(fit: NDArray[np.bool_]) -> Stretches:
@@ -165,7 +172,7 @@ def places_of(stretches: Stretches) -> Floats:
 
 
 def split_places(places: Floats, split: str) -> Floats:
-    """The places that training may use, or those that tests and tables use: every second block of 2 m is for training.
+    """The places that training may use, or those that tests and tables use: every second block of 1 m is for training.
 
     Where the fit places lie in blocks of one kind only, every second place is for training instead.
 

@@ -49,11 +49,14 @@ class Calibration:
     start_places : dict
         For each side that start places favour ("left" and "right", or "front") the stretches of such places: arc
         lengths of the first and the last one, m, ascending.
+    left_share : float
+        Share of start lines that are drawn from the places that favour the left, so that neither side gains.
     """
 
     speed_range: tuple[float, float]
     start_spacing: float
     start_places: dict[str, tuple[tuple[float, float], ...]]
+    left_share: float = 0.5
 
 
 def calibration_values(calibration: Calibration) -> dict[str, Any]:
@@ -64,6 +67,7 @@ def calibration_values(calibration: Calibration) -> dict[str, Any]:
         "start_places": {
             side: [list(stretch) for stretch in stretches] for side, stretches in calibration.start_places.items()
         },
+        "left_share": calibration.left_share,
     }
 
 
@@ -74,7 +78,7 @@ def calibration_from_values(values: dict[str, Any]) -> Calibration:
         side: tuple((float(first), float(last)) for first, last in stretches)
         for side, stretches in values["start_places"].items()
     }
-    return Calibration((float(low), float(high)), float(values["start_spacing"]), places)
+    return Calibration((float(low), float(high)), float(values["start_spacing"]), places, float(values["left_share"]))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -324,7 +324,7 @@ def small_map() -> Path:
     zero = np.zeros(61)
     line = [3.6 * turn, 3.6 * np.cos(turn), 3.6 * np.sin(turn), turn + np.pi / 2, zero + 1 / 3.6, zero + 5, zero]
     np.savetxt(folder / "Ring_raceline.csv", np.column_stack(line), "%.4f", "; ")
-    known = "{speed_range: [0.5, 1.0], start_spacing: 0.9, start_places: {left: [[1.0, 3.0]]}}"
+    known = "{speed_range: [0.5, 1.0], start_spacing: 0.9, start_places: {left: [[1.0, 3.0]]}, left_share: 0.5}"
     (folder / "Ring_track.yaml").write_text(f"description: a ring\ncalibration:\n  paper: {known}\n")
     return folder
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcs_racing.calibration import SCALES, calibrate, calibration_of, hazard_scan, places_for
+from pcs_racing.calibration import SCALES, calibrate, calibration_of, hazard_scan, starts_for
 from pcs_racing.errors import InputError
 from pcs_racing.race_config import CONTEST, PAPER
 from pcs_racing.track import load_track
@@ -73,10 +73,11 @@ def test_a_circuit_that_was_never_seen_is_calibrated_once_and_says_so(tmp_path, 
 def test_another_kind_of_start_is_tried_out_by_driving(tmp_path, monkeypatch, oval, capsys):
     monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path))
     rolling = replace(PAPER, start="rolling", start_gap=3.0)
-    places = places_for(oval, rolling)
-    assert list(places) == ["front"]
+    found = starts_for(oval, rolling)
+    assert list(found.start_places) == ["front"]
+    assert found.speed_range == oval.calibration["paper"].speed_range
     assert "places for a rolling start of track 'oval'" in capsys.readouterr().err
-    assert places_for(oval, rolling) == places
+    assert starts_for(oval, rolling) == found
     assert capsys.readouterr().err == ""
 
 

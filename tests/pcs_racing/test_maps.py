@@ -22,7 +22,7 @@ def _map(folder, name="Ring"):
     t = np.linspace(0.0, 2.0 * np.pi, 25)
     lines = np.column_stack([np.cos(t), np.sin(t), np.full(25, 0.5), np.full(25, 0.6)])
     race = np.column_stack([t, np.cos(t), np.sin(t), t, np.ones(25), np.full(25, 3.0), np.zeros(25)])
-    own = {"speed_range": [0.9, 1.2], "start_spacing": 0.45, "start_places": {"front": [[1.0, 5.5]]}}
+    own = {"speed_range": [0.9, 1.2], "start_spacing": 0.45, "start_places": {"front": [[1.0, 5.5]]}, "left_share": 0.5}
     info = {"seed": 5, "style": "hull", "license": "MIT", "calibration": {"contest": own}}
     return MapFolder(name, folder, grid, 0.05, (-1.25, 2.5), lines[:-1], race, info)
 
@@ -300,7 +300,8 @@ def test_short_and_binary_lines_are_refused(folder):
 
 def calibration(speeds: str = "[0.5, 1.0]", spacing: str = "0.45", places: str = "{front: [[1.0, 2.0]]}") -> str:
     """A track file with a calibration for one preset, as text."""
-    return f"calibration: {{contest: {{speed_range: {speeds}, start_spacing: {spacing}, start_places: {places}}}}}"
+    own = f"speed_range: {speeds}, start_spacing: {spacing}, start_places: {places}, left_share: 0.5"
+    return f"calibration: {{contest: {{{own}}}}}"
 
 
 @pytest.mark.parametrize(
@@ -315,7 +316,7 @@ def calibration(speeds: str = "[0.5, 1.0]", spacing: str = "0.45", places: str =
         ("calibration: 1.0", "calibration must give values for each race preset"),
         (
             "calibration: {contest: {speed_range: [0.5, 1.0]}}",
-            "must have the keys speed_range, start_spacing, start_pl",
+            "must have the keys speed_range, start_spacing",
         ),
         (calibration(speeds="[1.0]"), r"speed_range in the calibration of contest must be \[low, high\]"),
         (calibration(speeds="[0.0, 1.0]"), "0 < low < high"),

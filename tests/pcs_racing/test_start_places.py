@@ -65,8 +65,9 @@ def pretend(oval, monkeypatch):
 
 def test_the_first_spacing_that_works_is_taken(oval, pretend):
     count = pretend({0.9: 1.0, 1.0: 0.5, 0.8: 0.0, 1.1: 0.0})
-    spacing, places = fit_places(oval, PAPER, kernel_settings(PAPER, (0.8, 1.0)), [0.9, 1.0, 0.8, 1.1])
+    spacing, places, share = fit_places(oval, PAPER, kernel_settings(PAPER, (0.8, 1.0)), [0.9, 1.0, 0.8, 1.1])
     assert spacing == 0.8
+    assert share == 0.5
     half = count // 2 * PLACE_EVERY
     assert places == {"left": ((0.0, half - PLACE_EVERY),), "right": ((half, (count - 1) * PLACE_EVERY),)}
 
@@ -88,8 +89,17 @@ def test_stretches_hold_the_places_that_are_fit_with_their_neighbours(oval, pret
     np.testing.assert_array_equal(places_of(stretches) / PLACE_EVERY, [*range(11, 29), *range(51, 69)])
 
 
+def test_where_the_left_gains_more_it_gets_fewer_lines(pretend, oval):
+    count = pretend({0.9: 0.0})
+    favour = np.where(np.arange(count) % 2, 1.0, -0.5)
+    pretend({0.9: 0.0}, favour)
+    share = fit_places(oval, PAPER, kernel_settings(PAPER, (0.8, 1.0)), [0.9])[2]
+    assert share == 0.33
+    assert share * 1.0 == pytest.approx((1.0 - share) * 0.5, abs=0.01)
+
+
 def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):
-    crashes = np.full(pretend({0.9: 0.0}), 0.015)
+    crashes = np.full(pretend({0.9: 0.0}), 0.02)
     crashes[:40] = 0.0
     settings = kernel_settings(PAPER, (0.8, 1.0))
     pretend({0.9: crashes}, np.where(np.arange(len(crashes)) % 2, 1.0, -1.0))

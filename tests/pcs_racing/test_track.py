@@ -47,7 +47,7 @@ def folder(oval, tmp_path):
     rows = np.zeros((len(parts["raceline_xy"]) + 1, 7))
     rows[:, 1:3] = np.vstack([parts["raceline_xy"], parts["raceline_xy"][:1]])
     grid = (parts["occupied"], parts["resolution"], parts["origin"])
-    own = {"speed_range": [0.9, 1.1], "start_spacing": 0.45, "start_places": {"front": [[1.0, 5.5]]}}
+    own = {"speed_range": [0.9, 1.1], "start_spacing": 0.45, "start_places": {"front": [[1.0, 5.5]]}, "left_share": 0.5}
     info = {"calibration": {"contest": own}}
     return write_map(MapFolder("Big Oval", tmp_path / "Big Oval", *grid, parts["centerline"], rows, info))
 
@@ -294,9 +294,8 @@ def test_without_a_home_nothing_is_kept(folder, monkeypatch):
 def test_a_changed_file_is_noticed(folder):
     one = load_track(folder)
     info = folder / "Big Oval_track.yaml"
-    info.write_text(
-        "calibration: {contest: {speed_range: [0.5, 0.6], start_spacing: 0.5, start_places: {front: [[2, 3]]}}}"
-    )
+    own = "{speed_range: [0.5, 0.6], start_spacing: 0.5, start_places: {front: [[2, 3]]}, left_share: 0.5}"
+    info.write_text(f"calibration: {{contest: {own}}}")
     assert load_track(folder).calibration == {"contest": Calibration((0.5, 0.6), 0.5, {"front": ((2.0, 3.0),)})}
     info.unlink()
     assert load_track(folder).calibration == {}

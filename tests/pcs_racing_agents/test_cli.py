@@ -15,6 +15,7 @@ from PIL import Image
 from pcs_racing import list_tracks, load_track, read_replay
 from pcs_racing.maps import shipped_folder
 from pcs_racing.planners import BUILT_IN
+from pcs_racing.track import calibration_values
 from pcs_racing_agents.cli import _parser, main
 
 SHORT = ["--duration", "4"]

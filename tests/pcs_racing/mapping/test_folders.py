@@ -53,10 +53,8 @@ def test_regenerating_restores_the_files_and_keeps_the_rest(tmp_path):
     folder = tmp_path / "Loop"
     generate_map(folder, 5, "voronoi", picture=False)
     note = folder / "Loop_track.yaml"
-    note.write_text(
-        note.read_text()
-        + "calibration: {contest: {speed_range: [0.9, 1.2], start_spacing: 0.45, start_places: {front: [[1.0, 5.5]]}}}\n"
-    )
+    own = "{speed_range: [0.9, 1.2], start_spacing: 0.45, start_places: {front: [[1.0, 5.5]]}, left_share: 0.5}"
+    note.write_text(f"{note.read_text()}calibration: {{contest: {own}}}\n")
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     (folder / "Loop_raceline.csv").write_text("")
     (folder / "Loop_raceline.csv").unlink()
