@@ -293,7 +293,10 @@ def test_ramming_from_behind_is_the_fault_of_the_one_behind(oval):
     [
         ((0, 0), 3.0, 0, 0),  # no crash: the lead decides
         ((0, 0), -3.0, 1, 1),
-        ((0, 0), 0.001, -1, -1),  # a tie
+        ((0, 0), 0.009, -1, -1),  # a tie: the cars are within a centimetre of each other
+        ((0, 0), -0.009, -1, -1),
+        ((0, 0), 0.011, 0, 0),
+        ((0, 0), -0.011, 1, 1),
         ((1, 0), 3.0, -1, 1),
         ((0, 1), -3.0, -1, 0),
         ((1, 1), 3.0, -1, -1),

@@ -159,6 +159,34 @@ def test_the_variance_of_a_pool_is_the_sum_over_races_that_share_a_policy():
     assert clustered_mean(1500 * e, ego, opponent, line, same_pool=True).se ** 2 == pytest.approx(expected, rel=0.01)
 
 
+def slow_pool_variance(x, ego, opponent):
+    """Races that share a policy in whichever role, each pair once: sums over policies less those over pairs of them."""
+    residual = [value - sum(x) / len(x) for value in x]
+    policies, pairs = {}, {}
+    for value, first, second in zip(residual, ego, opponent, strict=True):
+        for policy in {first, second}:
+            policies[policy] = policies.get(policy, 0.0) + value
+        if first != second:
+            pair = frozenset((first, second))
+            pairs[pair] = pairs.get(pair, 0.0) + value
+    total = 0.0
+    for sums, sign in ((policies, 1.0), (pairs, -1.0)):
+        total += sign * sum(s**2 for s in sums.values()) * len(sums) / (len(sums) - 1)
+    return total / len(x) ** 2
+
+
+def test_each_term_of_the_variance_of_a_pool_has_the_correction_of_its_own_clusters():
+    """With few policies and pairs G / (G - 1) matters; races of a policy against itself count, too."""
+    rng = np.random.default_rng(18)
+    for _ in range(20):
+        ego, opponent = rng.integers(0, 6, (2, 40))
+        policy = rng.normal(size=6)
+        x = policy[ego] + policy[opponent] + 0.3 * rng.normal(size=40)
+        expected = max(slow_pool_variance(x, ego, opponent), slow_variance(x, ego, opponent))
+        assert slow_pool_variance(x, ego, opponent) > 0.0
+        assert clustered_mean(x, ego, opponent, same_pool=True).se ** 2 == pytest.approx(expected, rel=1e-9)
+
+
 def test_a_negative_variance_estimate_does_not_become_certainty():
     """On a chess board the sums of rows and columns vanish: the two-way formula alone gives less than nothing."""
     board = 0.01 + np.where((EGO + OPPONENT) % 2 == 0, 0.5, -0.5)
