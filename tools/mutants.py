@@ -40,6 +40,10 @@ PASSED = "-"
 Row = dict[str, str]
 
 
+class BaselineError(Exception):
+    """Tests that fail without any fault."""
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=("run", "report"))
@@ -62,21 +66,29 @@ def run(files: list[str], options: argparse.Namespace, place: "Workplace") -> No
     """Try the faults that were not tried yet; after each file's own tests, its survivors on the suite if asked."""
     done = {key(row): row for row in results()}
     for file in files:
-        text = (ROOT / file).read_text()
-        for fault in drawn(file, text, options.faults, options.seed):
-            row = dict(zip(COLUMNS, (file, str(fault.line), fault.kind, fault.before, fault.after), strict=False))
-            row |= {"source": digest(file), "tests": digest(*all_tests(file)), "own": "", "suite": ""}
-            known = done.get(key(row))
-            if known and (known["own"] != PASSED or known["tests"] == row["tests"]):
-                row = known
-            begun = time.monotonic()
-            if not row["own"]:
-                row["own"] = place.own_tests(file, fault)
-            if options.suite and row["own"] == PASSED and not row["suite"] and not reason(row):
-                row["suite"] = place.suite(file, fault, options.workers)
-            if row != known:
-                row["seconds"] = f"{time.monotonic() - begun:.0f}"
-                add(row)
+        try:
+            try_file(file, options, place, done)
+        except BaselineError as error:
+            print(f"{file}: left out, {error}; mend it first", flush=True)
+
+
+def try_file(file: str, options: argparse.Namespace, place: "Workplace", done: dict[tuple[str, ...], Row]) -> None:
+    """Try the faults of one file."""
+    text, tests = (place.pristine / file).read_text(), digest(place.pristine, *all_tests(file))
+    for fault in drawn(file, text, options.faults, options.seed):
+        row = dict(zip(COLUMNS, (file, str(fault.line), fault.kind, fault.before, fault.after), strict=False))
+        row |= {"source": digest(place.pristine, file), "tests": tests, "own": "", "suite": ""}
+        known = done.get(key(row))
+        if known and (known["own"] != PASSED or known["tests"] == row["tests"]):
+            row = dict(known)
+        begun = time.monotonic()
+        if not row["own"]:
+            row["own"] = place.own_tests(file, fault)
+        if options.suite and row["own"] == PASSED and not row["suite"] and not reason(row):
+            row["suite"] = place.suite(file, fault, options.workers)
+        if row != known:
+            row["seconds"] = f"{time.monotonic() - begun:.0f}"
+            add(row)
 
 
 def drawn(file: str, text: str, count: int, seed: int) -> list[Fault]:
@@ -95,7 +107,7 @@ def drawn(file: str, text: str, count: int, seed: int) -> list[Fault]:
 
 
 class Workplace:
-    """A copy of the tree with compiled code at hand, and copies of that for one fault each."""
+    """A copy of the tree with compiled code at hand, and a copy of that for the faults."""
 
     def __init__(self, folder: Path):
         self.pristine, self.tree = folder / "pristine", folder / "tree"
@@ -122,15 +134,18 @@ class Workplace:
             # Without any fault: the tests must pass, compiled code is kept for later, and the time is a measure.
             begun = time.monotonic()
             if (found := pytest(self.pristine, tests, mode, 7200.0)) != PASSED:
-                sys.exit(f"{found} fails without any fault ({mode}); mend it first")
+                raise BaselineError(f"{found} fails without any fault ({mode})")
             self.limits[mode, *tests] = 90.0 + 5.0 * (time.monotonic() - begun)
             # Code of compiled functions in tests is not renewed when the package changes.
             for stale in self.pristine.glob("tests/**/__pycache__/*.nb[ic]"):
                 stale.unlink()
-        shutil.rmtree(self.tree, ignore_errors=True)
-        shutil.copytree(self.pristine, self.tree)
+        if mode == COMPILED or not self.tree.exists():  # compiled code of the last fault must not be found
+            shutil.rmtree(self.tree, ignore_errors=True)
+            shutil.copytree(self.pristine, self.tree)
         (self.tree / file).write_text(fault.text)
-        return pytest(self.tree, tests, mode, self.limits[mode, *tests])
+        found = pytest(self.tree, tests, mode, self.limits[mode, *tests])
+        shutil.copy2(self.pristine / file, self.tree / file)
+        return found
 
 
 def pytest(tree: Path, tests: tuple[str, ...], mode: str, limit: float) -> str:
@@ -140,7 +155,7 @@ def pytest(tree: Path, tests: tuple[str, ...], mode: str, limit: float) -> str:
     # The cache holds tracks that were built by code without the fault, under names that the code decides.
     environment |= {"PCS_RACING_CACHE": str(tree / "cache"), "PCS_RACING_MAPS": "none", "PCS_RACING_REFERENCE": "none"}
     if mode == PLAIN:
-        environment["NUMBA_DISABLE_JIT"] = "1"
+        environment |= {"NUMBA_DISABLE_JIT": "1", "PYTHONDONTWRITEBYTECODE": "1" if tree.name == "tree" else ""}
     else:
         environment |= {"NUMBA_OPT": "1", "NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0"}
     command = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-rfE", "--hypothesis-seed=0", "-p", "no:cacheprovider"]
@@ -180,7 +195,7 @@ def with_group(process: "subprocess.Popen[str]") -> None:
 def report(files: list[str]) -> int:
     """Print what was found, and return how many survivors nobody has accepted."""
     rows = [row for row in {key(row): row for row in results()}.values() if row["file"] in files]
-    rows = [row for row in rows if row["source"] == digest(row["file"])]
+    rows = [row for row in rows if row["source"] == digest(ROOT, row["file"])]
     print(f"{'':32}{'faults':>8}{'own tests':>12}{'suite':>8}{'accepted':>10}{'open':>6}")
     survivors: list[Row] = []
     for area in [*dict.fromkeys(MODULES[file].area for file in files), "together"]:
@@ -236,8 +251,8 @@ def all_tests(file: str) -> list[str]:
     return sorted({*tests_of(file, PLAIN), *tests_of(file, COMPILED)})
 
 
-def digest(*files: str) -> str:
-    return hashlib.sha256(b"".join((ROOT / file).read_bytes() for file in files)).hexdigest()[:12]
+def digest(tree: Path, *files: str) -> str:
+    return hashlib.sha256(b"".join((tree / file).read_bytes() for file in files)).hexdigest()[:12]
 
 
 if __name__ == "__main__":
