@@ -56,7 +56,7 @@ MODULES = {
         frenet: frenet
         walls: walls
         lidar_kernel: lidar
-        planner: planner; race
+        planner: planner
         """,
     ),
     **_modules(
@@ -89,8 +89,8 @@ MODULES = {
         """
         drive_kernel: drive_kernel; drive
         drive drive_batch drive_vector: ; drive
-        duel duel_batch duel_vector: ; duel
-        head_to_head opponents: ; head_to_head
+        duel duel_batch duel_vector opponents: ; duel
+        head_to_head: ; head_to_head
         """,
     ),
     **_modules(
