@@ -64,8 +64,8 @@ MODULES = {
         "pcs_racing_agents/planners",
         """
         spiral: spiral
-        pure_pursuit: pure_pursuit
-        gap_follower: gap_follower
+        pure_pursuit: ; pure_pursuit
+        gap_follower: ; gap_follower
         lattice: ; lattice
         lane_switcher: ; lane_switcher
         """,
@@ -78,7 +78,7 @@ MODULES = {
         race_config: race_config
         race_state: race_state race_kernel
         game game_state: ; game
-        game_config: ; game
+        game_config: game_config
         archive: archive
         """,
     ),
