@@ -121,7 +121,7 @@ def _inner(node: ast.AST) -> list[ast.AST]:
 def _of_expression(node: ast.expr, names: frozenset[str]) -> Iterator[tuple[str, ast.expr]]:
     if isinstance(node, ast.Constant):
         yield from _of_constant(node)
-    elif isinstance(node, ast.BinOp):
+    elif isinstance(node, ast.BinOp) and not _joins_texts(node):
         if type(node.op) in ARITHMETIC:
             yield "arithmetic", ast.BinOp(node.left, ARITHMETIC[type(node.op)](), node.right)
             yield "term dropped", node.left
@@ -155,14 +155,21 @@ def _of_expression(node: ast.expr, names: frozenset[str]) -> Iterator[tuple[str,
             yield "0 / 1", ast.Name(twin, ast.Load())
 
 
+def _joins_texts(node: ast.BinOp) -> bool:
+    """Whether texts or paths are put together: another operator would only raise a TypeError."""
+    return any(isinstance(side, ast.JoinedStr | ast.Constant) and not _number(side) for side in (node.left, node.right))
+
+
+def _number(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, int | float)
+
+
 def _of_constant(node: ast.Constant) -> Iterator[tuple[str, ast.expr]]:
     value = node.value
     if isinstance(value, bool):
         yield "constant", ast.Constant(not value)
     elif isinstance(value, int):
-        yield "constant", ast.Constant(1 - value if value in (0, 1) else value + 1)
-        if value == 1:
-            yield "constant", ast.Constant(2)
+        yield "constant", ast.Constant(1 - value if value in (0, 1) else value + 1 if value < 100 else 2 * value)
     elif isinstance(value, float):
         yield "constant", ast.Constant(2.0 * value if value else 1.0)
 
