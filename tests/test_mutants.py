@@ -51,7 +51,7 @@ def test_faults_are_small_and_leave_words_and_messages_alone(tool):
         "way -= 1",
         "way += (0)",
         "pass",
-        "return (way)",
+        "return way",
     ):
         assert expected in made
     assert not any("words" in after or "ValueError" in after or "import" in after for after in made)
