@@ -113,6 +113,8 @@ def _inner(node: ast.AST) -> list[ast.AST]:
         return []  # documentation
     if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and node.targets[0].id == "__all__":
         return []
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "reshape":
+        return [node.func]  # another shape is an error at once
     if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
         return []
     return [child for child in ast.iter_child_nodes(node) if not isinstance(child, _LEFT_ALONE)]

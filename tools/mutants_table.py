@@ -98,7 +98,7 @@ MODULES = {
         "pcs_racing_agents/solvers",
         """
         cfr cfr_kernels: cfr
-        compare: ; solve_commands
+        compare: compare
         efg: efg
         evaluation: evaluation cfr
         exact: exact_solution
