@@ -56,6 +56,7 @@ def main() -> None:
     if not files:
         sys.exit(f"no file of tools/mutants_table.py matches {' '.join(options.files)}")
     if options.command == "run":
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped"))  # so that the copies are removed
         with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
             run(files, options, Workplace(Path(folder)))
     sys.exit(1 if report(files) else 0)

@@ -56,7 +56,7 @@ MODULES = {
         frenet: frenet
         walls: walls
         lidar_kernel: lidar
-        planner: planner
+        planner: planner race_state; race_kernel
         """,
     ),
     **_modules(
@@ -89,7 +89,8 @@ MODULES = {
         """
         drive_kernel: drive_kernel; drive
         drive drive_batch drive_vector: ; drive
-        duel duel_batch duel_vector opponents: ; duel
+        duel_batch opponents: duel_batch; duel
+        duel duel_vector: ; duel
         head_to_head: ; head_to_head
         """,
     ),
