@@ -61,7 +61,7 @@ MODULES = {
     ),
     **_modules(
         "kernels",
-        "pcs_racing_agents/planners",
+        "pcs_racing/planners",
         """
         spiral: spiral
         pure_pursuit: ; pure_pursuit
