@@ -65,7 +65,7 @@ def main() -> None:
 def run(files: list[str], options: argparse.Namespace, place: "Workplace") -> None:
     """Try the faults that were not tried yet; after each file's own tests, its survivors on the suite if asked."""
     done = {key(row): row for row in results()}
-    for file in files:
+    for file in sorted(files, key=lambda file: bool(tests_of(file, COMPILED))):  # the quick ones first
         try:
             try_file(file, options, place, done)
         except BaselineError as error:
@@ -231,7 +231,7 @@ def add(row: Row) -> None:
     new = not RESULTS.exists()
     RESULTS.parent.mkdir(parents=True, exist_ok=True)
     with open(RESULTS, "a", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if new:
             writer.writeheader()
         writer.writerow(row)
