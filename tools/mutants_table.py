@@ -118,8 +118,10 @@ MODULES = {
         evaluate: ; evaluate
         indicators: indicators
         selection: selection
-        mo_cma_es optimisers synthesize: ; synthesize
-        archive_search explored: ; archive_run
+        explored: explored
+        mo_cma_es: mo_cma_es; synthesize
+        optimisers synthesize: ; synthesize
+        archive_search: ; archive_run
         """,
     ),
     **_modules(
