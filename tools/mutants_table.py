@@ -88,7 +88,8 @@ MODULES = {
         "pcs_racing/envs",
         """
         drive_kernel: drive_kernel; drive
-        drive drive_batch drive_vector: ; drive
+        drive_batch: drive_kernel; drive
+        drive drive_vector: ; drive
         duel_batch opponents: duel_batch; duel
         duel duel_vector: ; duel
         head_to_head: ; head_to_head
