@@ -117,6 +117,8 @@ def _inner(node: ast.AST) -> list[ast.AST]:
         return [node.func]  # another shape is an error at once
     if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
         return []
+    if isinstance(node, ast.keyword) and node.arg == "strict":
+        return []  # of zip: a check, not a result
     return [child for child in ast.iter_child_nodes(node) if not isinstance(child, _LEFT_ALONE)]
 
 

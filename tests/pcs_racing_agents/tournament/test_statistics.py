@@ -220,6 +220,13 @@ def test_symmetries_of_a_comparison(seed):
     assert (result.units, result.egos, result.opponents, result.df) == (len(a), EGOS, OPPONENTS, EGOS - 1)
 
 
+def test_a_comparison_counts_its_egos_and_its_opponents():
+    some = OPPONENT < 5
+    result = compare(*(scores[some] for scores in arms(np.random.default_rng(0), 0.2)), EGO[some], OPPONENT[some])
+    assert (result.units, result.egos, result.opponents, result.df) == (EGOS * 5 * RACES, EGOS, 5, 4)
+    assert (result.level, compare(ONES, [0.0] * 4, TWO, [0, 1, 0, 1], level=0.9).level) == (0.95, 0.9)
+
+
 def test_comparing_needs_no_scipy(monkeypatch):
     monkeypatch.setitem(sys.modules, "scipy", None)
     a, b = arms(np.random.default_rng(0), 0.2)
@@ -376,6 +383,40 @@ def test_power_is_how_often_the_effect_is_found(effect):
     assert np.mean(found) == pytest.approx(expected, abs=0.08)
 
 
+def test_power_is_that_of_a_t_test_whose_variance_the_components_make():
+    """Each component divided by how many draws of it there are; scipy's non-central t distribution."""
+    components = VarianceComponents(ego=0.04, opponent=0.03, cell=0.5, unit=0.9)
+    for egos, opponents, races in ((20, 20, 10), (6, 15, 2), (15, 6, 1)):
+        variance = 0.04 / egos + 0.03 / opponents + 0.5 / (egos * opponents) + 0.9 / (egos * opponents * races)
+        df, effect = min(egos, opponents) - 1, 0.15
+        for level in (0.95, 0.8):
+            limit = stats.t.ppf(0.5 + level / 2.0, df)
+            shift = effect / np.sqrt(variance)
+            expected = stats.nct.sf(limit, df, shift) + stats.nct.cdf(-limit, df, shift)
+            found = power(effect, components, egos=egos, opponents=opponents, races=races, level=level)
+            assert found == pytest.approx(expected, abs=1e-6)
+
+
+def test_variance_components_of_a_table_by_hand():
+    """Two egos, three opponents, two races each: mean squares between egos, opponents and pairs, and within them."""
+    ego, opponent, _ = (index.ravel() for index in np.indices((2, 3, 2)))
+    x = np.array([3.0, 5.0, 0.0, 2.0, 7.0, 7.0, 1.0, 1.0, 4.0, 0.0, 2.0, 4.0])
+    means = x.reshape(2, 3, 2).mean(axis=2)  # [[4, 1, 7], [1, 2, 3]]
+    rows, columns, mean = means.mean(axis=1), means.mean(axis=0), means.mean()
+    square_ego = 6.0 * ((rows - mean) ** 2).sum() / 1.0
+    square_opponent = 4.0 * ((columns - mean) ** 2).sum() / 2.0
+    square_cell = 2.0 * ((means - rows[:, None] - columns + mean) ** 2).sum() / 2.0
+    square_unit = ((x.reshape(2, 3, 2) - means[..., None]) ** 2).sum() / 6.0
+    expected = VarianceComponents(
+        ego=(square_ego - square_cell) / 6.0,
+        opponent=(square_opponent - square_cell) / 4.0,
+        cell=(square_cell - square_unit) / 2.0,
+        unit=square_unit,
+    )
+    assert min(expected) > 0.0
+    assert variance_components(x, ego, opponent) == pytest.approx(expected)
+
+
 def test_detectable_effect_is_the_effect_of_that_power():
     components = VarianceComponents(0.01, 0.02, 0.03, 0.25)
     effect = detectable_effect(components, egos=20, opponents=30, races=4, wanted=0.9)
@@ -419,6 +460,7 @@ def test_choosing_on_the_test_races_would_hide_the_gain():
 
 TWO = [0, 0, 1, 1]
 ONES = [1.0, 0.0, 1.0, 1.0]
+ARM = np.array(ONES)
 
 
 @pytest.mark.parametrize(
@@ -454,6 +496,12 @@ ONES = [1.0, 0.0, 1.0, 1.0]
         (lambda: power(0.1, VarianceComponents(1, 1, 1, 1), opponents=1), "opponents is 1"),
         (lambda: power(np.inf, VarianceComponents(1, 1, 1, 1)), "effect is inf"),
         (lambda: detectable_effect(VarianceComponents(1, 1, 1, 1), wanted=0.04), "wanted power is 0.04"),
+        (
+            lambda: adaptivity_gain(
+                ONES, {"x": ARM, "y": TWO}, TWO, TWO, training={"x": ARM[::-1], "y": [0.5, 0.5, 0.5, 0.5]}
+            ),
+            "the training scores are the test scores",  # of one arm, the other way round
+        ),
         (lambda: adaptivity_gain(ONES, {}, TWO, TWO, training={}), "there are no blind arms"),
         (lambda: adaptivity_gain(ONES, {"x": ONES}, TWO, TWO, training={"y": ONES}), "blind arm 'x' is in only one"),
         (
