@@ -282,6 +282,12 @@ def test_random_sign_flips_agree_with_all_of_them():
     assert drawn == pytest.approx(exact, abs=4.0 * np.sqrt(exact / 20_000))
 
 
+def test_random_sign_flips_go_down_to_one_in_a_hundred_thousand():
+    """Forty egos that all gain: of 99,999 random combinations of signs none is as extreme."""
+    assert sign_flip_p(np.linspace(1.0, 1.1, 40), np.arange(40), np.random.default_rng(0)) == 1e-5
+    assert sign_flip_p(np.linspace(1.0, 1.1, 40), np.arange(40), np.random.default_rng(0), flips=99) == 0.01
+
+
 def test_the_bootstrap_covers_and_repeats():
     rng = np.random.default_rng(9)
     covered = 0
@@ -294,6 +300,21 @@ def test_the_bootstrap_covers_and_repeats():
     assert one == two
     wide = bootstrap_interval(x, EGO, OPPONENT, np.random.default_rng(1), level=0.99)
     assert wide[0] < one[0] < x.mean() < one[1] < wide[1]
+
+
+def test_the_bootstrap_is_owens_pigeonhole_where_races_are_missing():
+    """Replicate by replicate: a race counts as often as its ego was drawn times as often as its opponent was."""
+    keep = (EGO + OPPONENT) % 3 != 1  # so that the last pair, too, has no race
+    x, ego, opponent = differences(np.random.default_rng(3), ego=0.3)[keep], EGO[keep], OPPONENT[keep]
+    assert not ((ego == EGOS - 1) & (opponent == OPPONENTS - 1)).any()
+    rng, means = np.random.default_rng(1), []
+    egos, opponents = (rng.multinomial(n, np.full(n, 1.0 / n), size=100) for n in (EGOS, OPPONENTS))
+    for first, second in zip(egos, opponents, strict=True):
+        weights = first[ego] * second[opponent]
+        means.append((weights @ x) / weights.sum())
+    for level in (0.95, 0.8):
+        found = bootstrap_interval(x, ego, opponent, np.random.default_rng(1), replicates=100, level=level)
+        assert found == pytest.approx(tuple(np.quantile(means, [0.5 - level / 2.0, 0.5 + level / 2.0])))
 
 
 def test_holm_is_the_step_down_procedure():
