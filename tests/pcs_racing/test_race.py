@@ -293,10 +293,7 @@ def test_ramming_from_behind_is_the_fault_of_the_one_behind(oval):
     [
         ((0, 0), 3.0, 0, 0),  # no crash: the lead decides
         ((0, 0), -3.0, 1, 1),
-        ((0, 0), 0.009, -1, -1),  # a tie: the cars are within a centimetre of each other
-        ((0, 0), -0.009, -1, -1),
-        ((0, 0), 0.011, 0, 0),
-        ((0, 0), -0.011, 1, 1),
+        ((0, 0), 0.001, -1, -1),  # a tie
         ((1, 0), 3.0, -1, 1),
         ((0, 1), -3.0, -1, 0),
         ((1, 1), 3.0, -1, -1),
@@ -310,6 +307,15 @@ def test_who_wins(fault, lead, nobody, fault_loses):
     starts = Starts(np.zeros(1), np.zeros(1, np.int64))
     for config, expected in ((PAPER, nobody), (CONTEST, fault_loses)):
         assert RaceResult(config, state, starts).winner.tolist() == [expected]
+
+
+def test_it_is_a_tie_where_the_cars_are_within_a_centimetre_of_each_other():
+    leads = np.array([0.0, 0.009, -0.009, 0.011, -0.011, 0.05, -0.05])
+    state = empty_state(len(leads), 0)
+    state.progress[:] = np.column_stack([100.0 + leads, np.full(len(leads), 100.0)])
+    starts = Starts(np.zeros(len(leads)), np.zeros(len(leads), np.int64))
+    for config in (PAPER, CONTEST):
+        assert RaceResult(config, state, starts).winner.tolist() == [-1, -1, -1, 0, 1, 0, 1]
 
 
 # Starts
