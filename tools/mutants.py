@@ -75,9 +75,13 @@ def run(files: list[str], options: argparse.Namespace, place: "Workplace") -> No
 def try_file(file: str, options: argparse.Namespace, place: "Workplace", done: dict[tuple[str, ...], Row]) -> None:
     """Try the faults of one file."""
     text, tests = (place.pristine / file).read_text(), digest(place.pristine, *all_tests(file))
-    for fault in drawn(file, text, options.faults, options.seed):
+    source = digest(place.pristine, file)
+    earlier = {(row["line"], row["before"], row["after"]) for row in done.values() if row["source"] == source}
+    chosen = drawn(file, text, options.faults, options.seed)
+    again = [f for f in faults_of(text) if (str(f.line), f.before, f.after) in earlier and f not in chosen]
+    for fault in chosen + again:
         row = dict(zip(COLUMNS, (file, str(fault.line), fault.kind, fault.before, fault.after), strict=False))
-        row |= {"source": digest(place.pristine, file), "tests": tests, "own": "", "suite": ""}
+        row |= {"source": source, "tests": tests, "own": "", "suite": ""}
         known = done.get(key(row))
         if known and (known["own"] != PASSED or known["tests"] == row["tests"]):
             row = dict(known)
