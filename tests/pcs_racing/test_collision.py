@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from pcs_racing.collision import FIELD_ERROR, car_hits_wall, contact_fault, rectangles_overlap
+from pcs_racing.collision import FIELD_ERROR, car_hits_wall, contact_fault, inside_wall, rectangles_overlap
 from pcs_racing.track import load_track
 
 LENGTH, WIDTH = 0.58, 0.31
@@ -132,6 +132,17 @@ def test_outside_the_map_and_inside_walls_is_wall(oval):
     for x, y in [(1e3, 0.0), (-1e6, 1e6), (np.nan, 0.0), (0.0, 0.0), (0.0, -5.6)]:
         assert car_hits_wall(oval.arrays, x, y, 0.3, *HALF, 1.0)
     assert not car_hits_wall(oval.arrays, 0.0, -4.0, 0.3, *HALF, 6.0)
+
+
+def test_a_point_is_inside_a_wall_where_its_cell_is_none_to_drive_on(oval):
+    arrays = oval.arrays
+    rows, cols = arrays.distance.shape
+    rng = np.random.default_rng(5)
+    for u, v in rng.uniform([-3.0, -3.0], [cols + 3.0, rows + 3.0], (2000, 2)):
+        x, y = arrays.origin_x + u * arrays.cell, arrays.origin_y + v * arrays.cell
+        on_the_map = 0.0 <= u < cols and 0.0 <= v < rows
+        free = on_the_map and arrays.distance[int(v), int(u)] > 0.0
+        assert inside_wall(arrays, x, y) == (not free)
 
 
 def test_even_a_speck_hits_a_wall_it_is_inside_of(oval):
