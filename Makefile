@@ -5,7 +5,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 
-.PHONY: help demo test compare machines lint types benchmarks docs release wheel-test coverage fuzz benchmark-history clean
+.PHONY: help demo test compare machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
 
 help:
 	@echo "make demo        the paper's study in small: trees, networks, races, a report to look at (under 5 minutes)"
@@ -17,6 +17,7 @@ help:
 	@echo "make benchmarks  every figure of the documentation, measured again"
 	@echo "make coverage    the tests again with coverage, compiled files as plain Python (13 minutes of processor time)"
 	@echo "make fuzz        20 minutes of broken inputs for every loader and environment; goes on where it was left"
+	@echo "make mutants     small faults put into the code, and which tests notice them (hours); goes on where it was left"
 	@echo "make benchmark-history  a few ratios of speed, compared with benchmarks/history.csv and added to it"
 	@echo "make docs        the documentation's site, in out/docs; a warning is an error"
 	@echo "make release     sdist and wheel, in dist, built and checked"
@@ -66,6 +67,9 @@ coverage: $(VENV)/test.stamp
 fuzz: $(VENV)/test.stamp
 	$(RUN) tools/fuzz.py run --minutes 10
 	$(RUN) tools/fuzz.py run --minutes 10 --engine hypothesis
+
+mutants: $(VENV)/test.stamp
+	$(RUN) tools/mutants.py run --suite
 
 benchmark-history: $(VENV)/test.stamp
 	$(RUN) benchmarks/record.py --check

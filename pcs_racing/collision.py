@@ -156,7 +156,7 @@ def hits_wall(  # type: ignore[no-untyped-def]
             and interpolate(distance, u - du - 0.5, v - dv - 0.5) > part
         ):
             return False
-    if clearance <= half_width - error:
+    if clearance <= min(half_length, half_width) - error:
         return True
     if clearance < error:
         rows, columns = distance.shape

@@ -39,9 +39,19 @@ def reference() -> Path:
 @pytest.fixture(scope="session")
 def oval():
     """A stadium: two straights of 12 m, two half circles of 4 m radius, 2.2 m wide, driven counterclockwise."""
+    return _stadium(resolution=0.05)
+
+
+@pytest.fixture(scope="session")
+def coarse_oval():
+    """The same in cells of 0.2 m, for tests that also run as plain Python."""
+    return _stadium(resolution=0.2)
+
+
+def _stadium(resolution: float):
     from pcs_racing.track import Calibration, build_track
 
-    straight, radius, half_width, resolution = 12.0, 4.0, 1.1, 0.05
+    straight, radius, half_width = 12.0, 4.0, 1.1
     quarter = np.linspace(0.0, np.pi, 40, endpoint=False)
     along = np.linspace(-straight / 2, straight / 2, 40, endpoint=False)
     right = np.column_stack([straight / 2 + radius * np.sin(quarter), -radius * np.cos(quarter)])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from pcs_racing.collision import FIELD_ERROR, car_hits_wall, contact_fault, rectangles_overlap
+from pcs_racing.collision import FIELD_ERROR, car_hits_wall, contact_fault, inside_wall, rectangles_overlap
 from pcs_racing.track import load_track
 
 LENGTH, WIDTH = 0.58, 0.31
@@ -21,8 +21,8 @@ def corners(x, y, psi, half_length=HALF[0], half_width=HALF[1]):
     return box @ np.array([[c, s], [-s, c]]) + [x, y]
 
 
-def shared_area(first, second):
-    """Area of the intersection of two convex polygons, by cutting one along the sides of the other."""
+def overlap(first, second):
+    """Corners of the intersection of two convex polygons, by cutting one along the sides of the other."""
     polygon = list(first)
     for a, b in zip(second, np.roll(second, -1, axis=0), strict=True):
         inside = [(b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) for p in polygon]
@@ -34,13 +34,15 @@ def shared_area(first, second):
             if here > 0:
                 kept.append(p)
         polygon = kept
-    if len(polygon) < 3:
-        return 0.0
-    x, y = np.array(polygon).T
-    return 0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
+    return np.array(polygon).reshape(-1, 2)
 
 
-def hits_segment(walls, x, y, psi):
+def area_of(polygon):
+    x, y = polygon.T
+    return 0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) if len(polygon) > 2 else 0.0
+
+
+def hits_segment(walls, x, y, psi, half=HALF):
     """Whether any of the segments (S, 4) passes through the inside of the car, by clipping them to it."""
     c, s = np.cos(psi), np.sin(psi)
     low, high = np.zeros(len(walls)), np.ones(len(walls))
@@ -49,8 +51,8 @@ def hits_segment(walls, x, y, psi):
     for axis in range(2):
         way = end[:, axis] - start[:, axis]
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = np.sort(np.stack([(side * HALF[axis] - start[:, axis]) / way for side in (-1, 1)]), axis=0)
-        outside = (way == 0.0) & (abs(start[:, axis]) >= HALF[axis])
+            t = np.sort(np.stack([(side * half[axis] - start[:, axis]) / way for side in (-1, 1)]), axis=0)
+        outside = (way == 0.0) & (abs(start[:, axis]) >= half[axis])
         low = np.where(way == 0.0, np.where(outside, 2.0, low), np.maximum(low, t[0]))
         high = np.where(way == 0.0, high, np.minimum(high, t[1]))
     return bool((low < high).any())
@@ -70,7 +72,7 @@ def test_overlaps_of_the_reference(reference):
 @settings(deadline=None, max_examples=300)
 @given(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), angles, angles, st.floats(0.05, 0.6), st.floats(0.05, 0.6))
 def test_rectangles_overlap_where_they_share_an_area(x, y, psi0, psi1, half_length, half_width):
-    area = shared_area(corners(0.0, 0.0, psi0), corners(x, y, psi1, half_length, half_width))
+    area = area_of(overlap(corners(0.0, 0.0, psi0), corners(x, y, psi1, half_length, half_width)))
     assume(area == 0.0 or area > 1e-9)
     sizes = (*HALF, half_length, half_width)
     assert rectangles_overlap(0.0, 0.0, psi0, x, y, psi1, *sizes) == (area > 0.0)
@@ -97,9 +99,10 @@ def check_walls(track, count):
     for x, y, psi, s in poses_around(track, count, np.random.default_rng(1)):
         if track.wall_distance([x, y]) < 1.5 * track.arrays.cell:
             continue  # a centre in the wall may have no wall within the car
-        hit = car_hits_wall(track.arrays, x, y, psi, *HALF, s)
-        assert hit == hits_segment(track.arrays.walls, x, y, psi), (x, y, psi)
-        hits.append(hit)
+        for half in (HALF, (0.6, 0.1), (0.15, 0.4)):
+            hit = car_hits_wall(track.arrays, x, y, psi, *half, s)
+            assert hit == hits_segment(track.arrays.walls, x, y, psi, half), (x, y, psi)
+            hits.append(hit)
     return np.mean(hits)
 
 
@@ -129,6 +132,17 @@ def test_outside_the_map_and_inside_walls_is_wall(oval):
     for x, y in [(1e3, 0.0), (-1e6, 1e6), (np.nan, 0.0), (0.0, 0.0), (0.0, -5.6)]:
         assert car_hits_wall(oval.arrays, x, y, 0.3, *HALF, 1.0)
     assert not car_hits_wall(oval.arrays, 0.0, -4.0, 0.3, *HALF, 6.0)
+
+
+def test_a_point_is_inside_a_wall_where_its_cell_is_none_to_drive_on(oval):
+    arrays = oval.arrays
+    rows, cols = arrays.distance.shape
+    rng = np.random.default_rng(5)
+    for u, v in rng.uniform([-3.0, -3.0], [cols + 3.0, rows + 3.0], (2000, 2)):
+        x, y = arrays.origin_x + u * arrays.cell, arrays.origin_y + v * arrays.cell
+        on_the_map = 0.0 <= u < cols and 0.0 <= v < rows
+        free = on_the_map and arrays.distance[int(v), int(u)] > 0.0
+        assert inside_wall(arrays, x, y) == (not free)
 
 
 def test_even_a_speck_hits_a_wall_it_is_inside_of(oval):
@@ -168,6 +182,73 @@ def test_a_car_that_turns_its_tail_into_another_is_at_fault():
 def test_head_on_at_equal_speed_is_both_cars_fault():
     assert contact_fault(state(v=3.0), state(x=0.5, psi=np.pi, v=3.0), *BOTH) == (True, True)
     assert contact_fault(state(v=4.0), state(x=0.5, psi=np.pi, v=3.0), *BOTH) == (True, False)
+
+
+def centroid(polygon):
+    """Centre of the area of a convex polygon, by the triangles around its first corner."""
+    a, b, c = polygon[0], polygon[1:-1], polygon[2:]
+    areas = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    return (areas[:, None] * (a + b + c) / 3.0).sum(axis=0) / areas.sum()
+
+
+def closing_speeds(first, second, sizes):
+    """How fast each car's body moves into the other one, at the middle of what they share and along the contact."""
+    boxes = [corners(car[0], car[1], car[4], *size) for car, size in ((first, sizes[:2]), (second, sizes[2:]))]
+    way = second[:2] - first[:2]
+    axes = []
+    for angle in (first[4], first[4] + 0.5 * np.pi, second[4], second[4] + 0.5 * np.pi):
+        axis = np.array([np.cos(angle), np.sin(angle)])
+        axis = -axis if axis @ way < 0.0 else axis
+        axes.append(((boxes[0] @ axis).max() - (boxes[1] @ axis).min(), axis))
+    least = min(depth for depth, _ in axes)
+    normal = sum(axis for depth, axis in axes if depth <= least + 1e-3)
+    normal = normal / np.linalg.norm(normal)
+    shared = overlap(*boxes)
+    middle = centroid(shared) if area_of(shared) > 0.0 else 0.5 * (first[:2] + second[:2])
+    speeds = []
+    for car, sign in ((first, 1.0), (second, -1.0)):
+        course, arm = car[4] + car[6], middle - car[:2]
+        velocity = car[3] * np.array([np.cos(course), np.sin(course)]) + car[5] * np.array([-arm[1], arm[0]])
+        speeds.append(max(sign * (velocity @ normal), 0.0))
+    return speeds
+
+
+@pytest.mark.parametrize("sizes", [BOTH, (0.35, 0.12, 0.22, 0.18)], ids=["alike", "different"])
+def test_the_car_that_moves_into_the_other_one_faster_is_at_fault(sizes):
+    """Against polygons: the axis of least overlap, the middle of the shared area, the velocity of the bodies there."""
+    rng = np.random.default_rng(3)
+    seen = []
+    for _ in range(600):
+        first = state(
+            *rng.uniform(-3.0, 3.0, 3), rng.uniform(-2.0, 8.0), rng.uniform(-3.0, 3.0), rng.uniform(-0.5, 0.5)
+        )
+        bearing, away = rng.uniform(-np.pi, np.pi), rng.uniform(0.15, 0.7)
+        at = first[:2] + away * np.array([np.cos(bearing), np.sin(bearing)])
+        turn = first[4] + (rng.normal(0.0, 0.3) if rng.random() < 0.5 else rng.uniform(-3.0, 3.0))
+        second = state(*at, turn, rng.uniform(-2.0, 8.0), rng.uniform(-3.0, 3.0), rng.uniform(-0.5, 0.5))
+        own, other = closing_speeds(first, second, sizes)
+        margin = max(0.05 * max(own, other), 1e-3)
+        if abs(abs(own - other) - margin) < 1e-6:
+            continue  # a matter of rounding
+        expected = (not other - own > margin, not own - other > margin)
+        assert contact_fault(first, second, *sizes) == expected
+        seen.append(expected)
+    assert {(True, False), (False, True), (True, True)} == set(seen)
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "faults"),
+    [
+        (4.0, 3.85, (True, True)),  # within five percent of the larger one
+        (4.0, 3.75, (True, False)),
+        (3.75, 4.0, (False, True)),
+        (0.0005, 0.0, (True, True)),  # within a millimetre a second
+        (0.0015, 0.0, (True, False)),
+        (0.0, 0.0015, (False, True)),
+    ],
+)
+def test_nearly_equal_closing_speeds_are_both_cars_fault(own, other, faults):
+    assert contact_fault(state(v=own), state(x=0.5, psi=np.pi, v=other), *BOTH) == faults
 
 
 @st.composite

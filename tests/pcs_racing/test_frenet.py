@@ -171,3 +171,33 @@ def test_angle_between_is_the_short_way_round(angle, other):
 def test_psi_is_continuous_along_the_line(oval):
     assert np.abs(np.diff(oval.line[:, PSI])).max() < 0.1
     assert abs(oval.line[-1, PSI] - oval.line[0, PSI] - 2.0 * np.pi) < 0.1
+
+
+def test_wall_distance_is_interpolated_between_the_centres_of_the_four_cells_around_a_point(oval):
+    arrays = oval.arrays
+    field, (rows, cols) = arrays.distance.astype(float), arrays.distance.shape
+    rng = np.random.default_rng(4)
+    points = rng.uniform([0.0, 0.0], [cols, rows], (3000, 2))  # in cells from the corner
+    expected = []
+    for u, v in points - 0.5:
+        j, i = int(np.floor(u)), int(np.floor(v))
+        if i < 0 or j < 0 or i + 1 >= rows or j + 1 >= cols:
+            expected.append(0.0)  # beyond the outermost centres
+            continue
+        right, up = u - j, v - i
+        weights = np.outer([1.0 - up, up], [1.0 - right, right])
+        expected.append((weights * field[i : i + 2, j : j + 2]).sum())
+    found = oval.wall_distance(points * arrays.cell + [arrays.origin_x, arrays.origin_y])
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert np.max(found) > 1.0
+
+
+def test_the_slope_of_the_line_between_samples_is_that_of_its_points(oval):
+    """Heading against finite differences of the points, all along the line and off it."""
+    s = np.arange(0.013, oval.length - 0.1, 0.037)
+    for d in (0.0, 0.7, -0.9):
+        at = np.full_like(s, d)
+        here = oval.to_cartesian(np.column_stack([s, at]))
+        ahead, behind = (oval.to_cartesian(np.column_stack([s + h, at]))[:, :2] for h in (1e-5, -1e-5))
+        way = np.arctan2(*(ahead - behind).T[::-1])
+        np.testing.assert_allclose(np.cos(way - here[:, 2]), 1.0, atol=1e-7)

@@ -133,6 +133,24 @@ def test_draws_are_spread_over_policies_lines_and_sides(game):
     assert len(np.unique(begin % game.track.length)) == PAPER.start_lines
 
 
+def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
+    """Line, side, both policies and the noise: no two go together, whatever the keys have in common."""
+    game = make_game(track, step_seconds=0.1, moves=1)
+    state = game.reset(np.arange(400, dtype=np.uint64), redraw=False)
+    races, count = state.race, len(game.archive)
+    at = np.round(races.frenet[:, 0, 0] / 2.0)
+    side = races.frenet[:, 0, 1] > races.frenet[:, 1, 1]  # whether car 0 started on the left
+    numbers = np.column_stack([at, side, state.policy, races.seed >> np.uint64(32)]).astype(float)
+    together = np.corrcoef(np.argsort(np.argsort(numbers, axis=0), axis=0).T)
+    assert np.abs(together - np.eye(5)).max() < 0.2
+    assert 0.4 < side.mean() < 0.6
+    assert len(np.unique(races.seed)) == 400
+    assert len(np.unique(state.policy, axis=0)) > 0.5 * min(400, count**2)
+    for car in range(2):
+        drawn = np.bincount(state.policy[:, car], minlength=count)
+        assert drawn.max() < 4.0 * 400 / count + 5.0
+
+
 def test_a_step_leaves_its_argument_alone(game):
     state = game.reset(games=3)
     before = state.copy()

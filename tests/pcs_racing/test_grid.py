@@ -42,6 +42,21 @@ def test_flooding_reaches_what_repeated_growing_reaches(free, seed):
         assert box == (rows.min(), rows.max(), cols.min(), cols.max())
 
 
+def test_flooding_a_large_field_reaches_all_of_it():
+    """However many cells wait at a time; from several places at once, up to a wall."""
+    occupied = np.zeros((120, 90), np.bool_)
+    reached, box = flood(occupied, np.array([60]), np.array([45]))
+    assert reached.all()
+    assert box == (0, 119, 0, 89)
+    occupied[:, 30] = True
+    reached, box = flood(occupied, np.array([5, 5, 7]), np.array([2, 3, 30]))
+    np.testing.assert_array_equal(reached, np.broadcast_to(np.arange(90) < 30, (120, 90)))
+    assert box == (0, 119, 0, 29)
+    reached, box = flood(occupied, np.array([5, 9]), np.array([2, 80]))
+    np.testing.assert_array_equal(reached, ~occupied)
+    assert flood(occupied, np.array([5]), np.array([30]))[1] == (120, -1, 90, -1)
+
+
 @given(
     drivable=grids,
     x=st.floats(0.0, 1.0),

@@ -9,11 +9,15 @@ from pcs_racing.planner import (
     OWN_BETA,
     OWN_PSI,
     OWN_V,
+    OWN_X,
+    OWN_Y,
+    PATH_KAPPA,
     PATH_POINTS,
     PATH_SPEED,
     PATH_X,
     STEER_MAX,
     UNDERSTEER,
+    UNDERSTEER_GAIN,
     VIEW,
     VIEW_SIZE,
     WHEELBASE,
@@ -149,12 +153,57 @@ def test_braking_stays_below_what_the_rear_axle_bears():
     assert calm_speed(4.0, 4.2)[0] == 4.2
 
 
+def followed(path, view):
+    """The command of the default control; it needs neither a track nor parameters, memory or scratch."""
+    command, nothing = np.zeros(2), np.zeros(0)
+    getattr(follow_path, "py_func", follow_path)(None, nothing, view, nothing, nothing, path, command)
+    return command
+
+
 def test_a_path_is_followed_at_its_speed(view):
     path = np.zeros((PATH_POINTS, 4))
     path[:, PATH_X] = np.linspace(-1.0, 2.0, PATH_POINTS)  # the car is past its beginning
     path[:, PATH_SPEED] = np.linspace(3.0, 6.0, PATH_POINTS)
-    command = np.zeros(2)
-    nothing = np.zeros(0)
-    follow_path.py_func(None, nothing, view, nothing, nothing, path, command)
+    command = followed(path, view)
     assert command[0] == 0.0
     assert command[1] == pytest.approx(np.interp(0.4, path[:, PATH_X], path[:, PATH_SPEED]), abs=0.05)
+
+
+def at_distance(values, away, wanted):
+    """Value where a path is first so far from the car, between the two points around that distance."""
+    after = next((k for k in range(1, len(away)) if away[k] >= wanted), None)
+    if after is None:
+        return values[-1]
+    share = np.clip((wanted - away[after - 1]) / max(away[after] - away[after - 1], 1e-9), 0.0, 1.0)
+    return values[after - 1] + share * (values[after] - values[after - 1])
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_default_control_drives_through_a_point_ahead_at_the_speed_that_the_path_has_there(view, seed):
+    """Paths that bend, begin behind the car or end before the point; the car slides, and its tyres yield."""
+    rng = np.random.default_rng(seed)
+    v = view[OWN_V] = rng.uniform(0.5, 7.0)
+    view[OWN_X], view[OWN_Y], view[OWN_PSI], view[OWN_BETA] = rng.uniform(-2.0, 2.0, 4) * [1.0, 1.0, 1.0, 0.1]
+    view[UNDERSTEER], view[UNDERSTEER_GAIN] = 0.0028, -0.0004
+    course, t = view[OWN_PSI] + view[OWN_BETA], np.linspace(-0.15, rng.uniform(0.2, 0.6), PATH_POINTS) * v
+    bend = rng.uniform(-0.3, 0.3)
+    x, y = t, 0.5 * bend * t**2 + rng.uniform(-0.05, 0.05)
+    points = np.column_stack([np.cos(course) * x - np.sin(course) * y, np.sin(course) * x + np.cos(course) * y])
+    path = np.column_stack(
+        [points + view[[OWN_X, OWN_Y]], v + rng.uniform(-1.0, 1.5, PATH_POINTS), bend + 0.1 * np.arange(PATH_POINTS)]
+    )
+    away = np.hypot(*(path[:, :2] - view[[OWN_X, OWN_Y]]).T)
+    nearest = int(np.argmin(away))
+    rest, away = path[nearest:], away[nearest:]
+
+    speed = max(at_distance(rest[:, PATH_SPEED], away, 0.1 * v), v - 0.55)  # braking at 5.5 m/s^2 at most
+    reach = 0.3 + 0.1 * v
+    goal = np.array([at_distance(rest[:, k], away, reach) for k in range(2)])
+    past = next((k for k in range(1, len(away)) if away[k] >= reach), None)
+    kappa = rest[-1 if past is None else past - 1, PATH_KAPPA]
+    # The circle that touches the course and leads through the goal has the curvature 2 sin(angle) / distance.
+    way = goal - view[[OWN_X, OWN_Y]]
+    arc = 2.0 * np.sin(np.arctan2(way[1], way[0]) - course) / np.hypot(*way)
+    yielding = 0.0028 - 0.0004 * min(10.0 * (speed - v), 9.5)
+    steer = np.clip(np.arctan(0.33 * arc) + yielding * v**2 * kappa, -0.4, 0.4)
+    np.testing.assert_allclose(followed(path, view), [steer, speed], atol=1e-9)

@@ -309,6 +309,15 @@ def test_who_wins(fault, lead, nobody, fault_loses):
         assert RaceResult(config, state, starts).winner.tolist() == [expected]
 
 
+def test_it_is_a_tie_where_the_cars_are_within_a_centimetre_of_each_other():
+    leads = np.array([0.0, 0.009, -0.009, 0.011, -0.011, 0.05, -0.05])
+    state = empty_state(len(leads), 0)
+    state.progress[:] = np.column_stack([100.0 + leads, np.full(len(leads), 100.0)])
+    starts = Starts(np.zeros(len(leads)), np.zeros(len(leads), np.int64))
+    for config in (PAPER, CONTEST):
+        assert RaceResult(config, state, starts).winner.tolist() == [-1, -1, -1, 0, 1, 0, 1]
+
+
 # Starts
 
 

@@ -17,6 +17,60 @@ def test_the_two_presets():
     assert PAPER.ticks == CONTEST.ticks == 4000
 
 
+def test_the_papers_race():
+    """Side by side and undisturbed for 40 s; a crash pays nobody."""
+    values = dataclasses.asdict(PAPER)
+    assert values.pop("start_lines") > 1
+    assert values == {
+        "name": "paper",
+        "duration": 40.0,
+        "start": "side-by-side",
+        "start_gap": 0.0,
+        "start_spacing": 0.9,
+        "start_speed": 4.0,
+        "steering_noise": 0.0,
+        "noise_time": 0.28,
+        "speed_range": None,
+        "crash_rule": "nobody",
+        "aggressiveness": "lead",
+        "ittc_horizon": 10.0,
+        "stay_move": False,
+    }
+    assert CONTEST.stay_move
+
+
+@pytest.mark.parametrize(
+    ("key", "low", "high", "more"),
+    [
+        ("duration", 0.1, 3600.0, {}),
+        ("start_gap", 0.8, 50.0, {"start": "staggered"}),
+        ("start_gap", 0.0, 50.0, {}),
+        ("start_spacing", 0.4, 10.0, {}),
+        ("start_spacing", 0.0, 10.0, {"start": "rolling", "start_gap": 1.0}),
+        ("start_speed", 0.0, 15.0, {}),
+        ("steering_noise", 0.0, 0.4, {}),
+        ("noise_time", 0.01, 60.0, {}),
+        ("ittc_horizon", 0.1, 1000.0, {}),
+        ("start_lines", 1, 1000, {}),
+    ],
+)
+def test_every_number_has_a_least_and_a_largest_value(key, low, high, more):
+    step = 1 if isinstance(low, int) else 0.1 if key == "duration" else 1e-6
+    for value in (low, high):
+        assert getattr(RaceConfig(**{key: value}, **more), key) == value
+    for value in (low - step, high + step, float("nan"), True, "1", None):
+        with pytest.raises(ConfigError, match=key):
+            RaceConfig(**{key: value}, **more)
+
+
+def test_speed_ranges_run_from_a_tenth_to_three():
+    for speeds in ((0.1, 3.0), [0.5, 1]):
+        assert RaceConfig(speed_range=speeds).speed_range == tuple(speeds)
+    for speeds in ((0.09, 1.0), (0.5, 3.1), (0.9, 0.9), (1.0, 0.5), (1.0,), (0.5, 0.6, 0.7), "ab", (True, 2.0), 0.5):
+        with pytest.raises(ConfigError, match="speed_range"):
+            RaceConfig(speed_range=speeds)
+
+
 def test_a_configuration_by_name_with_changes():
     config = load_race_config("contest", duration=16.0)
     assert config == dataclasses.replace(CONTEST, duration=16.0)

@@ -23,11 +23,16 @@ def assert_same(found: RaceState, expected: RaceState) -> None:
 def test_an_empty_state_has_a_row_for_every_race():
     state = empty_state(3, 4)
     assert state.races == 3
-    assert all(len(array) == 3 for array in state)
-    assert state.memory.shape == (3, 2, 4)
-    assert state.sums.shape == (3, 2, len(SUMS))
     assert not state.crashed.any()
-    assert (state.leader == -1).all()
+    for name in ("tick", "seed", "leader"):
+        assert getattr(state, name).shape == (3,)
+    for name in ("progress", "disturbance", "crash", "fault", "overtakes"):
+        assert getattr(state, name).shape == (3, 2)
+    sizes = {"cars": (7,), "frenet": (2,), "command": (2,), "path": (12, 4), "memory": (4,), "sums": (len(SUMS),)}
+    for name, size in sizes.items():
+        assert getattr(state, name).shape == (3, 2, *size)
+    for name, array in state._asdict().items():
+        assert (array == (-1 if name == "leader" else 0)).all(), name
 
 
 def test_a_copy_is_independent(state):

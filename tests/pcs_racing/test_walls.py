@@ -134,6 +134,27 @@ def test_lists_are_complete_and_near_segments_come_first(oval):
         assert nearest[: len(listed) // 4].max() < nearest[-len(listed) // 4 :].max()
 
 
+def test_listed_distances_are_those_of_the_segments_from_the_middle_of_their_stretch(oval):
+    """Rounded down, by less than a millimetre, and rising along each list."""
+    arrays = oval.arrays
+    for m in range(len(arrays.seen_start) - 1):
+        part = slice(arrays.seen_start[m], arrays.seen_start[m + 1])
+        start, way = (
+            arrays.walls[arrays.seen[part], :2],
+            np.diff(arrays.walls[arrays.seen[part]].reshape(-1, 2, 2), axis=1),
+        )
+        to = arrays.seen_middle[m] - start
+        share = np.clip((to * way[:, 0]).sum(axis=1) / (way[:, 0] ** 2).sum(axis=1), 0.0, 1.0)
+        exact = np.linalg.norm(to - share[:, None] * way[:, 0], axis=1)
+        listed = arrays.seen_distance[part].astype(float)
+        assert (listed <= exact + 1e-12).all()
+        np.testing.assert_allclose(listed, exact, atol=1e-3)
+        assert (np.diff(listed) >= 0.0).all()
+        s, d = oval.to_frenet(arrays.seen_middle[m])
+        assert abs(s - (m + 0.5) * arrays.seen_stretch) < arrays.seen_stretch
+        assert abs(d) < 0.3
+
+
 @pytest.mark.parametrize("name", ["Spielberg", "Oschersleben"])
 def test_lists_of_real_circuits_hold_nearly_all_that_is_seen(real_maps, name):
     assert _missed(load_track(real_maps / name), 60, 720, np.random.default_rng(7)) < 1e-4

@@ -43,6 +43,97 @@ def test_the_first_iteration_by_hand():
     assert result.current[0][0] == pytest.approx(positive / positive.sum())
 
 
+class SlowCFR:
+    """The definition (Zinkevich et al. 2007; Brown and Sandholm 2019) in loops over the nodes of a tree."""
+
+    def __init__(self, tree, variant):
+        self.tree, self.variant = tree, variant
+        shapes = [[(tree.rows(k, player), tree.moves[k][player]) for player in (0, 1)] for k in range(tree.depth)]
+        self.regrets, self.sums = ([[np.zeros(shape) for shape in pair] for pair in shapes] for _ in range(2))
+        self.reached = [[np.zeros(shape[0]) for shape in pair] for pair in shapes]
+        self.strategy = [[np.full(shape, 1.0 / shape[1]) for shape in pair] for pair in shapes]
+
+    def visit(self, level, node, player, own, others):
+        """Value of a node for a player; adds what each of its moves would have gained."""
+        sign = 1.0 if player == 0 else -1.0
+        if level == self.tree.depth:
+            return sign * self.tree.payoffs.reshape(-1)[node]
+        moves = self.tree.moves[level]
+        rows = [int(self.tree.infosets[level][who][node]) for who in (0, 1)]
+        mine, theirs = (self.strategy[level][who][rows[who]] for who in (player, 1 - player))
+        gains = np.zeros(moves[player])
+        for a in range(moves[player]):
+            for b in range(moves[1 - player]):
+                pair = (a, b) if player == 0 else (b, a)
+                child = (node * moves[0] + pair[0]) * moves[1] + pair[1]
+                gains[a] += theirs[b] * self.visit(level + 1, child, player, own * mine[a], others * theirs[b])
+        value = mine @ gains
+        row = rows[player]
+        self.regrets[level][player][row] += others * (gains - value)
+        self.reached[level][player][row] += others
+        self.own_reach[level][row] = own
+        return value
+
+    def iterate(self, t):
+        """Iteration t, counted from 1: what strategies have gained, and then the next ones."""
+        variant = self.variant
+        for player in (0, 1):
+            self.own_reach = [np.zeros(self.tree.rows(k, player)) for k in range(self.tree.depth)]
+            for root, chance in enumerate(self.tree.chance):
+                self.visit(0, root, player, 1.0, chance)
+            for level, reach in enumerate(self.own_reach):
+                self.sums[level][player] += t**variant.gamma * reach[:, None] * self.strategy[level][player]
+            if variant.alternating:
+                self.follow(t, player)
+        if not variant.alternating:
+            for player in (0, 1):
+                self.follow(t, player)
+
+    def follow(self, t, player):
+        """Discount what a player regrets, and play in proportion to what is left of it."""
+        kept = [
+            0.0 if e == -math.inf else 1.0 if e == math.inf else t**e / (t**e + 1.0)
+            for e in (self.variant.alpha, self.variant.beta)
+        ]
+        for level in range(self.tree.depth):
+            regrets = self.regrets[level][player]
+            regrets *= np.where(regrets > 0.0, *kept)
+            self.reached[level][player] *= kept[0]
+            positive = np.maximum(regrets, 0.0)
+            total = positive.sum(axis=1, keepdims=True)
+            even = np.full_like(positive, 1.0 / positive.shape[1])
+            self.strategy[level][player] = np.where(total > 0.0, positive / np.where(total > 0.0, total, 1.0), even)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(
+    "tree",
+    [random_tree(7, 2, 3, 3, 2), random_tree(8, 3, 2, 2, 3, chance=3, blur=2), kuhn_poker()],
+    ids=["open", "hidden", "kuhn"],
+)
+def test_every_iteration_is_that_of_the_definition(tree, variant):
+    slow = SlowCFR(tree.averaged, VARIANTS[variant])
+    for t in range(1, 8):
+        slow.iterate(t)
+        result = cfr(tree, t, variant)
+        assert same(result.regrets, slow.regrets, 1e-9)
+        assert same(result.strategy_sums, slow.sums, 1e-9)
+        assert same(result.opponent_reach, [[r[:] for r in pair] for pair in slow.reached], 1e-9)
+        assert same(result.current, slow.strategy, 1e-9)
+
+
+def test_the_strategies_of_iteration_t_count_t_to_the_gamma_in_the_average():
+    """One decision against one that never moves: the average by hand from the strategies of each iteration."""
+    tree = GameTree.from_payoffs([[1.0, -2.0], [0.0, 1.0]])
+    for gamma in (0.0, 1.0, 2.0):
+        variant = Variant(alternating=True, alpha=math.inf, beta=math.inf, gamma=gamma)
+        played = [np.array([[0.5, 0.5]]), *(cfr(tree, t, variant).current[0][0] for t in range(1, 5))]
+        weights = np.arange(1, 6) ** gamma
+        expected = sum(w * s for w, s in zip(weights, played, strict=True)) / weights.sum()
+        assert cfr(tree, 5, variant).average[0][0] == pytest.approx(expected)
+        assert cfr(tree, 5, variant).strategy_sums[0][0].sum() == pytest.approx(weights.sum())
+
+
 def test_matching_pennies_with_a_weight():
     """Winning with heads pays twice: the other shows heads 2/5 of the time (value 1/5)."""
     tree = GameTree.from_payoffs([[2.0, -1.0], [-1.0, 1.0]])

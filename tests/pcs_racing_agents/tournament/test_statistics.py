@@ -159,6 +159,34 @@ def test_the_variance_of_a_pool_is_the_sum_over_races_that_share_a_policy():
     assert clustered_mean(1500 * e, ego, opponent, line, same_pool=True).se ** 2 == pytest.approx(expected, rel=0.01)
 
 
+def slow_pool_variance(x, ego, opponent):
+    """Races that share a policy in whichever role, each pair once: sums over policies less those over pairs of them."""
+    residual = [value - sum(x) / len(x) for value in x]
+    policies, pairs = {}, {}
+    for value, first, second in zip(residual, ego, opponent, strict=True):
+        for policy in {first, second}:
+            policies[policy] = policies.get(policy, 0.0) + value
+        if first != second:
+            pair = frozenset((first, second))
+            pairs[pair] = pairs.get(pair, 0.0) + value
+    total = 0.0
+    for sums, sign in ((policies, 1.0), (pairs, -1.0)):
+        total += sign * sum(s**2 for s in sums.values()) * len(sums) / (len(sums) - 1)
+    return total / len(x) ** 2
+
+
+def test_each_term_of_the_variance_of_a_pool_has_the_correction_of_its_own_clusters():
+    """With few policies and pairs G / (G - 1) matters; races of a policy against itself count, too."""
+    rng = np.random.default_rng(18)
+    for _ in range(20):
+        ego, opponent = rng.integers(0, 6, (2, 40))
+        policy = rng.normal(size=6)
+        x = policy[ego] + policy[opponent] + 0.3 * rng.normal(size=40)
+        expected = max(slow_pool_variance(x, ego, opponent), slow_variance(x, ego, opponent))
+        assert slow_pool_variance(x, ego, opponent) > 0.0
+        assert clustered_mean(x, ego, opponent, same_pool=True).se ** 2 == pytest.approx(expected, rel=1e-9)
+
+
 def test_a_negative_variance_estimate_does_not_become_certainty():
     """On a chess board the sums of rows and columns vanish: the two-way formula alone gives less than nothing."""
     board = 0.01 + np.where((EGO + OPPONENT) % 2 == 0, 0.5, -0.5)
@@ -190,6 +218,13 @@ def test_symmetries_of_a_comparison(seed):
     assert (swapped.mean_a, swapped.cohen_d) == pytest.approx((result.mean_b, -result.cohen_d))
     assert result.low <= result.difference <= result.high
     assert (result.units, result.egos, result.opponents, result.df) == (len(a), EGOS, OPPONENTS, EGOS - 1)
+
+
+def test_a_comparison_counts_its_egos_and_its_opponents():
+    some = OPPONENT < 5
+    result = compare(*(scores[some] for scores in arms(np.random.default_rng(0), 0.2)), EGO[some], OPPONENT[some])
+    assert (result.units, result.egos, result.opponents, result.df) == (EGOS * 5 * RACES, EGOS, 5, 4)
+    assert (result.level, compare(ONES, [0.0] * 4, TWO, [0, 1, 0, 1], level=0.9).level) == (0.95, 0.9)
 
 
 def test_comparing_needs_no_scipy(monkeypatch):
@@ -247,6 +282,12 @@ def test_random_sign_flips_agree_with_all_of_them():
     assert drawn == pytest.approx(exact, abs=4.0 * np.sqrt(exact / 20_000))
 
 
+def test_random_sign_flips_go_down_to_one_in_a_hundred_thousand():
+    """Forty egos that all gain: of 99,999 random combinations of signs none is as extreme."""
+    assert sign_flip_p(np.linspace(1.0, 1.1, 40), np.arange(40), np.random.default_rng(0)) == 1e-5
+    assert sign_flip_p(np.linspace(1.0, 1.1, 40), np.arange(40), np.random.default_rng(0), flips=99) == 0.01
+
+
 def test_the_bootstrap_covers_and_repeats():
     rng = np.random.default_rng(9)
     covered = 0
@@ -259,6 +300,21 @@ def test_the_bootstrap_covers_and_repeats():
     assert one == two
     wide = bootstrap_interval(x, EGO, OPPONENT, np.random.default_rng(1), level=0.99)
     assert wide[0] < one[0] < x.mean() < one[1] < wide[1]
+
+
+def test_the_bootstrap_is_owens_pigeonhole_where_races_are_missing():
+    """Replicate by replicate: a race counts as often as its ego was drawn times as often as its opponent was."""
+    keep = (EGO + OPPONENT) % 3 != 1  # so that the last pair, too, has no race
+    x, ego, opponent = differences(np.random.default_rng(3), ego=0.3)[keep], EGO[keep], OPPONENT[keep]
+    assert not ((ego == EGOS - 1) & (opponent == OPPONENTS - 1)).any()
+    rng, means = np.random.default_rng(1), []
+    egos, opponents = (rng.multinomial(n, np.full(n, 1.0 / n), size=100) for n in (EGOS, OPPONENTS))
+    for first, second in zip(egos, opponents, strict=True):
+        weights = first[ego] * second[opponent]
+        means.append((weights @ x) / weights.sum())
+    for level in (0.95, 0.8):
+        found = bootstrap_interval(x, ego, opponent, np.random.default_rng(1), replicates=100, level=level)
+        assert found == pytest.approx(tuple(np.quantile(means, [0.5 - level / 2.0, 0.5 + level / 2.0])))
 
 
 def test_holm_is_the_step_down_procedure():
@@ -348,6 +404,40 @@ def test_power_is_how_often_the_effect_is_found(effect):
     assert np.mean(found) == pytest.approx(expected, abs=0.08)
 
 
+def test_power_is_that_of_a_t_test_whose_variance_the_components_make():
+    """Each component divided by how many draws of it there are; scipy's non-central t distribution."""
+    components = VarianceComponents(ego=0.04, opponent=0.03, cell=0.5, unit=0.9)
+    for egos, opponents, races in ((20, 20, 10), (6, 15, 2), (15, 6, 1)):
+        variance = 0.04 / egos + 0.03 / opponents + 0.5 / (egos * opponents) + 0.9 / (egos * opponents * races)
+        df, effect = min(egos, opponents) - 1, 0.15
+        for level in (0.95, 0.8):
+            limit = stats.t.ppf(0.5 + level / 2.0, df)
+            shift = effect / np.sqrt(variance)
+            expected = stats.nct.sf(limit, df, shift) + stats.nct.cdf(-limit, df, shift)
+            found = power(effect, components, egos=egos, opponents=opponents, races=races, level=level)
+            assert found == pytest.approx(expected, abs=1e-6)
+
+
+def test_variance_components_of_a_table_by_hand():
+    """Two egos, three opponents, two races each: mean squares between egos, opponents and pairs, and within them."""
+    ego, opponent, _ = (index.ravel() for index in np.indices((2, 3, 2)))
+    x = np.array([3.0, 5.0, 0.0, 2.0, 7.0, 7.0, 1.0, 1.0, 4.0, 0.0, 2.0, 4.0])
+    means = x.reshape(2, 3, 2).mean(axis=2)  # [[4, 1, 7], [1, 2, 3]]
+    rows, columns, mean = means.mean(axis=1), means.mean(axis=0), means.mean()
+    square_ego = 6.0 * ((rows - mean) ** 2).sum() / 1.0
+    square_opponent = 4.0 * ((columns - mean) ** 2).sum() / 2.0
+    square_cell = 2.0 * ((means - rows[:, None] - columns + mean) ** 2).sum() / 2.0
+    square_unit = ((x.reshape(2, 3, 2) - means[..., None]) ** 2).sum() / 6.0
+    expected = VarianceComponents(
+        ego=(square_ego - square_cell) / 6.0,
+        opponent=(square_opponent - square_cell) / 4.0,
+        cell=(square_cell - square_unit) / 2.0,
+        unit=square_unit,
+    )
+    assert min(expected) > 0.0
+    assert variance_components(x, ego, opponent) == pytest.approx(expected)
+
+
 def test_detectable_effect_is_the_effect_of_that_power():
     components = VarianceComponents(0.01, 0.02, 0.03, 0.25)
     effect = detectable_effect(components, egos=20, opponents=30, races=4, wanted=0.9)
@@ -391,6 +481,7 @@ def test_choosing_on_the_test_races_would_hide_the_gain():
 
 TWO = [0, 0, 1, 1]
 ONES = [1.0, 0.0, 1.0, 1.0]
+ARM = np.array(ONES)
 
 
 @pytest.mark.parametrize(
@@ -426,6 +517,12 @@ ONES = [1.0, 0.0, 1.0, 1.0]
         (lambda: power(0.1, VarianceComponents(1, 1, 1, 1), opponents=1), "opponents is 1"),
         (lambda: power(np.inf, VarianceComponents(1, 1, 1, 1)), "effect is inf"),
         (lambda: detectable_effect(VarianceComponents(1, 1, 1, 1), wanted=0.04), "wanted power is 0.04"),
+        (
+            lambda: adaptivity_gain(
+                ONES, {"x": ARM, "y": TWO}, TWO, TWO, training={"x": ARM[::-1], "y": [0.5, 0.5, 0.5, 0.5]}
+            ),
+            "the training scores are the test scores",  # of one arm, the other way round
+        ),
         (lambda: adaptivity_gain(ONES, {}, TWO, TWO, training={}), "there are no blind arms"),
         (lambda: adaptivity_gain(ONES, {"x": ONES}, TWO, TWO, training={"y": ONES}), "blind arm 'x' is in only one"),
         (

@@ -1,0 +1,368 @@
+"""A step of the control-level environment against the same in a few lines of numpy; quick as plain Python, too."""
+
+import numpy as np
+import pytest
+
+from pcs_racing import Lidar, Parameter, Planner, Starts, load_race_config
+from pcs_racing.compilation import compiled
+from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.envs.drive_batch import DriveBatch, DriveOptions
+from pcs_racing.envs.drive_kernel import advance_alone, restart
+from pcs_racing.race import RaceSetup, start_races
+from pcs_racing.race_kernel import place_cars, steering_noise
+from pcs_racing.race_state import NO_CRASH, WALL_CRASH, take
+from pcs_racing.vehicle import F1TENTH
+
+X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
+TOP = 8.0
+AHEAD = (0.0, 1.5, 30.0, 49.0)
+RACE = load_race_config("contest", start_lines=3, steering_noise=0.0)
+
+
+@compiled
+def hold(track, theta, view, memory, scratch, path, command):
+    command[0] = theta[0]
+    command[1] = theta[1]
+
+
+HOLD = Planner(
+    "hold", (Parameter("steer", -0.4, 0.4, 0.0, "rad"), Parameter("speed", 0.0, 9.0, 2.0, "m/s")), control=hold
+)
+
+
+def make(track, opponent=None, race=RACE, **options):
+    return DriveEnv(track, opponent, race, look_ahead=AHEAD, duration=options.pop("duration", 8.0), **options)
+
+
+def put(env, poses, speeds=(0.0, 0.0)):
+    """Let the cars of a running environment stand at (s, d); both have driven s so far."""
+    races, track = env._batch.state, env.track
+    for car, (s, d) in enumerate(poses):
+        x, y, psi = track.to_cartesian([s, d])
+        races.cars[0, car] = x, y, 0.0, speeds[car], np.mod(psi, 2.0 * np.pi), 0.0, 0.0
+        races.progress[0, car] = s
+    place_cars(track.arrays, races, env._batch.vehicles)
+    return races
+
+
+def action(steer, speed):
+    return np.array([steer / F1TENTH.steer_max, 2.0 * speed / TOP - 1.0], np.float64)
+
+
+def wrapped(angle):
+    return np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
+
+
+def expected_observation(env, command):
+    """By the names of the elements."""
+    state, track = env._batch.state, env.track
+    (own, other), line, ds = state.cars[0], track.line, track.arrays.ds
+    (s, d), (other_s, other_d) = (track.to_frenet(car[:2]) for car in (own, other))
+    seen = {
+        "speed": own[V],
+        "steering": own[DELTA],
+        "yaw rate": own[PSI_DOT],
+        "slip": wrapped(own[BETA]),
+        "target steering": command[0],
+        "target speed": command[1],
+        "offset": d,
+        "heading error": wrapped(own[PSI] - track.to_cartesian([s, 0.0])[2]),
+    }
+    for distance in AHEAD:
+        sample = line[(int(s / ds) + round(distance / ds)) % len(line)]
+        for name, value in zip(("curvature", "line speed", "right", "left"), sample[[5, 6, 7, 8]], strict=True):
+            seen[f"{name} {distance:g} m ahead"] = value
+    toward = np.array([np.cos(own[PSI]), np.sin(own[PSI])])
+    leftward = np.array([-toward[1], toward[0]])
+    way = other[:2] - own[:2]
+    course, other_course = own[PSI] + own[BETA], other[PSI] + other[BETA]
+    speed = other[V] * np.array([np.cos(other_course), np.sin(other_course)])
+    speed -= own[V] * np.array([np.cos(course), np.sin(course)])
+    length = track.length
+    rival = {
+        "opponent": 1.0,
+        "opponent gap": np.mod(other_s - s + 0.5 * length, length) - 0.5 * length,
+        "opponent offset": other_d - d,
+        "opponent x": way @ toward,
+        "opponent y": way @ leftward,
+        "opponent heading": wrapped(other[PSI] - own[PSI]),
+        "opponent vx": speed @ toward,
+        "opponent vy": speed @ leftward,
+        "lead": state.progress[0, 0] - state.progress[0, 1],
+    }
+    return seen | {name: 0.0 if env._batch.alone else value for name, value in rival.items()}
+
+
+@pytest.mark.parametrize("opponent", [HOLD.policy({"steer": 0.05, "speed": 3.0}), None], ids=["rival", "alone"])
+@pytest.mark.parametrize("places", [((9.0, 0.3), (13.0, -0.3)), ((48.5, -0.4), (0.9, 0.2)), ((0.4, 0.1), (46.0, 0.3))])
+def test_the_observation_is_what_its_elements_say(coarse_oval, opponent, places):
+    """Also across the start line, where the opponent is ahead although its arc length is smaller."""
+    env = make(coarse_oval, opponent)
+    env.reset(seed=0)
+    put(env, places, (4.0, 2.0))
+    command = (0.1, 4.4)
+    for _ in range(2):
+        seen, *_ = env.step(action(*command))
+    found = {element.name: value for element, value in zip(env.elements, seen, strict=True)}
+    expected = expected_observation(env, command)
+    # The line's heading between two samples follows from the curvature of the first one.
+    assert found.pop("heading error") == pytest.approx(expected.pop("heading error"), abs=2e-3)
+    assert found == pytest.approx(expected, abs=2e-4)
+
+
+def test_normalised_observations_run_from_minus_one_to_one_between_the_bounds(coarse_oval):
+    plain, scaled = (make(coarse_oval, HOLD.policy(), normalize=normalize) for normalize in (False, True))
+    for env in (plain, scaled):
+        env.reset(seed=3)
+    for _ in range(3):
+        seen, scaled_seen = (env.step(action(0.2, 5.0))[0] for env in (plain, scaled))
+    low, high = (np.array([getattr(element, name) for element in plain.elements]) for name in ("low", "high"))
+    np.testing.assert_allclose(scaled_seen, 2.0 * (seen - low) / (high - low) - 1.0, atol=1e-6)
+    np.testing.assert_allclose([scaled.observation_space.low[0], scaled.observation_space.high[0]], [-1.0, 1.0])
+    np.testing.assert_allclose(plain.observation_space.low, low, rtol=1e-6)
+
+
+def test_what_lies_beyond_the_bounds_is_shown_at_the_bound(coarse_oval):
+    env = make(coarse_oval, HOLD.policy())
+    env.reset(seed=3)
+    env._batch.state.progress[0] = 5000.0, 0.0
+    seen, *_ = env.step(action(0.0, 1.0))
+    assert dict(zip([element.name for element in env.elements], seen, strict=True))["lead"] == 1000.0
+
+
+@pytest.mark.parametrize(
+    ("given", "steer", "speed"), [((0.5, 0.0), 0.5, 4.0), ((-3.0, 9.0), -1.0, 8.0), ((3.0, -9.0), 1.0, 0.0)]
+)
+def test_actions_are_shares_of_the_largest_steering_angle_and_of_the_top_speed(coarse_oval, given, steer, speed):
+    env = make(coarse_oval)
+    env.reset(seed=0)
+    env.step(np.array(given))
+    np.testing.assert_allclose(env._batch.state.memory[0, 0, :2], [steer * F1TENTH.steer_max, speed])
+
+
+# Rewards and ends
+
+
+def test_the_reward_is_the_own_progress_less_a_share_of_the_opponents(coarse_oval):
+    env = make(coarse_oval, HOLD.policy({"speed": 3.0}), progress_reward=2.0, rivalry=0.25)
+    env.reset(seed=0)
+    races = put(env, ((6.0, 0.4), (2.0, -0.4)), (2.0, 3.0))
+    for _ in range(3):
+        before = races.progress[0].copy()
+        _, reward, ended, late, _ = env.step(action(0.0, 2.0))
+        own, other = races.progress[0] - before
+        assert reward == pytest.approx(2.0 * (own - 0.25 * other))
+        assert own > 0.1 < other
+        assert not ended
+        assert not late
+
+
+def test_alone_the_opponents_progress_does_not_count(coarse_oval):
+    env = make(coarse_oval, rivalry=0.5)
+    env.reset(seed=0)
+    races = put(env, ((6.0, 0.4), (2.0, -0.4)), (2.0, 3.0))
+    _, reward, *_ = env.step(action(0.0, 2.0))
+    assert reward == pytest.approx(races.progress[0, 0] - 6.0)
+
+
+def crash(env, command, steps=20):
+    """Reward of the last step beyond its progress, the two kinds of end, and the last info."""
+    races = env._batch.state
+    for _ in range(steps):
+        before = races.progress[0, 0]
+        _, reward, ended, late, info = env.step(action(*command))
+        if ended or late:
+            break
+    return reward - (races.progress[0, 0] - before), ended, late, info
+
+
+def test_the_penalty_is_paid_for_the_own_crash_and_for_no_other(coarse_oval):
+    """Whoever causes it, a crash ends the episode."""
+    fast, still = HOLD.policy({"speed": 6.0}), HOLD.policy({"speed": 0.0})
+    aside = HOLD.policy({"steer": 0.3, "speed": 5.0})
+    apart, behind = ((3.0, 0.0), (9.0, 0.0)), ((6.0, 0.0), (3.0, 0.0))
+    for opponent, places, speeds, command, costs, facts in (
+        (still, apart, (5.0, 0.0), (0.3, 5.0), 7.0, ("wall", "none", True)),  # into the wall
+        (aside, apart, (0.0, 5.0), (0.0, 0.0), 0.0, ("none", "wall", False)),  # the other one into the wall
+        (still, apart, (6.0, 0.0), (0.0, 6.0), 7.0, ("car", "car", True)),  # into the other one
+        (fast, behind, (0.0, 6.0), (0.0, 0.0), 0.0, ("car", "car", False)),  # hit by the other one
+    ):
+        env = make(coarse_oval, opponent, crash_penalty=7.0)
+        env.reset(seed=0)
+        put(env, places, speeds)
+        paid, ended, late, info = crash(env, command)
+        assert paid == pytest.approx(-costs, abs=1e-9)
+        assert (ended, late) == (True, False)
+        assert (info["crash"], info["opponent_crash"], info["at_fault"]) == facts
+
+
+def test_an_episode_that_reaches_its_time_is_truncated_without_a_penalty(coarse_oval):
+    for opponent in (None, HOLD.policy({"speed": 0.0})):
+        env = make(coarse_oval, opponent, duration=0.5)
+        env.reset(seed=0)
+        put(env, ((3.0, 0.0), (9.0, 0.0)), (1.0, 0.0))
+        paid, ended, late, info = crash(env, (0.0, 1.0))
+        assert (paid, ended, late) == (pytest.approx(0.0), False, True)
+        assert info["time"] == pytest.approx(0.5)
+
+
+# Alone on the track
+
+
+def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_oval):
+    """Over the start line, disturbed, and into the wall at the end."""
+    race = load_race_config("contest", steering_noise=0.05, noise_time=0.3, duration=30.0)
+    alone, rival = (make(coarse_oval, who, race, duration=30.0) for who in (None, HOLD.policy({"speed": 0.0})))
+    for env in (alone, rival):
+        env.reset(seed=4)
+        put(env, ((47.0, 0.1), (24.0, 0.0)), (3.0, 0.0))
+        env._batch.state.seed[:] = 8
+    settings = alone._batch._settings
+    done = False
+    for k in range(60):
+        command = action(0.02, 4.0) if k < 8 else action(0.35, 5.0)
+        one, two = (env.step(command)[1:4] for env in (alone, rival))
+        assert one == pytest.approx(two)
+        mine, theirs = alone._batch.state, rival._batch.state
+        for name in ("tick", "cars", "frenet", "progress", "command", "disturbance", "crash", "fault"):
+            first, second = (getattr(state, name)[0] for state in (mine, theirs))
+            both = first.ndim > 0
+            np.testing.assert_allclose(first[0] if both else first, second[0] if both else second, atol=1e-9)
+        done = bool(two[1])
+        assert mine.cars[0, 1].tolist() == put_back(coarse_oval, 24.0)
+        assert (mine.sums == 0.0).all()
+        if done:
+            break
+    assert done
+    assert mine.crash[0].tolist() == [WALL_CRASH, NO_CRASH]
+    assert mine.progress[0, 0] > coarse_oval.length
+    # After the crash nothing moves any more.
+    before = mine.copy()
+    advance_alone(alone.track.arrays, mine, alone._batch.vehicles, settings, 10, 0, 1)
+    for name, was, now in zip(before._fields, before, mine, strict=True):
+        np.testing.assert_array_equal(now, was, err_msg=name)
+
+
+def put_back(track, s):
+    x, y, psi = track.to_cartesian([s, 0.0])
+    return [x, y, 0.0, 0.0, np.mod(psi, 2.0 * np.pi), 0.0, 0.0]
+
+
+def test_the_disturbance_of_a_lone_car_has_the_spread_and_the_time_of_the_rules(coarse_oval):
+    """Its spread is that of the rules whatever its time, since what is added makes up for what fades."""
+    race = load_race_config("contest", steering_noise=0.03, noise_time=0.2)
+    env = make(coarse_oval, None, race, time_step=0.02, duration=40.0)
+    env.reset(seed=0)
+    races = put(env, ((3.0, 0.0), (9.0, 0.0)))
+    races.seed[:] = 5
+    keep, expected, found = np.exp(-0.02 / 0.2), 0.0, []
+    for k in range(1500):
+        env.step(action(0.1, 0.0))
+        expected = keep * expected + 0.03 * np.sqrt(1.0 - keep**2) * steering_noise(np.uint64(5), 0, 2 * k)
+        assert races.disturbance[0].tolist() == pytest.approx([expected, 0.0])
+        assert races.command[0, 0].tolist() == pytest.approx([0.1 + expected, 0.0])
+        found.append(expected)
+    assert np.std(found) == pytest.approx(0.03, rel=0.2)
+
+
+# Starting again
+
+
+def test_a_restarted_race_stands_where_its_place_on_the_grid_is_and_remembers_nothing(coarse_oval):
+    setup = RaceSetup(coarse_oval, RACE, (HOLD, HOLD))
+    grid = start_races(setup, Starts(np.array([1.0, 1.0, 7.0]), np.array([0, 1, 0])), np.zeros(3, np.uint64))
+    state = take(grid, [0, 0, 0, 0])
+    for array in state:
+        array[...] = 1
+    before = state.copy()
+    rows, places, seeds = np.array([3, 1]), np.array([2, 1]), np.array([11, 12], np.uint64)
+    restart(state, grid, rows, places, seeds)
+    for name in state._fields:
+        now, fresh = getattr(state, name), getattr(grid, name)
+        np.testing.assert_array_equal(now[[0, 2]], getattr(before, name)[[0, 2]], err_msg=name)
+        expected = seeds if name == "seed" else fresh[places]
+        np.testing.assert_array_equal(now[[3, 1]], expected, err_msg=name)
+    assert state.leader[[3, 1]].tolist() == [-1, -1]
+
+
+def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_oval):
+    opponents = [HOLD.policy({"speed": speed}) for speed in (1.0, 2.0)]
+    batch = DriveBatch(64, DriveOptions(coarse_oval, opponents, RACE, start_lines=3), threads=1)
+    rows = np.arange(64)
+    batch.restart(rows, [np.random.default_rng(k) for k in rows])
+    places = {tuple(np.round(cars[:, :2].ravel(), 3)) for cars in batch.state.cars}
+    assert len(places) == 2 * 3 == batch.grid.races
+    assert sorted(set(batch.chosen)) == [0, 1]
+    np.testing.assert_array_equal(batch.theta[:, 1, 1], np.where(batch.chosen == 0, 1.0, 2.0))
+    assert len(set(batch.state.seed)) == 64
+
+
+# The lidar
+
+
+def test_the_lidar_of_a_step_is_a_scan_from_the_car_with_the_opponent_in_sight(coarse_oval):
+    for opponent in (HOLD.policy({"speed": 0.0}), None):
+        env = make(coarse_oval, opponent, beams=15)
+        env.reset(seed=0)
+        races = put(env, ((3.0, 0.2), (6.0, -0.1)), (2.0, 0.0))
+        seen, *_ = env.step(action(0.1, 2.0))
+        own, other = (car[[X, Y, PSI]] for car in races.cars[0])
+        scan = Lidar(coarse_oval, 15).scan(own, None if opponent is None else other)
+        np.testing.assert_allclose(seen[-15:], scan, rtol=1e-5)
+
+
+def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval):
+    quiet, noisy = (make(coarse_oval, None, beams=30, lidar_noise=noise, time_step=0.02) for noise in (0.0, 0.05))
+    draws = []
+    for k in range(30):
+        scans = []
+        for env in (quiet, noisy):
+            if k == 0:
+                env.reset(seed=0)
+                put(env, ((3.0, 0.0), (9.0, 0.0)))
+                env._batch.state.seed[:] = 2
+            scans.append(env.step(action(0.0, 0.0))[0][-30:].astype(float))
+        draws.append(scans[1] - scans[0])
+    draws = np.array(draws)
+    assert draws.std() == pytest.approx(0.05, rel=0.1)
+    assert abs(draws.mean()) < 0.006
+    assert abs(np.corrcoef(draws[:, :-1].ravel(), draws[:, 1:].ravel())[0, 1]) < 0.12
+    assert abs(np.corrcoef(draws[:-1].ravel(), draws[1:].ravel())[0, 1]) < 0.12
+    races = noisy._batch.state
+    steering = [steering_noise(races.seed[0], 0, tick) for tick in range(2, 62, 2)]
+    assert abs(np.corrcoef(draws[:, 0], steering)[0, 1]) < 0.5  # other numbers than those of the steering
+    assert np.ptp(draws, axis=0).min() > 0.05
+
+
+def test_noisy_ranges_stay_within_the_lidars_reach(coarse_oval):
+    env = make(coarse_oval, None, beams=30, lidar_noise=5.0, max_range=4.0)
+    env.reset(seed=0)
+    scans = np.array([env.step(action(0.0, 0.0))[0][-30:] for _ in range(5)])
+    assert scans.min() == 0.0
+    assert scans.max() == 4.0
+
+
+# What is told about a race
+
+
+def test_the_info_of_many_races_is_that_of_each_one(coarse_oval):
+    batch = DriveBatch(5, DriveOptions(coarse_oval, HOLD.policy(), RACE), threads=1)
+    batch.restart(np.arange(5), [np.random.default_rng(k) for k in range(5)])
+    state = batch.state
+    state.tick[:] = [10, 20, 30, 40, 50]
+    state.progress[:] = np.arange(10).reshape(5, 2) ** 2
+    state.crash[:] = [[0, 0], [1, 0], [0, 1], [2, 2], [2, 2]]
+    state.fault[:] = [[0, 0], [1, 0], [0, 1], [1, 0], [0, 1]]
+    state.overtakes[:] = [[0, 1], [2, 0], [1, 1], [0, 0], [3, 4]]
+    facts = batch.facts(slice(None))
+    assert facts["time"].tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
+    assert facts["progress"].tolist() == [0.0, 4.0, 16.0, 36.0, 64.0]
+    assert facts["lead"].tolist() == [-1.0, -5.0, -9.0, -13.0, -17.0]
+    assert facts["crash"].tolist() == ["none", "wall", "none", "car", "car"]
+    assert facts["opponent_crash"].tolist() == ["none", "none", "wall", "car", "car"]
+    assert facts["at_fault"].tolist() == [False, True, False, True, False]
+    assert facts["overtakes"].tolist() == [0, 2, 1, 0, 3]
+    assert facts["opponent"].tolist() == ["hold"] * 5
+    for race in range(5):
+        one = batch.facts_of(race)
+        assert one == {name: values[race] for name, values in facts.items()}

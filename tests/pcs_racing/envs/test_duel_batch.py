@@ -1,0 +1,216 @@
+"""What a duel tells about its games, and how opponents are drawn and asked; quick as plain Python, too."""
+
+import numpy as np
+import pytest
+
+from pcs_racing import InputError, PolicyArchive, get_planner
+from pcs_racing.envs.duel_batch import DuelBatch
+
+MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -", "stay")
+
+
+@pytest.fixture(scope="module")
+def archive() -> PolicyArchive:
+    """Six policies of pure pursuit, from slow to fast."""
+    planner = get_planner("pure-pursuit")
+    pace = np.linspace(0.1, 0.9, 6)
+    parameters = np.array([planner.policy({"pace": value}).parameters for value in pace])
+    coordinates = np.column_stack([pace, 1.0 - pace + 0.3 * np.sin(9.0 * pace)])
+    return PolicyArchive(
+        "six", "pure-pursuit", planner.parameter_names, parameters, ("aggressiveness", "restraint"), coordinates
+    )
+
+
+def make(track, archive, opponent="random-moves", games=6, **settings):
+    settings = {"race": "contest", "step_seconds": 0.1, "moves": 2} | settings
+    return DuelBatch(games, track=track, archive=archive, opponent=opponent, threads=1, **settings)
+
+
+def begin(batch, seed=0):
+    rngs = [np.random.default_rng([seed, k]) for k in range(batch.games)]
+    batch.restart(np.arange(batch.games), rngs)
+    return rngs
+
+
+def test_the_info_says_how_each_game_ended_for_either_car(coarse_oval, archive):
+    """Won, lost, too close, a crash with one to blame, with two, and one that goes on."""
+    batch = make(coarse_oval, archive, opponent=None)
+    begin(batch)
+    state = batch.state
+    state.step[:] = [2, 2, 2, 1, 1, 1]
+    state.race.progress[:] = [[5.0, 3.0], [3.0, 5.0], [3.0, 3.001], [9.0, 1.0], [9.0, 1.0], [9.0, 1.0]]
+    state.race.crash[:] = [[0, 0], [0, 0], [0, 0], [1, 0], [2, 2], [0, 0]]
+    state.race.fault[:] = [[0, 0], [0, 0], [0, 0], [1, 0], [1, 1], [0, 0]]
+    batch.moves[:] = [[0, 1], [2, 3], [4, 0], [1, 2], [3, 4], [-1, -1]]
+    own, other = batch.facts(0), batch.facts(1)
+    assert own["result"].tolist() == ["win", "loss", "tie", "loss", "crash", ""]
+    assert other["result"].tolist() == ["loss", "win", "tie", "win", "crash", ""]
+    assert own["move"].tolist() == [MOVES[0], MOVES[2], MOVES[4], MOVES[1], MOVES[3], ""]
+    assert own["opponent_move"].tolist() == [MOVES[1], MOVES[3], MOVES[0], MOVES[2], MOVES[4], ""]
+    assert own["lead"].tolist() == pytest.approx([2.0, -2.0, -0.001, 8.0, 8.0, 8.0])
+    assert own["crash"].tolist() == ["", "", "", "wall", "car", ""]
+    assert own["fault"].tolist() == [False, False, False, True, True, False]
+    assert other["fault"].tolist() == [False, False, False, False, True, False]
+    assert own["policy"].tolist() == state.policy[:, 0].tolist()
+    for one, two in (("move", "opponent_move"), ("crash", "opponent_crash")):
+        assert own[one].tolist() == other[two].tolist()
+        assert own[two].tolist() == other[one].tolist()
+    np.testing.assert_allclose(other["lead"], -own["lead"])
+    assert own["opponent"].tolist() == ["self-play"] * 6
+    assert own["action_mask"].shape == (6, 5)
+    assert (own["action_mask"] == 1).all()
+
+
+def test_a_step_moves_both_cars_and_pays_them(coarse_oval, archive):
+    batch = make(coarse_oval, archive, opponent="always-restraint +", moves=1)
+    rngs = begin(batch)
+    before, seen = batch.state.copy(), batch.seen
+    np.testing.assert_array_equal(seen, batch.game.observation(before))
+    utility, done = batch.step(np.array([[0], [1], [2], [3], [4], [0]]), rngs)
+    expected = batch.game.step(before, np.array([[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [0, 2]]))
+    np.testing.assert_array_equal(batch.state.policy, expected.policy)
+    np.testing.assert_array_equal(batch.moves, [[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [0, 2]])
+    np.testing.assert_array_equal(utility, batch.game.utility(expected))
+    np.testing.assert_array_equal(batch.seen, batch.game.observation(expected))
+    assert done.all()
+
+
+def test_in_self_play_both_moves_come_from_outside(coarse_oval, archive):
+    batch = make(coarse_oval, archive, opponent=None)
+    rngs = begin(batch)
+    moves = np.array([[0, 1], [2, 3], [4, 0], [1, 2], [3, 4], [0, 0]])
+    before = batch.state.copy()
+    batch.step(moves, rngs)
+    np.testing.assert_array_equal(batch.state.policy, batch.game.step(before, moves).policy)
+    np.testing.assert_array_equal(batch.moves, moves)
+
+
+def test_opponents_are_drawn_by_their_weights_for_every_game_anew(coarse_oval, archive):
+    names = ["always-aggressiveness +", "always-stay", "random-moves"]
+    batch = make(coarse_oval, archive, [(w, name) for w, name in zip((1, 2, 5.0), names, strict=True)], games=240)
+    rngs = begin(batch)
+    counts = np.bincount(batch.chosen, minlength=3)
+    np.testing.assert_allclose(counts / 240, [1 / 8, 2 / 8, 5 / 8], atol=0.1)
+    assert batch.facts()["opponent"].tolist() == [names[k] for k in batch.chosen]
+    batch.step(np.full((240, 1), 4), rngs)
+    replies = batch.moves[:, 1]
+    assert (replies[batch.chosen == 0] == 0).all()
+    assert (replies[batch.chosen == 1] == 4).all()
+    assert set(replies[batch.chosen == 2]) == {0, 1, 2, 3, 4}
+    first, keys = batch.chosen.copy(), batch.state.race.seed.copy()
+    begin(batch, seed=1)
+    assert (batch.chosen != first).any()
+    assert not np.isin(batch.state.race.seed, keys).any()
+    assert (batch.moves == -1).all()
+
+
+def test_only_the_games_that_begin_again_change(coarse_oval, archive):
+    batch = make(coarse_oval, archive, "always-stay")
+    rngs = begin(batch)
+    batch.step(np.zeros((6, 1), np.int64), rngs)
+    before, moves = batch.state.copy(), batch.moves.copy()
+    batch.restart(np.array([1, 4]), [np.random.default_rng(k) for k in (77, 78)])
+    stay = [0, 2, 3, 5]
+    np.testing.assert_array_equal(batch.state.step, [1, 0, 1, 1, 0, 1])
+    np.testing.assert_array_equal(batch.state.race.cars[stay], before.race.cars[stay])
+    assert (batch.state.race.seed[[1, 4]] != before.race.seed[[1, 4]]).all()
+    np.testing.assert_array_equal(batch.moves[stay], moves[stay])
+    assert (batch.moves[[1, 4]] == -1).all()
+    np.testing.assert_array_equal(batch.seen, batch.game.observation(batch.state))
+
+
+def test_one_that_never_switches_drives_a_policy_of_the_archive_and_makes_no_moves(coarse_oval, archive):
+    batch = make(coarse_oval, archive, "never-switch", games=60)
+    rngs = begin(batch)
+    theta = batch.state.theta[:, 1].copy()
+    drawn = [
+        int(np.flatnonzero((archive.parameters == row[: archive.parameters.shape[1]]).all(axis=1))[0]) for row in theta
+    ]
+    assert set(drawn) == set(range(6))
+    assert (batch.state.policy[:, 1] == -1).all()
+    batch.step(np.full((60, 1), 1), rngs)
+    np.testing.assert_array_equal(batch.state.theta[:, 1], theta)
+    assert set(batch.facts()["opponent_move"]) == {""}
+
+
+class Remembers:
+    """Answers with the number of its call in this game, and says what it was told."""
+
+    def __init__(self):
+        self.told = []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.told.append((observation.shape, state, episode_start.tolist(), deterministic))
+        count = 0 if state is None else state
+        return np.full(len(observation), count), count + 1
+
+
+def test_one_that_remembers_is_handed_what_it_gave_in_its_own_game(coarse_oval, archive):
+    model = Remembers()
+    batch = DuelBatch(
+        2,
+        track=coarse_oval,
+        archive=archive,
+        opponent=model,
+        race="contest",
+        deterministic_opponent=False,
+        step_seconds=0.1,
+        moves=4,
+    )
+    rngs = begin(batch)
+    for k in range(3):
+        batch.step(np.zeros((2, 1), np.int64), rngs)
+        assert batch.moves[:, 1].tolist() == [k, k]
+    size = batch.seen.shape[2]
+    assert model.told[-2:] == [((1, size), 2, [False], False)] * 2
+    batch.restart(np.array([1]), [np.random.default_rng(5)])
+    batch.step(np.zeros((2, 1), np.int64), rngs)
+    assert batch.moves[:, 1].tolist() == [3, 0]
+    assert ((1, size), None, [True], False) in model.told[-2:]
+
+
+def test_a_function_sees_what_the_opponent_sees(coarse_oval, archive):
+    asked = []
+
+    def follow(observation, generator):
+        asked.append(observation.copy())
+        return int(generator.integers(5))
+
+    batch = make(coarse_oval, archive, follow)
+    rngs = begin(batch)
+    seen = batch.seen[:, 1].copy()
+    expected = [np.random.Generator(type(r.bit_generator)()) for r in rngs]
+    for mine, theirs in zip(expected, rngs, strict=True):
+        mine.bit_generator.state = theirs.bit_generator.state
+    batch.step(np.zeros((6, 1), np.int64), rngs)
+    np.testing.assert_array_equal(asked, seen)
+    assert batch.moves[:, 1].tolist() == [int(rng.integers(5)) for rng in expected]
+
+
+def test_random_moves_are_only_those_that_may_be_made(coarse_oval, archive):
+    batch = make(coarse_oval, archive, games=80, mask_duplicates=True, epsilon=2.0)
+    rngs = begin(batch)
+    masks = batch.game.action_mask(batch.state)[:, 1]
+    assert not masks.all()
+    batch.step(np.full((80, 1), 4), rngs)
+    assert masks[np.arange(80), batch.moves[:, 1]].all()
+    np.testing.assert_array_equal(batch.facts(1)["action_mask"], batch.game.action_mask(batch.state)[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        ([0, 1, 2, 3, 4, 5], "action of environment 5 is 5; it must be from 0 to 4"),
+        ([0, -1, 2, 3, 4, 0], "action of environment 1 is -1"),
+        ([0, 1, 2], r"have shape \(3,\) and type int64; they must be 6 whole numbers from 0 to 4"),
+        ([0.0] * 6, "type float64"),
+    ],
+)
+def test_impossible_moves_are_named(coarse_oval, archive, actions, message):
+    batch = make(coarse_oval, archive)
+    with pytest.raises(InputError, match=message):
+        batch.check_actions(np.array(actions), 1)
+    assert batch.check_actions([4, 0, 1, 2, 3, 4], 1).tolist() == [[4], [0], [1], [2], [3], [4]]
+    assert batch.check_actions(np.arange(12).reshape(6, 2) % 5, 2).shape == (6, 2)
+    with pytest.raises(InputError, match="not begun"):
+        batch.started()

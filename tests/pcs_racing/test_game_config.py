@@ -1,0 +1,83 @@
+"""The rules of a game: what they are by default, what follows from them, and how far each may go."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pcs_racing import CONTEST, PAPER, ConfigError, GameConfig, load_game_config
+
+
+def test_the_papers_game():
+    """Section V: a step to watch and four moves, of 8 s each; the lead at the end of 40 s is what counts."""
+    config = GameConfig()
+    assert config == load_game_config() == load_game_config("paper") == load_game_config(PAPER)
+    assert (config.race, config.moves, config.step_seconds) == (PAPER, 4, 8.0)
+    assert config.horizon == 40.0
+    assert (config.utility, config.fault_penalty, config.discount) == ("lead", 0.0, 1.0)
+    assert (config.stay, config.mask_duplicates, config.characteristics) == (False, False, None)
+    assert config.epsilon == 0.5
+
+
+def test_a_contest_is_won_or_lost_and_allows_to_stay():
+    config = load_game_config("contest")
+    assert (config.race, config.utility, config.stay) == (CONTEST, "win", True)
+    assert dataclasses.replace(config, stay=False, utility="lead-at-crash").stay is False
+
+
+@pytest.mark.parametrize(("moves", "seconds"), [(1, 0.1), (4, 8.0), (2, 0.3), (9, 12.5)])
+def test_the_race_lasts_for_a_step_more_than_there_are_moves(moves, seconds):
+    config = GameConfig(moves=moves, step_seconds=seconds)
+    assert config.horizon == pytest.approx((moves + 1) * seconds)
+    assert config.step_ticks == round(100 * seconds)
+    assert config.race_rules.duration == config.horizon
+    assert config.race_rules.ticks == (moves + 1) * config.step_ticks
+    assert dataclasses.replace(config.race_rules, duration=PAPER.duration) == PAPER
+
+
+def test_several_step_sizes_and_one_in_a_list():
+    assert GameConfig(epsilon=(0.2, 0.6)).epsilon == (0.2, 0.6)
+    assert GameConfig(epsilon=(0.3,)).epsilon == 0.3
+
+
+def test_axes_are_kept_as_a_tuple():
+    config = GameConfig(characteristics=["speed", "restraint"])
+    assert config.characteristics == ("speed", "restraint")
+    hash(config)
+
+
+@pytest.mark.parametrize(
+    ("key", "fine", "wrong"),
+    [
+        ("moves", (1, 100), (0, 101, 2.0, True, "4", None)),
+        ("step_seconds", (0.1, 600.0, 1), (0.0, 0.05, 0.15, 600.1, True, "8", np.nan)),
+        ("fault_penalty", (0.0, 1e6), (-0.1, 1e6 + 1.0, True, None, np.nan)),
+        ("discount", (1e-6, 1.0), (0.0, 1.1, -1.0, False, np.nan)),
+        ("stay", (True, False, None), (1, "yes")),
+        ("mask_duplicates", (True, False), (None, 0)),
+        ("utility", ("lead", "lead-at-crash", "win", None), ("score", 1, ["lead"])),
+        ("epsilon", (0.5, (0.1, 0.9)), (0.0, -0.5, (0.5, 0.5), (), "far", np.inf)),
+        ("characteristics", (None, ("speed",)), ("speed", 3)),
+        ("race", ("contest", PAPER), (3, None)),
+    ],
+)
+def test_each_rule_has_its_limits(key, fine, wrong):
+    more = {"moves": 1} if key == "step_seconds" else {"step_seconds": 0.1} if key == "moves" else {}
+    for value in fine:
+        GameConfig(**{key: value}, **more)
+    for value in wrong:
+        with pytest.raises(ConfigError, match=f"{key}"):
+            GameConfig(**{key: value}, **more)
+
+
+def test_a_game_lasts_an_hour_at_most():
+    assert GameConfig(moves=5, step_seconds=600.0).horizon == 3600.0
+    with pytest.raises(ConfigError, match="6 moves of 600 s make a race of over 3600 s"):
+        GameConfig(moves=6, step_seconds=600.0)
+
+
+def test_rules_are_changed_by_name():
+    config = load_game_config(GameConfig(moves=2), step_seconds=1.0)
+    assert (config.moves, config.step_seconds) == (2, 1.0)
+    with pytest.raises(ConfigError, match="unknown game setting 'move'; known are race, moves"):
+        load_game_config(move=3)

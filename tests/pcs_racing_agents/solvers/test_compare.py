@@ -1,0 +1,105 @@
+"""Methods side by side: what each of them gives by itself, and agreement counted decision by decision."""
+
+import numpy as np
+import pytest
+from small_games import PENNIES, random_profile, random_tree
+
+from pcs_racing import UnknownNameError
+from pcs_racing_agents.solvers import GameTree, cfr, exploitability, solve_exact
+from pcs_racing_agents.solvers.compare import METHODS, agreement, compare_methods, regret_argmax
+
+
+def slow_agreement(tree, exact, profile, on_path):
+    """One decision after the other; a joint history has the number that its moves give it."""
+    agreed = decisions = 0.0
+    span = tree.payoffs.max() - tree.payoffs.min()
+
+    def visit(k, node, reach):
+        nonlocal agreed, decisions
+        if k == tree.depth:
+            return
+        for player in (0, 1):
+            worth = exact.q[k][player][node]
+            if worth.max() - worth.min() > 1e-9 * span:
+                weight = reach if on_path else 1.0
+                decisions += weight
+                agreed += weight * (worth[profile[k][player][node].argmax()] >= worth.max() - 1e-9 * span)
+        first, second = exact.profile[k]
+        for a, b in np.ndindex(tree.moves[k]):
+            child = (node * tree.moves[k][0] + a) * tree.moves[k][1] + b
+            visit(k + 1, child, reach * first[node, a] * second[node, b])
+
+    visit(0, 0, 1.0)
+    return agreed / decisions if decisions > 0.0 else 1.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("on_path", [False, True])
+def test_agreement_is_the_share_of_decisions_with_a_best_move(seed, on_path):
+    tree = random_tree(seed, 3, 2, 2, 3)
+    exact = solve_exact(tree)
+    for profile in (random_profile(tree, seed), cfr(tree, 3).average, exact.profile):
+        found = agreement(tree, exact, profile, on_path=on_path)
+        assert found == pytest.approx(slow_agreement(tree, exact, profile, on_path))
+    assert agreement(tree, exact, exact.profile, on_path=on_path) == pytest.approx(1.0)
+
+
+def test_agreement_between_all_and_nothing_by_hand():
+    """Car 0 gets 3 or 1 by its first move, whatever the other does; car 1 is indifferent and does not count."""
+    tree = GameTree.from_payoffs([[3.0, 3.0], [1.0, 1.0]])
+    exact = solve_exact(tree)
+    for chosen, expected in (([0.9, 0.1], 1.0), ([0.4, 0.6], 0.0)):
+        profile = [(np.array([chosen]), np.array([[0.5, 0.5]]))]
+        assert agreement(tree, exact, profile) == agreement(tree, exact, profile, on_path=True) == expected
+
+
+def test_where_nothing_matters_everybody_agrees():
+    tree = GameTree.from_payoffs(np.full((2, 2), 7.0))
+    assert agreement(tree, solve_exact(tree), [(np.array([[0.0, 1.0]]), np.array([[1.0, 0.0]]))]) == 1.0
+    assert agreement(PENNIES, solve_exact(PENNIES), random_profile(PENNIES)) == 1.0  # all moves are best ones
+
+
+def test_the_unit_of_the_payoffs_plays_no_role():
+    tree = random_tree(5, 3, 3, 2, 2)
+    profile = random_profile(tree, 1)
+    expected = agreement(tree, solve_exact(tree), profile)
+    assert 0.0 < expected < 1.0
+    for unit in (1e-12, 1e9):
+        scaled = GameTree.from_payoffs(unit * tree.payoffs.reshape(3, 3, 2, 2))
+        assert agreement(scaled, solve_exact(scaled), profile) == pytest.approx(expected)
+
+
+def test_the_table_is_what_each_method_gives_by_itself():
+    tree = random_tree(2, 3, 2, 2, 2)
+    exact = solve_exact(tree)
+    rows = compare_methods(tree, 20)
+    assert [row.method for row in rows] == list(METHODS)
+    for row in rows:
+        if row.method == "exact":
+            profile = exact.profile
+        elif row.method == "argmax-regret":
+            profile = regret_argmax(tree, 20)
+        else:
+            profile = cfr(tree, 20, row.method).average
+        judged = exploitability(tree, profile)
+        assert (row.value, row.exploitability) == pytest.approx((judged.value, judged.exploitability), abs=1e-12)
+        assert row.agreement == pytest.approx(agreement(tree, exact, profile))
+        assert row.on_path == pytest.approx(agreement(tree, exact, profile, on_path=True))
+        assert 0.0 <= row.seconds < 600.0
+    assert rows[0].exploitability < 1e-9
+    assert [row.method for row in compare_methods(tree, 5, ["linear", "exact"])] == ["linear", "exact"]
+
+
+def test_the_papers_rule_takes_the_move_of_largest_regret():
+    tree = random_tree(4, 2, 3, 3, 2)
+    regrets = cfr(tree, 15, "vanilla").regrets
+    for pure, pair in zip(regret_argmax(tree, 15), regrets, strict=True):
+        for strategy, regret in zip(pure, pair, strict=True):
+            assert (strategy.sum(axis=1) == 1.0).all()
+            np.testing.assert_array_equal(strategy.argmax(axis=1), regret.argmax(axis=1))
+            assert set(np.unique(strategy)) == {0.0, 1.0}
+
+
+def test_an_unknown_method_is_named_before_anything_is_solved():
+    with pytest.raises(UnknownNameError, match="method 'guess' is unknown; choose from exact, vanilla"):
+        compare_methods(PENNIES, 1, ["exact", "guess"])

@@ -1,0 +1,92 @@
+"""The tool behind ``make mutants``: which faults it makes, and that its table fits the tree."""
+
+import csv
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+TEXT = '''"""A module's words stay as they are, 1 and 2 and 3."""
+
+from math import floor
+
+__all__ = ["lead"]
+
+
+def lead(own0, own1, length=2.0):
+    """How far car 0 is ahead."""
+    if own0 < own1:
+        raise ValueError(f"{1 + 1} cars")
+    way = min(own0 - own1, length)
+    way += 1
+    return -way
+'''
+
+
+@pytest.fixture
+def tool(monkeypatch):
+    """The modules of the tool, which is no part of the packages."""
+    monkeypatch.syspath_prepend(str(REPOSITORY / "tools"))
+    import faults
+    import mutants
+    import mutants_table
+
+    yield faults, mutants, mutants_table
+    for name in ("faults", "mutants", "mutants_table"):
+        del sys.modules[name]
+
+
+def test_faults_are_small_and_leave_words_and_messages_alone(tool):
+    made = {fault.after for fault in tool[0].faults_of(TEXT)}
+    for expected in (
+        "def lead(own0, own1, length=(4.0)):",
+        "if (own0 > own1):",
+        "if (not (own0 < own1)):",
+        "if own1 < own1:",
+        "way = (max(own0 - own1, length))",
+        "way = min((own0 + own1), length)",
+        "way = min(own0, length)",
+        "way -= 1",
+        "way += (0)",
+        "pass",
+        "return way",
+    ):
+        assert expected in made
+    assert not any("words" in after or "ValueError" in after or "import" in after for after in made)
+
+
+def test_every_fault_is_one_change_of_the_file(tool):
+    faults = tool[0]
+    for fault in faults.faults_of(TEXT):
+        assert faults.changes_something(TEXT, fault)
+        changed = [
+            k for k, (a, b) in enumerate(zip(TEXT.split("\n"), fault.text.split("\n"), strict=True), 1) if a != b
+        ]
+        assert changed == [fault.line]
+
+
+def test_the_same_seed_draws_the_same_faults_and_more_of_them_keep_the_first(tool):
+    draw = tool[1].drawn
+    few, many, others = draw("a.py", TEXT, 3, 1), draw("a.py", TEXT, 5, 1), draw("a.py", TEXT, 5, 2)
+    assert len(few) == 3
+    assert many[:3] == few
+    assert others != many
+    assert len({fault.line for fault in many}) == 5  # spread over the lines
+
+
+def test_the_table_names_files_that_are_there(tool):
+    for file, module in tool[2].MODULES.items():
+        assert module.plain or module.compiled
+        assert not any("golden" in test for test in (*module.plain, *module.compiled))
+        for path in (file, *module.plain, *module.compiled):
+            assert (REPOSITORY / path).is_file(), path
+
+
+def test_every_accepted_survivor_has_a_reason(tool):
+    with open(tool[1].ACCEPTED, newline="") as file:
+        for row in csv.DictReader(file):
+            assert row["file"] in tool[2].MODULES
+            assert row["before"] != row["after"]
+            assert len(row["reason"]) > 10, row

@@ -1,0 +1,270 @@
+"""Put small faults into the code, one at a time, and see whether the tests notice.
+
+``run`` puts them into a copy of the tree and runs the tests of the file's own module, the golden trajectories left out;
+with ``--suite`` those that passed unnoticed go through all other tests. ``report`` counts and lists the survivors.
+Results are added to ``out/mutants/results.csv`` line by line: a run that was stopped goes on where it was left. A file
+that has changed is tried anew, a survivor is tried again when the tests of its module have changed.
+
+Survivors that do not matter stand in ``tools/mutants_accepted.csv``, each with the reason.
+"""
+
+import argparse
+import csv
+import fnmatch
+import hashlib
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from faults import Fault, changes_something, faults_of
+from mutants_table import COMPILED, MODULES, PLAIN, tests_of
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "out" / "mutants" / "results.csv"
+ACCEPTED = ROOT / "tools" / "mutants_accepted.csv"
+COLUMNS = ["file", "line", "kind", "before", "after", "source", "tests", "own", "suite", "seconds"]
+LEFT_OUT = (".git", ".venv", "out", "build", "dist", "__pycache__", "generated")  # of the copy
+SUITE = ("tests/goldens", "tests/pcs_racing", "tests/pcs_racing_agents", "tests/robustness", "tests")
+MEMORY = 48 << 30  # bytes of addresses that a fault may take
+PASSED = "-"
+
+Row = dict[str, str]
+
+
+class BaselineError(Exception):
+    """Tests that fail without any fault."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", choices=("run", "report"))
+    parser.add_argument("--faults", type=int, default=6, help="faults in each file (default 6)")
+    parser.add_argument("--seed", type=int, default=1, help="which faults are drawn (default 1)")
+    parser.add_argument("--files", nargs="+", default=["*"], help="only files that match one of these patterns")
+    parser.add_argument("--suite", action="store_true", help="try survivors with the rest of the suite")
+    parser.add_argument("--workers", type=int, default=1, help="processes of the rest of the suite (default 1)")
+    options = parser.parse_args()
+    files = [file for file in MODULES if any(fnmatch.fnmatch(file, pattern) for pattern in options.files)]
+    if not files:
+        sys.exit(f"no file of tools/mutants_table.py matches {' '.join(options.files)}")
+    if options.command == "run":
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped"))  # so that the copies are removed
+        with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+            run(files, options, Workplace(Path(folder)))
+    sys.exit(1 if report(files) else 0)
+
+
+def run(files: list[str], options: argparse.Namespace, place: "Workplace") -> None:
+    """Try the faults that were not tried yet; after each file's own tests, its survivors on the suite if asked."""
+    done = {key(row): row for row in results()}
+    for file in sorted(files, key=lambda file: bool(tests_of(file, COMPILED))):  # the quick ones first
+        try:
+            try_file(file, options, place, done)
+        except BaselineError as error:
+            print(f"{file}: left out, {error}; mend it first", flush=True)
+
+
+def try_file(file: str, options: argparse.Namespace, place: "Workplace", done: dict[tuple[str, ...], Row]) -> None:
+    """Try the faults of one file."""
+    text, tests = (place.pristine / file).read_text(), digest(place.pristine, *all_tests(file))
+    source = digest(place.pristine, file)
+    earlier = {(row["line"], row["before"], row["after"]) for row in done.values() if row["source"] == source}
+    chosen = drawn(file, text, options.faults, options.seed)
+    again = [f for f in faults_of(text) if (str(f.line), f.before, f.after) in earlier and f not in chosen]
+    for fault in chosen + again:
+        row = dict(zip(COLUMNS, (file, str(fault.line), fault.kind, fault.before, fault.after), strict=False))
+        row |= {"source": source, "tests": tests, "own": "", "suite": ""}
+        known = done.get(key(row))
+        if known and (known["own"] != PASSED or known["tests"] == row["tests"]):
+            row = dict(known)
+        begun = time.monotonic()
+        if not row["own"]:
+            row["own"] = place.own_tests(file, fault)
+        if options.suite and row["own"] == PASSED and not row["suite"] and not reason(row):
+            row["suite"] = place.suite(file, fault, options.workers)
+        if row != known:
+            row["seconds"] = f"{time.monotonic() - begun:.0f}"
+            add(row)
+
+
+def drawn(file: str, text: str, count: int, seed: int) -> list[Fault]:
+    """Faults of a file: first a line is drawn, then one of the faults that can be put there."""
+    by_line: dict[int, list[Fault]] = {}
+    for fault in faults_of(text):
+        by_line.setdefault(fault.line, []).append(fault)
+    rng = random.Random(f"{seed} {file}")
+    lines, chosen = sorted(by_line), []
+    rng.shuffle(lines)
+    for line in lines:
+        fault = rng.choice(by_line[line])
+        if len(chosen) < count and changes_something(text, fault):
+            chosen.append(fault)
+    return chosen
+
+
+class Workplace:
+    """A copy of the tree with compiled code at hand, and a copy of that for the faults."""
+
+    def __init__(self, folder: Path):
+        self.pristine, self.tree = folder / "pristine", folder / "tree"
+        self.limits: dict[tuple[str, ...], float] = {}
+        shutil.copytree(ROOT, self.pristine, ignore=shutil.ignore_patterns(*LEFT_OUT))
+
+    def own_tests(self, file: str, fault: Fault) -> str:
+        """Which test of its module noticed a fault; the plain ones are asked first."""
+        found = PASSED
+        for mode in (PLAIN, COMPILED):
+            tests = tests_of(file, mode)
+            if tests and found == PASSED:
+                found = self.tried(file, fault, tests, mode)
+        return found
+
+    def suite(self, file: str, fault: Fault, workers: int) -> str:
+        """Which of all tests noticed it."""
+        more = ("-n", str(workers), "--dist", "worksteal") if workers > 1 else ()
+        return self.tried(file, fault, (*SUITE, *more), COMPILED)
+
+    def tried(self, file: str, fault: Fault, tests: tuple[str, ...], mode: str) -> str:
+        """Which of some tests noticed the fault."""
+        if (mode, *tests) not in self.limits:
+            # Without any fault: the tests must pass, compiled code is kept for later, and the time is a measure.
+            begun = time.monotonic()
+            if (found := pytest(self.pristine, tests, mode, 7200.0)) != PASSED:
+                raise BaselineError(f"{found} fails without any fault ({mode})")
+            self.limits[mode, *tests] = 90.0 + 5.0 * (time.monotonic() - begun)
+            # Code of compiled functions in tests is not renewed when the package changes.
+            for stale in self.pristine.glob("tests/**/__pycache__/*.nb[ic]"):
+                stale.unlink()
+        if mode == COMPILED or not self.tree.exists():  # compiled code of the last fault must not be found
+            shutil.rmtree(self.tree, ignore_errors=True)
+            shutil.copytree(self.pristine, self.tree)
+        (self.tree / file).write_text(fault.text)
+        found = pytest(self.tree, tests, mode, self.limits[mode, *tests])
+        shutil.copy2(self.pristine / file, self.tree / file)
+        return found
+
+
+def pytest(tree: Path, tests: tuple[str, ...], mode: str, limit: float) -> str:
+    """Run tests in a copy of the tree; returns the first that failed, or ``-``."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "PCS_RACING_"))}
+    environment |= {"PYTHONPATH": str(tree), "PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1"}
+    # The cache holds tracks that were built by code without the fault, under names that the code decides.
+    environment |= {"PCS_RACING_CACHE": str(tree / "cache"), "PCS_RACING_MAPS": "none", "PCS_RACING_REFERENCE": "none"}
+    if mode == PLAIN:
+        environment |= {"NUMBA_DISABLE_JIT": "1", "PYTHONDONTWRITEBYTECODE": "1" if tree.name == "tree" else ""}
+    else:
+        environment |= {"NUMBA_OPT": "1", "NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0"}
+    command = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-rfE", "--hypothesis-seed=0", "-p", "no:cacheprovider"]
+    if mode == PLAIN:
+        command += ["-W", "ignore::RuntimeWarning"]  # of overflows and 0 / 0, which are meant
+    process = subprocess.Popen(
+        [*command, *tests],
+        cwd=tree,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+        preexec_fn=limit_memory,
+    )
+    try:
+        output, _ = process.communicate(timeout=limit)
+    except subprocess.TimeoutExpired:
+        return "time limit"
+    finally:
+        with_group(process)
+    if process.returncode == 0:
+        return PASSED
+    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
+    return failed[1] if failed else f"exit status {process.returncode}"
+
+
+def limit_memory() -> None:
+    """Let a fault that asks for ever more memory fail instead of filling the machine (there is none on Windows)."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+
+
+def with_group(process: "subprocess.Popen[str]") -> None:
+    """End a process and whatever it has started."""
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+    process.wait()
+
+
+def report(files: list[str]) -> int:
+    """Print what was found, and return how many survivors nobody has accepted."""
+    rows = [row for row in {key(row): row for row in results()}.values() if row["file"] in files]
+    rows = [row for row in rows if row["source"] == digest(ROOT, row["file"])]
+    print(f"{'':32}{'faults':>8}{'own tests':>12}{'suite':>8}{'accepted':>10}{'open':>6}")
+    survivors: list[Row] = []
+    for area in [*dict.fromkeys(MODULES[file].area for file in files), "together"]:
+        of_area = [row for row in rows if area in ("together", MODULES[row["file"]].area)]
+        own = [row for row in of_area if row["own"] != PASSED]
+        suite = [row for row in of_area if row["own"] == PASSED and row["suite"] not in ("", PASSED)]
+        accepted = [row for row in of_area if row["own"] == PASSED and row not in suite and reason(row)]
+        left = [row for row in of_area if row not in own and row not in suite and row not in accepted]
+        survivors = left
+        print(f"{area:32}{len(of_area):8}{len(own):12}{len(suite):8}{len(accepted):10}{len(left):6}")
+    for row in survivors:
+        print(f"\n{row['file']}:{row['line']} ({row['kind']}){'' if row['suite'] else ', the suite not asked yet'}")
+        print(f"  - {row['before']}\n  + {row['after']}")
+    return len(survivors)
+
+
+def results() -> Iterator[Row]:
+    """Every line of the file of results."""
+    if RESULTS.exists():
+        with open(RESULTS, newline="") as file:
+            yield from csv.DictReader(file)
+
+
+def add(row: Row) -> None:
+    """Add a line to the results, and say it."""
+    new = not RESULTS.exists()
+    RESULTS.parent.mkdir(parents=True, exist_ok=True)
+    with open(RESULTS, "a", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
+    outcome = row["own"] if row["own"] != PASSED else f"SURVIVED {row['suite']}".rstrip()
+    print(f"{row['file']}:{row['line']} {row['after'][:70]!r}: {outcome} ({row['seconds']} s)", flush=True)
+
+
+def key(row: Row) -> tuple[str, ...]:
+    return tuple(row[name] for name in ("file", "source", "line", "before", "after"))
+
+
+def reason(row: Row) -> str:
+    """Why a survivor does not matter; empty if nobody has said so."""
+    if not ACCEPTED.exists():
+        return ""
+    with open(ACCEPTED, newline="") as file:
+        for accepted in csv.DictReader(file):
+            if all(accepted[name] == row[name] for name in ("file", "before", "after")):
+                return accepted["reason"]
+    return ""
+
+
+def all_tests(file: str) -> list[str]:
+    return sorted({*tests_of(file, PLAIN), *tests_of(file, COMPILED)})
+
+
+def digest(tree: Path, *files: str) -> str:
+    return hashlib.sha256(b"".join((tree / file).read_bytes() for file in files)).hexdigest()[:12]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,146 @@
+"""Which files ``tools/mutants.py`` puts faults into, and which tests are those of their module.
+
+Golden trajectories are left out: they say that something has changed, not what is right. Tests that are fast enough as
+plain Python (``NUMBA_DISABLE_JIT=1``) run that way, since a fault in a compiled file costs half a minute of compiling.
+"""
+
+from typing import NamedTuple
+
+__all__ = ["COMPILED", "MODULES", "PLAIN", "Module", "tests_of"]
+
+PLAIN, COMPILED = "plain", "compiled"
+
+
+class Module(NamedTuple):
+    """A file's part of the package, and its tests by how they run, the most specific ones first."""
+
+    area: str
+    plain: tuple[str, ...]
+    compiled: tuple[str, ...] = ()
+
+
+def tests_of(file: str, mode: str) -> tuple[str, ...]:
+    """Tests of a file's module that run in one of the two ways."""
+    return MODULES[file].plain if mode == PLAIN else MODULES[file].compiled
+
+
+def _modules(area: str, folder: str, lines: str) -> dict[str, Module]:
+    """Make a part of the table from lines "files: plain tests; compiled tests", names without their beginnings."""
+    table = {}
+    for line in filter(None, (line.strip() for line in lines.splitlines())):
+        files, tests = line.split(":")
+        plain, _, compiled = tests.partition(";")
+        for file in files.split():
+            table[f"{folder}/{file}.py"] = Module(area, *(_paths(folder, names) for names in (plain, compiled)))
+    return table
+
+
+def _paths(folder: str, names: str) -> tuple[str, ...]:
+    """Paths of tests; a name that begins with a slash counts from the folder of all tests."""
+    return tuple(
+        f"tests{name}.py" if name.startswith("/") else f"tests/{folder}/test_{name}.py" for name in names.split()
+    )
+
+
+MODULES = {
+    **_modules(
+        "kernels",
+        "pcs_racing",
+        """
+        race_kernel: race_kernel; race
+        vehicle: vehicle
+        collision: collision race_kernel
+        ittc: ittc race_kernel
+        grid: grid
+        splines: splines
+        frenet: frenet
+        walls: walls
+        lidar_kernel: lidar
+        planner: planner race_state; race_kernel
+        """,
+    ),
+    **_modules(
+        "kernels",
+        "pcs_racing/planners",
+        """
+        spiral: spiral
+        pure_pursuit: ; pure_pursuit
+        gap_follower: ; gap_follower
+        lattice: ; lattice
+        lane_switcher: ; lane_switcher
+        """,
+    ),
+    **_modules(
+        "rules",
+        "pcs_racing",
+        """
+        race: race_kernel; race
+        race_config: race_config
+        race_state: race_state race_kernel
+        game game_state: ; game
+        game_config: game_config
+        archive: archive
+        """,
+    ),
+    **_modules("characteristics", "pcs_racing", "characteristics: characteristics"),
+    **_modules(
+        "environments",
+        "pcs_racing/envs",
+        """
+        drive_kernel: drive_kernel; drive
+        drive_batch: drive_kernel; drive
+        drive drive_vector: ; drive
+        duel_batch opponents: duel_batch; duel
+        duel duel_vector: ; duel
+        head_to_head: ; head_to_head
+        """,
+    ),
+    **_modules(
+        "solvers",
+        "pcs_racing_agents/solvers",
+        """
+        cfr cfr_kernels: cfr
+        compare: compare
+        efg: efg
+        evaluation: evaluation cfr
+        exact: exact_solution
+        game_tree: game_tree cfr
+        matrix_games: matrix_games
+        openspiel openspiel_game: openspiel_game
+        rational_games: matrix_games
+        sequence_form: sequence_form evaluation
+        """,
+    ),
+    **_modules(
+        "synthesis",
+        "pcs_racing_agents/synthesis",
+        """
+        diverse: diverse
+        evaluate: ; evaluate
+        indicators: indicators
+        selection: selection
+        explored: explored
+        mo_cma_es: mo_cma_es; synthesize
+        optimisers synthesize: ; synthesize
+        archive_search: ; archive_run
+        """,
+    ),
+    **_modules(
+        "statistics",
+        "pcs_racing_agents/tournament",
+        """
+        ratings: ratings
+        meta_game: meta_game
+        best_reply: ; best_reply
+        table: ; tournament
+        statistics/adaptivity: statistics
+        statistics/clusters: statistics
+        statistics/comparison: statistics
+        statistics/power: statistics student_t
+        statistics/rates: statistics
+        statistics/resampling: statistics
+        statistics/student_t: student_t statistics
+        statistics/units: statistics
+        """,
+    ),
+}
