@@ -138,7 +138,8 @@ def fit_places(
         sides = {"left": favour > 0.0, "right": favour < 0.0} if abreast else {"front": np.full(len(favour), True)}
         for allowed in ALLOWED:
             fit = (together <= allowed) & (crashes < 1.0)
-            counts = [np.count_nonzero(fit & side) for side in sides.values()]
+            found = {name: fit & side for name, side in sides.items()}
+            counts = [np.count_nonzero(here) for here in found.values()]
             if min(counts) >= ENOUGH or (allowed == ALLOWED[-1] and sum(counts) >= FEWEST):
                 places = {name: _stretches(here) for name, here in found.items() if here.any()}
                 return float(spacing), places, _left_share(favour, found)
