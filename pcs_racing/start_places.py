@@ -1,7 +1,7 @@
 """Which places of a circuit are fit to start from: found by driving away from all of them.
 
 A place is fit if pairs of lattice policies, slow and fast, sensible and drawn at random, get away from it: on either
-side and counted together with its two neighbours, hardly any of their races is over within the first seconds. Every
+side and counted together with its neighbours, hardly any of their races is over within the first seconds. Every
 such crash would be one that neither driver could have avoided by driving better afterwards, and so nothing but noise in
 a table.
 
@@ -35,10 +35,13 @@ PLACE_EVERY = 0.5  # m between the places that are tried
 FIRST_SECONDS = 2.5  # s; a race that is over by then was decided by its start
 PACES = ((0.5, 0.5), (0.0, 0.0), (1.0, 1.0), (0.2, 0.8), (0.8, 0.2), (0.0, 1.0), (1.0, 0.0), (0.4, 0.5), (0.9, 1.0))
 RANDOM_PAIRS = 7
+REPEATS = 3  # of every pair, under other noise
 EQUALS = [k for k, (ego, rival) in enumerate(PACES) if abs(ego - rival) < 0.15]
-ALLOWED = (0.015, 0.025, 0.035)  # share of races over within the first seconds: the first with places enough is taken
-ENOUGH = 10  # places that favour either side
+ALLOWED = (0.01, 0.02, 0.03)  # share of races over within the first seconds: the first with places enough is taken
+ENOUGH = 12  # places that favour either side
+BALANCE_PLACES, BALANCE_PAIRS = 30, 8  # races that tell how much a side gains: at most so many places, pairs of paces
 FEWEST = 8  # places in all, without which a spacing does not work
+NEIGHBOURS = 1  # places before and after that are counted together with one
 BLOCK = 1.0  # m; stretches of that length serve training and tests in turn
 BATCH = 64  # places driven at once
 
@@ -79,7 +82,8 @@ def drive_away(
         the other one does, as a share: from -1 to 1.
     """
     places = np.arange(0.0, track.length, PLACE_EVERY)
-    pairs = _pairs()
+    # One race of a pair says little where chance has a part in it.
+    pairs = np.concatenate([_pairs()] * (REPEATS if settings.noise_sd > 0.0 else 1))
     each = 2 * len(pairs)
     settings = settings._replace(end_tick=round(100.0 * FIRST_SECONDS), ittc_horizon=0.0)
     crashes, favour = np.empty(len(places)), np.empty(len(places))
@@ -133,7 +137,7 @@ def fit_places(
     """
     for spacing in spacings:
         crashes, favour = drive_away(track, config, settings, spacing, threads=threads)
-        together = (np.roll(crashes, 1) + crashes + np.roll(crashes, -1)) / 3.0
+        together = np.mean([np.roll(crashes, shift) for shift in range(-NEIGHBOURS, NEIGHBOURS + 1)], axis=0)
         abreast = config.start == "side-by-side"
         sides = {"left": favour > 0.0, "right": favour < 0.0} if abreast else {"front": np.full(len(favour), True)}
         for allowed in ALLOWED:
@@ -142,7 +146,13 @@ def fit_places(
             counts = [np.count_nonzero(here) for here in found.values()]
             if min(counts) >= ENOUGH or (allowed == ALLOWED[-1] and sum(counts) >= FEWEST):
                 places = {name: _stretches(here) for name, here in found.items() if here.any()}
-                return float(spacing), places, _left_share(favour, found)
+                share = 0.5
+                if len(places) == 2:
+                    gains = [
+                        _gain(track, config, settings, spacing, places[side], threads) for side in ("left", "right")
+                    ]
+                    share = _left_share(*gains)
+                return float(spacing), places, share
     tried = ", ".join(f"{spacing:g}" for spacing in spacings)
     raise InputError(
         f"track {track.name!r} has no place from which two cars get away from a {config.start} start with gap "
@@ -151,10 +161,42 @@ def fit_places(
     )
 
 
-def _left_share(favour: Floats, found: dict[str, NDArray[np.bool_]]) -> float:
-    """Share of lines on the left places with which the gains of both sides cancel."""
-    gains = [abs(float(favour[here].mean())) if here.any() else 0.0 for here in found.values()]
-    return round(gains[1] / (gains[0] + gains[1]), 2) if len(gains) == 2 and min(gains) > 0.0 else 0.5
+def _gain(
+    track: Track,
+    config: RaceConfig,
+    settings: KernelSettings,
+    spacing: float,
+    stretches: Stretches,
+    threads: int | None,
+) -> float:
+    """Share of whole races from some places that the car on the left wins, less a half."""
+    places = places_of(stretches)
+    places = places[np.linspace(0, len(places) - 1, min(len(places), BALANCE_PLACES)).astype(np.intp)]
+    generator = np.random.default_rng(1)
+    policies = [
+        [LATTICE.policy({"pace": pace}) for pace in pair] for pair in generator.uniform(size=(BALANCE_PAIRS, 2))
+    ]
+    pairs = np.array([[policy.parameters for policy in pair] for pair in policies])
+    each = 2 * len(pairs)
+    starts = Starts(np.repeat(places, each), np.tile(np.arange(2), len(places) * len(pairs)))
+    vehicles = (F1TENTH, F1TENTH)
+    state = place_on_grid(track, config, spacing, settings.speed_low, vehicles, starts, LATTICE.memory_total)
+    state.seed[:] = np.arange(len(starts), dtype=np.uint64)
+    theta = np.ascontiguousarray(np.tile(np.repeat(pairs, 2, axis=0), (len(places), 1, 1)))
+    settings = settings._replace(ittc_horizon=0.0)
+    drive(track, settings, (LATTICE, LATTICE), vehicles, state, theta, settings.end_tick, threads=threads)
+    left = np.where(starts.side == 0, state.lead, -state.lead)[~state.crashed]
+    return float((left > 0.0).mean()) - 0.5 if len(left) else 0.0
+
+
+def _left_share(left: float, right: float) -> float:
+    """Share of lines on the places that favour the left with which the gains of the left on both kinds cancel.
+
+    Where the left gains, or loses, on both, all lines go to the places where it does least.
+    """
+    if left * right >= 0.0:
+        return 1.0 if abs(left) < abs(right) else 0.0 if abs(right) < abs(left) else 0.5
+    return round(abs(right) / (abs(left) + abs(right)), 2)
 
 
 def _stretches(fit: NDArray[np.bool_]) -> Stretches:

@@ -22,8 +22,7 @@ def driven(oval):
 
 def test_what_is_counted_at_a_place_is_what_races_from_there_do(oval, driven):
     crashes, favour = driven
-    place = int(np.argmax(crashes))
-    assert 0.0 < crashes[place] < 1.0
+    place = int(np.flatnonzero((crashes > 0.0) & (crashes < 1.0))[0])
     pairs = start_places._pairs()
     rules = replace(PAPER, speed_range=(1.2, 1.5), duration=start_places.FIRST_SECONDS)
     starts = Starts(np.full(2 * len(pairs), place * PLACE_EVERY), np.tile([0, 1], len(pairs)))
@@ -58,6 +57,7 @@ def pretend(oval, monkeypatch):
         monkeypatch.setattr(
             start_places, "drive_away", lambda *given, **named: (np.zeros(count) + crashes[given[3]], alternating)
         )
+        monkeypatch.setattr(start_places, "_gain", lambda *given: 0.2 if given[4][0][0] == 0.0 else -0.1)
         return count
 
     return pretend_so
@@ -67,7 +67,7 @@ def test_the_first_spacing_that_works_is_taken(oval, pretend):
     count = pretend({0.9: 1.0, 1.0: 0.5, 0.8: 0.0, 1.1: 0.0})
     spacing, places, share = fit_places(oval, PAPER, kernel_settings(PAPER, (0.8, 1.0)), [0.9, 1.0, 0.8, 1.1])
     assert spacing == 0.8
-    assert share == 0.5
+    assert share == 0.33
     half = count // 2 * PLACE_EVERY
     assert places == {"left": ((0.0, half - PLACE_EVERY),), "right": ((half, (count - 1) * PLACE_EVERY),)}
 
@@ -89,17 +89,18 @@ def test_stretches_hold_the_places_that_are_fit_with_their_neighbours(oval, pret
     np.testing.assert_array_equal(places_of(stretches) / PLACE_EVERY, [*range(11, 29), *range(51, 69)])
 
 
-def test_where_the_left_gains_more_it_gets_fewer_lines(pretend, oval):
-    count = pretend({0.9: 0.0})
-    favour = np.where(np.arange(count) % 2, 1.0, -0.5)
-    pretend({0.9: 0.0}, favour)
-    share = fit_places(oval, PAPER, kernel_settings(PAPER, (0.8, 1.0)), [0.9])[2]
-    assert share == 0.33
-    assert share * 1.0 == pytest.approx((1.0 - share) * 0.5, abs=0.01)
+@pytest.mark.parametrize(
+    ("left", "right", "share"),
+    [(0.2, -0.1, 0.33), (0.1, -0.3, 0.75), (0.1, -0.1, 0.5), (0.1, 0.3, 1.0), (-0.2, -0.1, 0.0)],
+)
+def test_where_the_left_gains_more_it_gets_fewer_lines(left, right, share):
+    assert start_places._left_share(left, right) == share
+    if left * right < 0.0:
+        assert share * left + (1.0 - share) * right == pytest.approx(0.0, abs=0.005)
 
 
 def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):
-    crashes = np.full(pretend({0.9: 0.0}), 0.02)
+    crashes = np.full(pretend({0.9: 0.0}), 0.015)
     crashes[:40] = 0.0
     settings = kernel_settings(PAPER, (0.8, 1.0))
     pretend({0.9: crashes}, np.where(np.arange(len(crashes)) % 2, 1.0, -1.0))
