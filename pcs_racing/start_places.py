@@ -38,7 +38,7 @@ RANDOM_PAIRS = 7
 REPEATS = 3  # of every pair, under other noise
 EQUALS = [k for k, (ego, rival) in enumerate(PACES) if abs(ego - rival) < 0.15]
 ALLOWED = (0.01, 0.02, 0.03)  # share of races over within the first seconds: the first with places enough is taken
-ENOUGH = 12  # places that favour either side
+ENOUGH, ENOUGH_OF_A_SIDE = 40, 12  # places
 BALANCE_PLACES, BALANCE_PAIRS = 30, 8  # races that tell how much a side gains: at most so many places, pairs of paces
 FEWEST = 8  # places in all, without which a spacing does not work
 NEIGHBOURS = 1  # places before and after that are counted together with one
@@ -144,7 +144,8 @@ def fit_places(
             fit = (together <= allowed) & (crashes < 1.0)
             found = {name: fit & side for name, side in sides.items()}
             counts = [np.count_nonzero(here) for here in found.values()]
-            if min(counts) >= ENOUGH or (allowed == ALLOWED[-1] and sum(counts) >= FEWEST):
+            enough = sum(counts) >= ENOUGH and min(counts) >= ENOUGH_OF_A_SIDE
+            if enough or (allowed == ALLOWED[-1] and sum(counts) >= FEWEST):
                 places = {name: _stretches(here) for name, here in found.items() if here.any()}
                 share = 0.5
                 if len(places) == 2:
