@@ -288,7 +288,7 @@ def _cached(track: Track, config: RaceConfig, what: str, find: Callable[[], Cali
     folder = cache_folder()
     kept = f"once; kept in {folder}" if folder is not None else "there is no folder to keep it in"
     start = time.monotonic()
-    _say(f"finding {what} of track {track.name!r} for {preset.name!r} by driving, {_forecast(track)} ({kept})")
+    _say(f"finding {what} of track {track.name!r} for {preset.name!r} by driving, {_forecast(track, preset)} ({kept})")
     calibration = find()
     seconds = time.monotonic() - start
     low, high = calibration.speed_range
@@ -301,8 +301,11 @@ def _cached(track: Track, config: RaceConfig, what: str, find: Callable[[], Cali
     return calibration
 
 
-def _forecast(track: Track) -> str:
-    simulated = 8 * 80 * 40.0 + 32 * 2.5 * track.length / PLACE_EVERY
+def _forecast(track: Track, preset: RaceConfig) -> str:
+    """About how long it takes: the hazard scan, the first seconds at every place, whole races for the balance."""
+    noisy = preset.steering_noise > 0.0
+    simulated = 8 * 80 * 40.0 + (96 if noisy else 32) * 2.5 * track.length / PLACE_EVERY
+    simulated += 60 * 16 * 40.0 if preset.start == "side-by-side" else 0.0
     return f"about {max(1, round(simulated / SIMULATED_PER_SECOND / default_threads()))} s"
 
 

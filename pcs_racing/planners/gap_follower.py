@@ -16,7 +16,7 @@ import numpy as np
 
 from pcs_racing import planner as _view
 from pcs_racing.compilation import compiled
-from pcs_racing.elementary import arcsine, sine_cosine, sines_cosines, tangent
+from pcs_racing.elementary import arcsine, sine_cosine, tangent
 from pcs_racing.lidar import WORK_SHAPE, Beams, scan_into
 from pcs_racing.planner import PATH_POINTS, Parameter, Planner
 
@@ -42,9 +42,10 @@ SLOWEST = 1.0  # m/s, to creep out of a dead end
 SIDE_BEAMS = BEAMS // 6  # the outer 30 degrees on each side
 LEAN = 0.4  # rad per metre that a side is too near
 _ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
-_SIN, _COS = sines_cosines(_ANGLES)
+_plain = getattr(sine_cosine, "py_func", sine_cosine)  # calling compiled code would slow down every import
+_SIN, _COS = (np.array(values) for values in zip(*map(_plain, _ANGLES), strict=True))
 # Of the angle between two beams that are so many apart.
-_APART_SIN, _APART_COS = sines_cosines(STEP * np.arange(BEAMS))
+_APART_SIN, _APART_COS = (np.array(values) for values in zip(*map(_plain, STEP * np.arange(BEAMS)), strict=True))
 
 # Scratch: the lidar's own working memory, the ranges, and the free distances.
 _RANGES = WORK_SHAPE[0] * WORK_SHAPE[1]

@@ -24,7 +24,7 @@ __all__ = [
     "rules",
 ]
 
-DEFAULT_TRACK = "Tarnfjord"
+DEFAULT_TRACK = "Quillburg"
 """The circuit of a command that is told none, as of the environments."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
 POLICY_HELP = "planner, planner:variant or planner:parameter=value,... (see 'pcs-racing policies')"

@@ -22,8 +22,8 @@ __all__ = ["add"]
 
 # The race of a command that is told nothing: driven to its end, with an overtake. The seed is out of
 # `python benchmarks/first_race.py`.
-EGO = "lattice:pace=0.7"
-OPPONENT = "lattice:pace=0.5,blocking=1"
+EGO = "lattice:pace=0.8,overtaking=1"
+OPPONENT = "lattice:pace=0.4"
 SEED = 1
 
 

@@ -25,8 +25,9 @@ ADJECTIVES = {
 def story(explanation: Explanation) -> str:
     """Return the whole race as text: a head, a paragraph for each move, and the end."""
     me, other = explanation.names[explanation.car], explanation.names[1 - explanation.car]
+    number = f" (car {explanation.car})"  # cars of one name bring it along
     lines = [
-        f"{me} (car {explanation.car}) against {other} on {explanation.replay.track_name}, "
+        f"{me.removesuffix(number)}{number} against {other} on {explanation.replay.track_name}, "
         f"{explanation.race} rules: {explanation.replay.outcome}"
     ]
     if explanation.blind:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pcs_racing.track import build_track
+from pcs_racing.track import Calibration, build_track
 
 STRAIGHT, RADIUS, HALF_WIDTH, CELL = 8.0, 4.0, 1.2, 0.2
 
@@ -24,4 +24,10 @@ def stadium():
     # A block on the outer wall, so that walls are not all smooth.
     occupied |= (np.abs(away - RADIUS - HALF_WIDTH) < 0.3) & (np.abs(x + origin[0]) < 0.5)
     center = np.column_stack([xy, np.full((len(xy), 2), HALF_WIDTH)])
-    return build_track("stadium", occupied, CELL, origin, center, xy)
+    # Known beforehand: to find it by driving would take plain Python an hour.
+    lower, upper = ((2.0, 5.0),), ((22.5, 25.5),)
+    calibration = {
+        "paper": Calibration((0.8, 1.0), 0.9, {"left": lower, "right": upper}),
+        "contest": Calibration((0.8, 1.0), 0.45, {"front": lower + upper}),
+    }
+    return build_track("stadium", occupied, CELL, origin, center, xy, calibration=calibration)

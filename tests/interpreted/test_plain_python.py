@@ -50,7 +50,7 @@ def test_a_second_of_racing(stadium, rival):
 )
 def test_a_car_that_is_not_steered_around_the_bend_hits_the_wall(stadium, rival, action):
     """Full speed straight on, and the steering held to either side; noise on the steering saves nobody."""
-    race = load_race_config("contest", start="staggered", start_gap=0.9, speed_range=(0.3, 1.0))
+    race = load_race_config("contest", speed_range=(0.3, 1.0))
     env = DriveEnv(stadium, rival, race=race, duration=2.4)
     env.reset(seed=3)
     over = False
@@ -81,9 +81,9 @@ def pure_pursuit(**parameters):
 def test_who_drives_into_the_car_ahead_is_to_blame(stadium):
     """A fast car that ignores the other starts before a slow one, and then behind it."""
     config = load_race_config(
-        PAPER, start="staggered", start_gap=0.9, duration=1.0, start_lines=1, speed_range=(0.3, 1.2)
+        PAPER, start="staggered", start_gap=0.9, start_spacing=0.2, duration=1.0, speed_range=(0.3, 1.2)
     )
-    starts = draw_starts(stadium, config, 2, 0)
+    starts = Starts(np.full(2, 3.0), np.array([0, 1]))
     blind, slow = pure_pursuit(pace=1.0, follow_distance=0.0), pure_pursuit(pace=0.0)
     ended = run_races(stadium, blind, slow, config, starts=starts, threads=1)
     assert ended.lead[0] > 0.0

@@ -326,11 +326,18 @@ ROLLING = load_race_config("contest", start="rolling")
 
 @pytest.mark.parametrize("config", [PAPER, CONTEST, ROLLING], ids=lambda config: config.start)
 def test_starts_alternate_sides_on_several_lines(oval, config):
-    setup, state, _ = begin(oval, config, [lattice()] * 10, [lattice()] * 10)
     starts = draw_starts(oval, config, 10, seed=0)
     assert len(np.unique(starts.s)) == 5
     np.testing.assert_array_equal(starts.side, [0, 1] * 5)
     np.testing.assert_array_equal(starts.s[::2], starts.s[1::2])  # each line from both sides
+
+
+@pytest.mark.parametrize("config", [PAPER, CONTEST, ROLLING], ids=lambda config: config.start)
+def test_the_cars_stand_beside_or_behind_each_other(oval, config):
+    setup = RaceSetup(oval, config, (LATTICE, LATTICE))
+    # On the straights, where distances along and across the track are those between the cars.
+    starts = Starts(np.repeat([4.0, 6.0, 8.0, 28.0, 32.0], 2), np.tile([0, 1], 5))
+    state = start_races(setup, starts, race_seeds(0, 10))
     s, d = np.moveaxis(state.frenet, -1, 0)
     rows = np.arange(10)
     first, second = (rows, starts.side), (rows, 1 - starts.side)
@@ -394,7 +401,7 @@ def test_a_start_in_the_wall_is_refused(oval):
     wide = load_race_config("paper", start_spacing=2.0)
     with pytest.raises(InputError, match=r"race 0: at start line 0.00 m .* in a wall"):
         run_races(oval, lattice(), lattice(), wide, starts=Starts(np.zeros(1), np.zeros(1, np.int64)))
-    with pytest.raises(InputError, match="has no straight piece wide and long enough"):
+    with pytest.raises(InputError, match="has no place from which two cars get away"):
         run_races(oval, lattice(), lattice(), wide)
 
 

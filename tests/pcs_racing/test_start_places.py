@@ -100,15 +100,15 @@ def test_where_the_left_gains_more_it_gets_fewer_lines(left, right, share):
 
 
 def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):
-    crashes = np.full(pretend({0.9: 0.0}), 0.015)
-    crashes[:40] = 0.0
+    crashes = np.full(pretend({0.9: 0.0}), 0.018)
+    crashes[:60] = 0.0
     settings = kernel_settings(PAPER, (0.8, 1.0))
     pretend({0.9: crashes}, np.where(np.arange(len(crashes)) % 2, 1.0, -1.0))
     few = fit_places(oval, PAPER, settings, [0.9])[1]
-    assert max(stretches[-1][1] for stretches in few.values()) == 38 * PLACE_EVERY
-    pretend({0.9: crashes}, np.where(np.arange(len(crashes)) < 50, 1.0, -1.0))  # no safe place favours the right
+    assert max(stretches[-1][1] for stretches in few.values()) == 59 * PLACE_EVERY
+    pretend({0.9: crashes}, np.where(np.arange(len(crashes)) < 70, 1.0, -1.0))  # no safe place favours the right
     many = fit_places(oval, PAPER, settings, [0.9])[1]
-    assert many["right"] == ((50 * PLACE_EVERY, (len(crashes) - 1) * PLACE_EVERY),)
+    assert many["right"] == ((70 * PLACE_EVERY, (len(crashes) - 1) * PLACE_EVERY),)
 
 
 def test_training_and_tests_share_the_places_block_by_block():
@@ -120,7 +120,7 @@ def test_training_and_tests_share_the_places_block_by_block():
 
 
 def test_places_in_blocks_of_one_kind_are_shared_one_by_one():
-    places = np.array([0.0, 0.5, 1.0, 4.0, 4.5, 5.0, 8.0, 8.5])
+    places = np.array([0.0, 0.5, 2.0, 4.0, 4.5, 6.0, 8.0, 8.5])
     np.testing.assert_array_equal(split_places(places, "train"), places[1::2])
     np.testing.assert_array_equal(split_places(places, "test"), places[::2])
 

@@ -54,7 +54,7 @@ def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(run, 
     monkeypatch.chdir(tmp_path)
     code, out, _ = run("race")
     assert code == 0
-    assert out.startswith("Tarnfjord, ")
+    assert out.startswith("Quillburg, ")
     assert " overtakes\n" in out
     assert re.search(r"\n(\S+) wins by \d+\.\d m after 40 s\n", out)  # no crash
     (again,) = re.findall(r"^to watch it: pcs-racing (.*)$", out, re.MULTILINE)
@@ -62,7 +62,7 @@ def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(run, 
     assert code == 0
     assert watched.splitlines()[:-1] == out.splitlines()[:-1]  # the same race
     assert watched.endswith("replay: race.html\n")
-    assert read_replay(tmp_path / "race.html").track_name == "Tarnfjord"
+    assert read_replay(tmp_path / "race.html").track_name == "Quillburg"
 
 
 def test_two_cars_of_one_policy_are_told_apart(run):
@@ -339,14 +339,14 @@ def test_every_command_has_a_help_text_with_examples_that_it_understands(name, c
 
 @pytest.mark.parametrize("name", [name for name, parser in COMMANDS.items() if "--track" in parser.format_help()])
 def test_every_command_that_needs_a_circuit_has_one(name):
-    assert "(default: Tarnfjord" in " ".join(COMMANDS[name].format_help().split())
+    assert "(default: Quillburg" in " ".join(COMMANDS[name].format_help().split())
 
 
 @pytest.mark.parametrize("arguments", [["show"], ["calibrate"]])
 def test_a_circuit_that_nobody_named_is_told(run, arguments):
     code, out, _ = run("track", *arguments)
     assert code == 0
-    assert out.startswith("Tarnfjord")
+    assert out.startswith("Quillburg")
 
 
 def test_as_a_process(tmp_path):

@@ -137,7 +137,7 @@ def test_opponents_do_what_they_are_called():
         infos = [row[2] for row in episode(DuelEnv(opponent=name, **SHORT), 4)[1:]]
         assert {info["opponent_move"] for info in infos} == expected
         assert {info["opponent"] for info in infos} == {name}
-    moves = {row[2]["opponent_move"] for seed in range(6) for row in episode(DuelEnv(**SHORT), seed)[1:]}
+    moves = {row[2]["opponent_move"] for seed in range(12) for row in episode(DuelEnv(**SHORT), seed)[1:]}
     assert len(moves) == 4
     careful = Careful()
     assert episode(DuelEnv(opponent=careful, **SHORT), 4)[1][2]["opponent_move"] == "restraint +"

@@ -100,7 +100,7 @@ def test_the_other_car_sees_the_other_side(contest, setting):
         assert mine.lead == pytest.approx(-theirs.lead, abs=1e-5)
         assert (mine.move, mine.opponent_move) == (theirs.opponent_move, theirs.move)
     assert np.array_equal(first.lead, -second.lead)
-    assert story(second).startswith("random-moves (car 1) against random-moves")
+    assert story(second).startswith("random-moves (car 1) against random-moves (car 0)")
 
 
 def test_moves_are_events_of_the_replay(race):

@@ -141,7 +141,7 @@ def test_slow_opponents_are_only_met_in_learning(drive_settings):
     (track,), (rules,) = level.tracks, level.rules
     learning = level.learning_rules(track, rules)
     assert learning.duration == 1.0
-    assert learning.speed_range == (0.3, track.speed_range["contest"][1])
+    assert learning.speed_range == (0.3, track.calibration["contest"].speed_range[1])
     assert make_level(replace(drive_settings, slowest=0.0)).learning_rules(track, rules).speed_range is None
 
 

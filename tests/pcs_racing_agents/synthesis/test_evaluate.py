@@ -132,7 +132,10 @@ def test_a_refreshed_set_of_opponents(scenarios):
         ({"segment_seconds": 0.0}, "no multiple of segment_seconds, 0 s"),
         ({"starts": 0}, "start_lines is 0"),
         ({"characteristics": ("pace", "charm")}, "characteristic 'charm' is unknown"),
-        ({"config": load_race_config("paper", start_spacing=5.0, duration=4.0)}, "has no straight piece"),
+        (
+            {"config": load_race_config("paper", start_spacing=5.0, duration=4.0)},
+            "has no place from which two cars",
+        ),
     ],
 )
 def test_impossible_races(oval, change, message):

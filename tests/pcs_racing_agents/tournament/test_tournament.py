@@ -309,7 +309,7 @@ def test_progress_is_told_in_plain_lines_where_there_is_no_terminal(oval, capsys
         ({"races_per_pair": 3}, "races_per_pair is 3; it must be an even number"),
         ({"races_per_pair": 0}, "races_per_pair is 0"),
         ({"races_per_pair": 4000}, "races_per_pair is 4000"),
-        ({"race": load_race_config("paper", start_spacing=5.0)}, "no straight piece"),
+        ({"race": load_race_config("paper", start_spacing=5.0)}, "no place from which two cars get away"),
     ],
 )
 def test_bad_input_is_refused_before_any_race(oval, change, message):

@@ -101,8 +101,8 @@ def test_rows_hold_each_situation_once(noisy, trees):
         assert of_step.sum() == sum(alive)
         shares = [(~over).mean() for over in trees.over[step]]
         assert rows.weights[of_step].sum() == pytest.approx(sum(shares))
-    at = np.flatnonzero((trees.observations(1)[0] == rows.observations[rows.step == 1][0]).all(axis=1))
-    np.testing.assert_array_equal(rows.targets[rows.step == 1][0], q[0, at[0]].astype(np.float32))
+    root, at = np.argwhere((trees.observations(1) == rows.observations[rows.step == 1][0]).all(axis=-1))[0]
+    np.testing.assert_array_equal(rows.targets[rows.step == 1][0], q[root, at].astype(np.float32))
 
 
 def test_trees_without_a_decision_give_no_rows(trees):
