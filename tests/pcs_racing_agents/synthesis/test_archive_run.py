@@ -184,7 +184,7 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     )
     assert archive.settings["search_hypervolume"] < archive.settings["search_hypervolume_without_crash_limit"]
     assert archive.preset == "wild"
-    wild.write_text("preset: contest\nname: wild\nspeed_range: [1.4, 1.8]\n")
+    wild.write_text("preset: contest\nname: wild\nspeed_range: [2.0, 3.0]\n")
     with pytest.raises(
         InputError, match=r"all 30 policies crash in more than|policies remain below the crash limit of 0%"
     ):
