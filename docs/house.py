@@ -23,7 +23,7 @@ BOXES = {
         ("track.py  maps.py  mapping/", "lines, walls, Frenet coordinates"),
     ),
     "driver": ("environment", 590, 96, 240, "Planner, Policy", ("planner.py  registry.py", "code and a vector theta")),
-    "planners": ("agents", 880, 96, 220, "planners/", ("lattice, lane switcher,", "pure pursuit, gap follower")),
+    "planners": ("environment", 880, 96, 220, "planners/", ("lattice, lane switcher,", "pure pursuit, gap follower")),
     "kernel": (
         "environment",
         300,
