@@ -247,7 +247,8 @@ def starts_for(track: Track, config: RaceConfig) -> Calibration:
     calibration = calibration_of(track, config)
     if start_layout(config) == start_layout(preset_of(config)):
         return calibration
-    memo = (track.content_hash, preset_of(config).name, *start_layout(config))
+    # Speeds decide who gets away: a track of the same content may bring others.
+    memo = (track.content_hash, calibration.speed_range, preset_of(config).name, *start_layout(config))
     if memo not in _known:
 
         def find() -> Calibration:

@@ -107,12 +107,12 @@ def start_lines(
     rng = np.random.default_rng(seed)
     known = starts_for(track, config)
     sides = [split_places(places_of(stretches), split) for stretches in known.start_places.values()]
-    if len(sides) == 2:
+    if len(sides) == 2 and min(map(len, sides)) > 0:
         # Rounded up or down at random, so that no number of lines favours a side.
         left = min(int(known.left_share * config.start_lines + rng.uniform()), config.start_lines)
         wanted = [left, config.start_lines - left]
-    else:
-        wanted = [config.start_lines]
+    else:  # a side of a single place has none in one of the two splits
+        wanted = [config.start_lines if len(side) > 0 else 0 for side in sides]
     chosen = np.concatenate([_spread(side, number, rng) for side, number in zip(sides, wanted, strict=True)])
     return chosen[rng.permutation(config.start_lines)]
 

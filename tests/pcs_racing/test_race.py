@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -32,6 +34,7 @@ from pcs_racing.race import start_lines, starts_of
 from pcs_racing.race_kernel import steering_noise
 from pcs_racing.race_state import BLOCKING, ITTC, ITTC_SAMPLES, NO_CRASH, TIME, WALL_CRASH, empty_state
 from pcs_racing.seeds import race_seeds
+from pcs_racing.track import Calibration
 
 SHORT = load_race_config("paper", duration=6.0)
 NOISY = load_race_config("contest", duration=6.0)
@@ -374,6 +377,15 @@ def test_games_of_training_start_from_places_that_tables_do_not_use(oval):
         assert not train & test
     with pytest.raises(InputError, match="split is 'both'; it must be 'train' or 'test'"):
         start_lines(oval, PAPER, 0, split="both")
+
+
+def test_a_side_with_a_single_place_leaves_the_other_split_to_the_other_side(oval):
+    places = {"left": ((2.0, 9.5),), "right": ((26.5, 26.5),)}
+    lopsided = dataclasses.replace(oval, calibration={"paper": Calibration((0.8, 1.0), 0.9, places)})
+    train, test = (start_lines(lopsided, PAPER, 0, split=split) for split in ("train", "test"))
+    assert len(train) == len(test) == PAPER.start_lines
+    assert sorted(26.5 in lines for lines in (train, test)) == [False, True]
+    assert not set(train) & set(test)
 
 
 def test_the_start_of_one_race_is_that_of_the_batch(oval):
