@@ -21,6 +21,7 @@ from pcs_racing.errors import InputError
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race_config import RaceConfig
 from pcs_racing.race_kernel import KernelSettings
+from pcs_racing.race_state import RaceState
 from pcs_racing.start_grid import Starts, place_on_grid
 from pcs_racing.track import Track
 from pcs_racing.vehicle import F1TENTH
@@ -55,6 +56,30 @@ def _pairs() -> Floats:
     return np.array(paces + drawn)
 
 
+def _race_from(
+    track: Track,
+    config: RaceConfig,
+    settings: KernelSettings,
+    spacing: float,
+    places: Floats,
+    pairs: Floats,
+    first_key: int,
+    threads: int | None,
+) -> tuple[RaceState, Floats]:
+    """Race every pair from every place, from both sides: the ends, and the lead of the car on the left, m.
+
+    The keys of the races' noise are ``first_key`` and those after it: any that differ will do.
+    """
+    starts = Starts(np.repeat(places, 2 * len(pairs)), np.tile(np.arange(2), len(places) * len(pairs)))
+    cars = (F1TENTH, F1TENTH)
+    state = place_on_grid(track, config, spacing, settings.speed_low, cars, starts, LATTICE.memory_total)
+    state.seed[:] = np.arange(first_key, first_key + len(starts), dtype=np.uint64)
+    theta = np.ascontiguousarray(np.tile(np.repeat(pairs, 2, axis=0), (len(places), 1, 1)))
+    settings = settings._replace(ittc_horizon=0.0)
+    drive(track, settings, (LATTICE, LATTICE), cars, state, theta, settings.end_tick, threads=threads)
+    return state, np.where(starts.side == 0, state.lead, -state.lead)
+
+
 def drive_away(
     track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, *, threads: int | None = None
 ) -> tuple[Floats, Floats]:
@@ -85,19 +110,13 @@ def drive_away(
     # One race of a pair says little where chance has a part in it.
     pairs = np.concatenate([_pairs()] * (REPEATS if settings.noise_sd > 0.0 else 1))
     each = 2 * len(pairs)
-    settings = settings._replace(end_tick=round(100.0 * FIRST_SECONDS), ittc_horizon=0.0)
+    settings = settings._replace(end_tick=round(100.0 * FIRST_SECONDS))
     crashes, favour = np.empty(len(places)), np.empty(len(places))
     for first in range(0, len(places), BATCH):
         some = places[first : first + BATCH]
-        starts = Starts(np.repeat(some, each), np.tile(np.arange(2), len(some) * len(pairs)))
-        vehicles = (F1TENTH, F1TENTH)
-        state = place_on_grid(track, config, spacing, settings.speed_low, vehicles, starts, LATTICE.memory_total)
-        # The key of a race's noise: any fixed number that is another one for every race of the circuit.
-        state.seed[:] = np.arange(first * each, first * each + len(starts), dtype=np.uint64)
-        theta = np.ascontiguousarray(np.tile(np.repeat(pairs, 2, axis=0), (len(some), 1, 1)))
-        drive(track, settings, (LATTICE, LATTICE), vehicles, state, theta, settings.end_tick, threads=threads)
+        state, left = _race_from(track, config, settings, spacing, some, pairs, first * each, threads)
         crashes[first : first + BATCH] = state.crashed.reshape(len(some), each).mean(axis=1)
-        lead = np.sign(np.where(starts.side == 0, state.lead, -state.lead)).reshape(len(some), len(pairs), 2)
+        lead = np.sign(left).reshape(len(some), len(pairs), 2)
         favour[first : first + BATCH] = lead[:, EQUALS].mean(axis=(1, 2))
     return crashes, favour
 
@@ -173,20 +192,10 @@ def _gain(
     """Share of whole races from some places that the car on the left wins, less a half."""
     places = places_of(stretches)
     places = places[np.linspace(0, len(places) - 1, min(len(places), BALANCE_PLACES)).astype(np.intp)]
-    generator = np.random.default_rng(1)
-    policies = [
-        [LATTICE.policy({"pace": pace}) for pace in pair] for pair in generator.uniform(size=(BALANCE_PAIRS, 2))
-    ]
-    pairs = np.array([[policy.parameters for policy in pair] for pair in policies])
-    each = 2 * len(pairs)
-    starts = Starts(np.repeat(places, each), np.tile(np.arange(2), len(places) * len(pairs)))
-    vehicles = (F1TENTH, F1TENTH)
-    state = place_on_grid(track, config, spacing, settings.speed_low, vehicles, starts, LATTICE.memory_total)
-    state.seed[:] = np.arange(len(starts), dtype=np.uint64)
-    theta = np.ascontiguousarray(np.tile(np.repeat(pairs, 2, axis=0), (len(places), 1, 1)))
-    settings = settings._replace(ittc_horizon=0.0)
-    drive(track, settings, (LATTICE, LATTICE), vehicles, state, theta, settings.end_tick, threads=threads)
-    left = np.where(starts.side == 0, state.lead, -state.lead)[~state.crashed]
+    paces = np.random.default_rng(1).uniform(size=(BALANCE_PAIRS, 2))
+    pairs = np.array([[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces])
+    state, left = _race_from(track, config, settings, spacing, places, pairs, 0, threads)
+    left = left[~state.crashed]
     return float((left > 0.0).mean()) - 0.5 if len(left) else 0.0
 
 
