@@ -49,10 +49,10 @@ types: $(VENV)/test.stamp
 
 # Lines of compiled functions leave no trace: a part of the tests runs once more as plain Python, where numpy warns of
 # overflows and of 0 / 0, which are meant. Real circuits are left out there: they would take minutes to build.
-INTERPRETED := tests/interpreted tests/pcs_racing/test_collision.py tests/pcs_racing/test_grid.py \
-	tests/pcs_racing/test_ittc.py tests/pcs_racing/test_vehicle.py tests/pcs_racing/mapping/test_clearance.py \
-	tests/pcs_racing/mapping/test_curves.py tests/pcs_racing/mapping/test_speed.py \
-	tests/pcs_racing_agents/approximator/test_regret_network.py tests/pcs_racing_agents/solvers/test_cfr.py \
+INTERPRETED := tests/interpreted tests/pcs_racing/car/test_collision.py tests/pcs_racing/track/test_grid.py \
+	tests/pcs_racing/car/test_ittc.py tests/pcs_racing/car/test_vehicle.py tests/pcs_racing/track/building/test_clearance.py \
+	tests/pcs_racing/track/building/test_curves.py tests/pcs_racing/track/building/test_speed.py \
+	tests/pcs_racing_agents/networks/test_regret_network.py tests/pcs_racing_agents/solvers/test_cfr.py \
 	tests/pcs_racing_agents/solvers/test_matrix_games.py
 COVERED := $(RUN) -m pytest --cov --cov-report= --cov-fail-under=0
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from pcs_racing import make_game
-from pcs_racing_agents.approximator import RegretNetwork, game_identity
-from pcs_racing_agents.strategies import Agent, make_setting
-from pcs_racing_agents.strategies.zoo import ZOO, build
+from pcs_racing_agents.agents import Agent, make_setting
+from pcs_racing_agents.agents.zoo import ZOO, build
+from pcs_racing_agents.networks import RegretNetwork, game_identity
 
 
 def untrained(game: Any) -> RegretNetwork:

@@ -93,7 +93,7 @@ def tracks(folders: list[Path]) -> Digests:
 
 def generated(folders: list[Path]) -> Digests:
     """A random circuit of each style."""
-    from pcs_racing.mapping.circuits import generate_circuit
+    from pcs_racing.track.mapping.circuits import generate_circuit
 
     for style in ("hull", "voronoi", "hairpin"):
         circuit = generate_circuit(3, style, length_range=(60.0, 120.0))
@@ -113,7 +113,7 @@ def vehicles(folders: list[Path]) -> Digests:
 def lidar(folders: list[Path]) -> Digests:
     """Scans with an opponent, with noise, and times to collision."""
     from pcs_racing import Lidar, load_track
-    from pcs_racing.ittc import minimum_ittc
+    from pcs_racing.car.ittc import minimum_ittc
 
     track = load_track("Quillburg")
     places = track.to_cartesian(np.column_stack([np.linspace(0.0, 110.0, 200), np.zeros(200)]))
@@ -131,7 +131,7 @@ def races(folders: list[Path]) -> Digests:
     """Ten races of every planner under both presets: all states at the end."""
     from pcs_racing import RaceSetup, advance, draw_starts, load_race_config, load_track, parse_policy, start_races
     from pcs_racing.planners.network import network_planner, weight_count
-    from pcs_racing.race import pad_parameters, race_seeds
+    from pcs_racing.race.races import pad_parameters, race_seeds
 
     ego, track = parse_policy("lattice"), load_track("Quillburg")
     weights = np.round(np.random.default_rng(0).uniform(-0.4, 0.4, weight_count((16,))), 3)
@@ -167,7 +167,7 @@ def games(folders: list[Path]) -> Digests:
 
 def networks(folders: list[Path]) -> Digests:
     """A shipped network on random observations."""
-    from pcs_racing_agents.approximator import load_network
+    from pcs_racing_agents.networks import load_network
 
     network = load_network("default-paper-regret")
     yield "network", network(np.random.default_rng(0).normal(size=(50, len(network.elements))))

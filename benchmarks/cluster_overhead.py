@@ -22,19 +22,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcs_racing import load_archive, make_game
-from pcs_racing.registry import get_planner
-from pcs_racing_agents.approximator import Rows, game_identity, load_network, train_network
-from pcs_racing_agents.approximator.settings import TrainSettings, load_train_settings
-from pcs_racing_agents.jobs import make_executor, open_job
-from pcs_racing_agents.ppo.level import make_level
-from pcs_racing_agents.ppo.seed_run import Trainer
-from pcs_racing_agents.ppo.settings import load_ppo_settings
-from pcs_racing_agents.rollouts import learner
-from pcs_racing_agents.rollouts.learner import load_response_settings
-from pcs_racing_agents.strategies import make_setting
-from pcs_racing_agents.strategies.agent import Agent
-from pcs_racing_agents.strategies.fits import load_fit, shipped_fits
-from pcs_racing_agents.strategies.zoo import build
+from pcs_racing.planners.registry import get_planner
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.fits import load_fit, shipped_fits
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.learning.ppo.level import make_level
+from pcs_racing_agents.learning.ppo.seed_run import Trainer
+from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+from pcs_racing_agents.learning.responses import learner
+from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.networks import Rows, game_identity, load_network, train_network
+from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.study import StudyConfig, load_study_config
 from pcs_racing_agents.study.moves_made import BLOCK as REPLAYED
 from pcs_racing_agents.study.racing import _Judge

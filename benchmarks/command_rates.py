@@ -1,6 +1,6 @@
 """The rates behind what commands say of how long they will take: processor seconds for a unit of each kind of work.
 
-    python benchmarks/command_rates.py    # a few minutes; prints what pcs_racing_agents/estimates.py holds
+    python benchmarks/command_rates.py    # a few minutes; prints what pcs_racing_agents/cli/estimates.py holds
 
 Needs torch and Stable-Baselines3: pip install ".[learning]". What is compiled is compiled before the clock starts.
 """
@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import load_track, make_game, parse_policy, run_races
-from pcs_racing_agents import estimates
-from pcs_racing_agents.approximator.rows import Rows
-from pcs_racing_agents.approximator.settings import TrainSettings
-from pcs_racing_agents.approximator.training import fit
-from pcs_racing_agents.ppo.settings import load_ppo_settings
-from pcs_racing_agents.ppo.train import train_ppo
+from pcs_racing_agents.cli import estimates
+from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+from pcs_racing_agents.learning.ppo.train import train_ppo
+from pcs_racing_agents.networks.rows import Rows
+from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.networks.training import fit
 from pcs_racing_agents.trees import build_tree, choose_pairs, play_ego
 from pcs_racing_agents.trees.roots import draw_root
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing_agents.approximator import GameIdentity, RegretNetwork
+from pcs_racing_agents.networks import GameIdentity, RegretNetwork
 
 INPUTS = 31  # of a game with two characteristics and four moves
 MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")

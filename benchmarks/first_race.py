@@ -4,7 +4,7 @@
     python benchmarks/first_race.py --ego lattice --opponent lane-switcher:3 --track Brackwater --seeds 40
 
 A line for each seed whose race 0 ends without a crash and with an overtake, the closest first. `SEED` in
-pcs_racing_agents/commands/race.py is one of these seeds; start places or drivers that change may ask for another one.
+pcs_racing_agents/cli/race.py is one of these seeds; start places or drivers that change may ask for another one.
 """
 
 import argparse
@@ -12,8 +12,8 @@ import argparse
 import numpy as np
 
 from pcs_racing import load_race_config, load_track, parse_policy, run_races
-from pcs_racing_agents.commands.options import DEFAULT_TRACK
-from pcs_racing_agents.commands.race import EGO, OPPONENT
+from pcs_racing_agents.cli.options import DEFAULT_TRACK
+from pcs_racing_agents.cli.race import EGO, OPPONENT
 
 
 def main() -> None:

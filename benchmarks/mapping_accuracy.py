@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pcs_racing.mapping.centerline import centerline_from_grid
-from pcs_racing.mapping.clearance import wall_clearance
-from pcs_racing.mapping.curves import resample
-from pcs_racing.mapping.raceline import CLEARANCE, minimum_curvature_raceline, raceline_rows
-from pcs_racing.mapping.speed import lap_time
-from pcs_racing.maps import MapFolder, read_map
+from pcs_racing.track.building.centerline import centerline_from_grid
+from pcs_racing.track.building.clearance import wall_clearance
+from pcs_racing.track.building.curves import resample
+from pcs_racing.track.building.raceline import CLEARANCE, minimum_curvature_raceline, raceline_rows
+from pcs_racing.track.building.speed import lap_time
+from pcs_racing.track.maps import MapFolder, read_map
 
 DEFAULT = Path(os.environ.get("PCS_RACING_MAPS", Path(__file__).resolve().parents[2] / "shared" / "maps"))
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from pcs_racing import make_game
-from pcs_racing.race import advance, draw_starts, start_races
-from pcs_racing.seeds import race_seeds
-from pcs_racing_agents.strategies import make
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.race.races import advance, draw_starts, start_races
+from pcs_racing_agents.agents import make
 from pcs_racing_agents.tournament import play_games
 
 GAMES = 200

@@ -201,8 +201,8 @@ def race(seeds: int, track: str, generations: int) -> None:
     """Print the same comparison for policies of the lattice planner: aggressiveness and restraint."""
     from dataclasses import replace
 
-    from pcs_racing.race_config import load_race_config
-    from pcs_racing.registry import get_planner
+    from pcs_racing.planners.registry import get_planner
+    from pcs_racing.race.config import load_race_config
     from pcs_racing_agents.synthesis.evaluate import draw_scenarios, evaluate
 
     population, crashes = 25, 0.1

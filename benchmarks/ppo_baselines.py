@@ -17,11 +17,11 @@ import numpy as np
 
 from pcs_racing import load_track, make_game
 from pcs_racing_agents import make
-from pcs_racing_agents.approximator.network_files import read_network, shipped_folder
-from pcs_racing_agents.ppo.curves import read_curve
-from pcs_racing_agents.ppo.driver import load_driver, read_driver
-from pcs_racing_agents.ppo.scores import Cell
-from pcs_racing_agents.strategies import as_competitor
+from pcs_racing_agents.agents import as_competitor
+from pcs_racing_agents.learning.ppo.curves import read_curve
+from pcs_racing_agents.learning.ppo.scores import Cell
+from pcs_racing_agents.networks.driver import load_driver, read_driver
+from pcs_racing_agents.networks.network_files import read_network, shipped_folder
 from pcs_racing_agents.tournament.cells import play_cell
 from pcs_racing_agents.tournament.matches import variant_count
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare

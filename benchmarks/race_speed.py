@@ -16,13 +16,13 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from pcs_racing import vehicle as _vehicle
-from pcs_racing.planner import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE, follow_path
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.planners import lattice
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.race import RaceSetup, advance, draw_starts, start_races
-from pcs_racing.race_config import load_race_config
-from pcs_racing.race_kernel import (
+from pcs_racing.planners.planner import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE, follow_path
+from pcs_racing.race.config import load_race_config
+from pcs_racing.race.kernel import (
     CONTROL_EVERY,
     ITTC_EVERY,
     PLAN_EVERY,
@@ -31,9 +31,9 @@ from pcs_racing.race_kernel import (
     measure_ittc,
     update_progress,
 )
-from pcs_racing.race_state import RaceState, take
-from pcs_racing.seeds import race_seeds
-from pcs_racing.track import load_track
+from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
+from pcs_racing.race.state import RaceState, take
+from pcs_racing.track.track import load_track
 
 REPEATS = 8
 CALLS = 4000

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.characteristics import AGGRESSIVENESS, PACE, RESTRAINT, Segment, measure
-from pcs_racing.maps import list_tracks
-from pcs_racing.planner import Policy
+from pcs_racing.game.characteristics import AGGRESSIVENESS, PACE, RESTRAINT, Segment, measure
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.race import RaceResult, RaceSetup, run_races
-from pcs_racing.race_config import RaceConfig, load_race_config
-from pcs_racing.track import Track, load_track
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.race.races import RaceResult, RaceSetup, run_races
+from pcs_racing.track.maps import list_tracks
+from pcs_racing.track.track import Track, load_track
 
 
 def non_dominated(points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -20,15 +20,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcs_racing import RaceGame, make_game
-from pcs_racing.errors import UnknownNameError
-from pcs_racing.game_config import load_game_config
-from pcs_racing.game_state import GameState
-from pcs_racing.race import draw_starts
-from pcs_racing.seeds import race_seeds
-from pcs_racing_agents.jobs import open_job, show_progress
-from pcs_racing_agents.strategies import Setting, make_setting
-from pcs_racing_agents.strategies.agents import always, never_switch, random_moves
-from pcs_racing_agents.strategies.receding_horizon import RecedingHorizon, receding_horizon
+from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.config import load_game_config
+from pcs_racing.game.state import GameState
+from pcs_racing.race.races import draw_starts
+from pcs_racing_agents.agents import Setting, make_setting
+from pcs_racing_agents.agents.agents import always, never_switch, random_moves
+from pcs_racing_agents.agents.receding_horizon import RecedingHorizon, receding_horizon
+from pcs_racing_agents.jobs.jobs import open_job, show_progress
 from pcs_racing_agents.tournament import play_games
 
 CIRCUITS = ("Kestrelheim", "Pipkin", "Saltmere", "Tarnfjord")

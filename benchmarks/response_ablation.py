@@ -23,17 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing import RaceGame, list_tracks, make_game
-from pcs_racing.game_config import load_game_config
-from pcs_racing.race import draw_starts
-from pcs_racing.seeds import race_seeds
-from pcs_racing_agents.approximator import RegretNetwork, Rows, load_network
-from pcs_racing_agents.approximator.settings import TrainSettings
-from pcs_racing_agents.approximator.training import fit
-from pcs_racing_agents.jobs import Arrays, Job, add_executor_options, executor_from, open_job, show_progress
-from pcs_racing_agents.rollouts import branch_games, learn_response, load_response_settings
-from pcs_racing_agents.strategies import Agent, Setting, make_setting
-from pcs_racing_agents.strategies.agents import always, best_schedule, never_switch, random_moves
-from pcs_racing_agents.strategies.network import FromNetwork
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.config import load_game_config
+from pcs_racing.race.races import draw_starts
+from pcs_racing_agents.agents import Agent, Setting, make_setting
+from pcs_racing_agents.agents.agents import always, best_schedule, never_switch, random_moves
+from pcs_racing_agents.agents.network import FromNetwork
+from pcs_racing_agents.jobs.jobs import Arrays, Job, add_executor_options, executor_from, open_job, show_progress
+from pcs_racing_agents.learning.responses import branch_games, learn_response, load_response_settings
+from pcs_racing_agents.networks import RegretNetwork, Rows, load_network
+from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.networks.training import fit
 from pcs_racing_agents.tournament import play_games
 from pcs_racing_agents.tournament.matches import game_between
 

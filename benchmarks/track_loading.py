@@ -12,10 +12,11 @@ import time
 
 import numpy as np
 
-from pcs_racing import frenet, track
-from pcs_racing.compilation import compiled
-from pcs_racing.maps import list_tracks
-from pcs_racing.track import Track, load_track
+from pcs_racing import track
+from pcs_racing.base.compilation import compiled
+from pcs_racing.track import frenet
+from pcs_racing.track.maps import list_tracks
+from pcs_racing.track.track import Track, load_track
 
 
 @compiled

@@ -26,7 +26,7 @@ import numpy as np
 from pcs_racing_agents.tournament import RaceRow, write_rows
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests/pcs_racing_agents/viewing"))
+sys.path.insert(0, str(ROOT / "tests/pcs_racing_agents/view"))
 
 TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim", "Pipkin", "Saltmere", "Larkmoor", "Quillburg")
 AGENTS = ("never-switch", "random-moves", "random-policy", "cfr-argmax", "lane-switcher", "pure-pursuit")
@@ -110,7 +110,7 @@ def results_file(path: Path, count: int, results: Path | None) -> None:
 
 def write_page(results: Path, page: Path) -> tuple[float, float]:
     """Run the command in a process of its own; its seconds of processor time and the most memory it held, MB."""
-    command = [sys.executable, "-m", "pcs_racing_agents.cli", "view", str(results), "--out", str(page), "--no-open"]
+    command = [sys.executable, "-m", "pcs_racing_agents", "view", str(results), "--out", str(page), "--no-open"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)

@@ -9,11 +9,11 @@ import argparse
 
 import numpy as np
 
-from pcs_racing import track_building
-from pcs_racing.compilation import compiled
-from pcs_racing.grid import cast
-from pcs_racing.track import load_track
-from pcs_racing.walls import simplify, trace_outlines
+from pcs_racing.base.compilation import compiled
+from pcs_racing.track.building import build as track_building
+from pcs_racing.track.building.walls import simplify, trace_outlines
+from pcs_racing.track.grid import cast
+from pcs_racing.track.track import load_track
 
 
 @compiled

@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 
 from pcs_racing import load_track, make_game, run_races
-from pcs_racing.errors import UnknownNameError
-from pcs_racing.game import take_games
-from pcs_racing_agents.jobs import open_job, show_progress
-from pcs_racing_agents.strategies import Agent, Driver, make_setting, names
-from pcs_racing_agents.strategies.agent import competitor_hash
-from pcs_racing_agents.strategies.describe import write_page
-from pcs_racing_agents.strategies.measured import SETTINGS, Measured, write_measurements
-from pcs_racing_agents.strategies.zoo import build
+from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.game.game import take_games
+from pcs_racing_agents.agents import Agent, Driver, make_setting, names
+from pcs_racing_agents.agents.agent import competitor_hash
+from pcs_racing_agents.agents.describe import write_page
+from pcs_racing_agents.agents.measured import SETTINGS, Measured, write_measurements
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.jobs.jobs import open_job, show_progress
 from pcs_racing_agents.tournament.matches import variant_count
 from pcs_racing_agents.tournament.round_robin import round_robin
 from pcs_racing_agents.tournament.rows import RaceRow, pair_races, start_label

@@ -34,21 +34,21 @@ COPIES = {
 REFERENCE = {
     "pcs_racing": "The package itself",
     "pcs_racing.envs": "Environments",
-    "pcs_racing.mapping": "Mapping tools",
+    "pcs_racing.track.mapping": "Mapping tools",
     "pcs_racing_agents": "The package itself",
     "pcs_racing.planners": "Planners",
     "pcs_racing_agents.synthesis": "Synthesis",
     "pcs_racing_agents.trees": "Game trees",
     "pcs_racing_agents.solvers": "Solvers",
-    "pcs_racing_agents.approximator": "Regret approximator",
-    "pcs_racing_agents.rollouts": "Branched races",
-    "pcs_racing_agents.ppo": "PPO baselines",
-    "pcs_racing_agents.strategies": "Strategies",
+    "pcs_racing_agents.networks": "Regret approximator",
+    "pcs_racing_agents.learning.responses": "Branched races",
+    "pcs_racing_agents.learning.ppo": "PPO baselines",
+    "pcs_racing_agents.agents": "Strategies",
     "pcs_racing_agents.tournament": "Tournaments",
     "pcs_racing_agents.tournament.statistics": "Statistics",
-    "pcs_racing_agents.explaining": "Explaining",
+    "pcs_racing_agents.explain": "Explaining",
     "pcs_racing_agents.study": "The study",
-    "pcs_racing_agents.viewing": "The race viewer",
+    "pcs_racing_agents.view": "The race viewer",
 }
 """Packages with a page of the reference each: their own modules, not those of packages inside them."""
 

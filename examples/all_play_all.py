@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import load_track
-from pcs_racing_agents.jobs import make_executor, open_job, show_progress
+from pcs_racing_agents.jobs.jobs import make_executor, open_job, show_progress
 from pcs_racing_agents.tournament import (
     payoff_matrix,
     plan_tournament,

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import make_game, save_replay
-from pcs_racing.race import draw_starts
-from pcs_racing.seeds import race_seeds
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.race.races import draw_starts
 from pcs_racing_agents import make
-from pcs_racing_agents.explaining.explain import mark_moves
-from pcs_racing_agents.strategies import observing
+from pcs_racing_agents.agents import observing
+from pcs_racing_agents.explain.explain import mark_moves
 from pcs_racing_agents.tournament import record_match
 
 

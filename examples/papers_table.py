@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pcs_racing import make_game
 from pcs_racing_agents import make
-from pcs_racing_agents.jobs import open_job, show_progress
+from pcs_racing_agents.jobs.jobs import open_job, show_progress
 from pcs_racing_agents.study.cell_races import cell_races
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import table_text, write_table

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import load_track, make_game
-from pcs_racing.errors import UnknownNameError
-from pcs_racing.replay import save_replay
+from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.race.replay import save_replay
 from pcs_racing_agents import make
-from pcs_racing_agents.jobs import show_progress
-from pcs_racing_agents.ppo.settings import DuelSettings
-from pcs_racing_agents.ppo.train import train_ppo
+from pcs_racing_agents.jobs.jobs import show_progress
+from pcs_racing_agents.learning.ppo.settings import DuelSettings
+from pcs_racing_agents.learning.ppo.train import train_ppo
 from pcs_racing_agents.tournament.cells import play_cell
 from pcs_racing_agents.tournament.statistics import compare
 from pcs_racing_agents.tournament.watching import record_match

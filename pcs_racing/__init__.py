@@ -12,23 +12,23 @@ Examples
 
 from typing import Any
 
-from pcs_racing.archive import PolicyArchive, list_archives, load_archive
+from pcs_racing.base.errors import ConfigError, InputError, MapError, UnknownNameError
+from pcs_racing.car.lidar import Lidar
+from pcs_racing.car.vehicle import F1TENTH, VehicleParams, simulate
 from pcs_racing.envs.registration import register_environments
-from pcs_racing.errors import ConfigError, InputError, MapError, UnknownNameError
-from pcs_racing.game import GameState, RaceGame, make_game
-from pcs_racing.game_config import GameConfig, load_game_config
-from pcs_racing.lidar import Lidar
-from pcs_racing.maps import list_tracks
-from pcs_racing.planner import Parameter, Planner, Policy
-from pcs_racing.race import RaceResult, RaceSetup, advance, draw_starts, run_races, start_races
-from pcs_racing.race_config import CONTEST, PAPER, RaceConfig, load_race_config
-from pcs_racing.race_state import RaceState, load_state, save_state
-from pcs_racing.recording import record_race
-from pcs_racing.registry import get_planner, parse_policy, planner_names, register_planner
-from pcs_racing.replay import Replay, read_replay, save_replay
-from pcs_racing.start_grid import Starts
-from pcs_racing.track import Track, build_track, load_track
-from pcs_racing.vehicle import F1TENTH, VehicleParams, simulate
+from pcs_racing.game.archive import PolicyArchive, list_archives, load_archive
+from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.game import GameState, RaceGame, make_game
+from pcs_racing.planners.planner import Parameter, Planner, Policy
+from pcs_racing.planners.registry import get_planner, parse_policy, planner_names, register_planner
+from pcs_racing.race.config import CONTEST, PAPER, RaceConfig, load_race_config
+from pcs_racing.race.races import RaceResult, RaceSetup, advance, draw_starts, run_races, start_races
+from pcs_racing.race.recording import record_race
+from pcs_racing.race.replay import Replay, read_replay, save_replay
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import RaceState, load_state, save_state
+from pcs_racing.track.maps import list_tracks
+from pcs_racing.track.track import Track, build_track, load_track
 
 __all__ = [
     "CONTEST",

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from repository import REPOSITORY
 
 # The first example of a compiled function includes its compilation: timing examples would test the machine. The same
 # examples are drawn everywhere, and none are kept in a folder that may be read-only; `make fuzz` looks for new ones.
@@ -13,8 +14,6 @@ settings.register_profile(
     "everywhere", deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("everywhere")
-
-REPOSITORY = Path(__file__).resolve().parent.parent
 
 
 def _folder(variable: str, default: Path, what: str) -> Path:
@@ -49,7 +48,7 @@ def coarse_oval():
 
 
 def _stadium(resolution: float):
-    from pcs_racing.track import Calibration, build_track
+    from pcs_racing.track.track import Calibration, build_track
 
     straight, radius, half_width = 12.0, 4.0, 1.1
     quarter = np.linspace(0.0, np.pi, 40, endpoint=False)

@@ -1,9 +1,9 @@
 import importlib.util
-from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 
-FILE = Path(__file__).resolve().parent.parent / "benchmarks" / "record.py"
+FILE = REPOSITORY / "benchmarks" / "record.py"
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 DOCS = REPOSITORY / "docs"
 PAGES = sorted([*DOCS.glob("*.md"), *REPOSITORY.glob("*.md"), *REPOSITORY.glob("*/README.md")])
 TEXTS = {page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
@@ -75,7 +75,7 @@ def words(line: str) -> list[str]:
 
 
 def parses(arguments: list[str]) -> bool:
-    from pcs_racing_agents.cli import _parser
+    from pcs_racing_agents.cli.main import _parser
 
     with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
         try:
@@ -100,7 +100,7 @@ def test_impossible_commands_are_found():
 
 
 def test_commands_within_lines_exist():
-    from pcs_racing_agents.cli import _parser
+    from pcs_racing_agents.cli.main import _parser
 
     named = {name for text in TEXTS.values() for name in re.findall(r"`(?:[\w./]*/)?pcs-racing ([a-z]+)", text)}
     assert {"train", "study", "track"} <= named

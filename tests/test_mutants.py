@@ -2,11 +2,9 @@
 
 import csv
 import sys
-from pathlib import Path
 
 import pytest
-
-REPOSITORY = Path(__file__).resolve().parents[1]
+from repository import REPOSITORY
 
 TEXT = '''"""A module's words stay as they are, 1 and 2 and 3."""
 

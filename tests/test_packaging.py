@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from repository import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
 
 # Makes Python find none of the libraries that only extras bring, wherever it looks for them.
@@ -56,7 +56,7 @@ def test_races_tournaments_and_agents_need_no_extra(tmp_path):
     code = """
 import gymnasium as gym
 import pcs_racing, pcs_racing_agents
-from pcs_racing_agents.cli import main
+from pcs_racing_agents.cli.main import main
 
 track = pcs_racing.load_track("Pipkin")
 lattice, other = pcs_racing.parse_policy("lattice"), pcs_racing.parse_policy("lane-switcher:3")
@@ -83,11 +83,11 @@ print("none of", len(MISSING), "was imported:", not MISSING & {name.partition(".
 NEEDS = {
     "Stable-Baselines3's environments": ("import pcs_racing.envs.sb3", "learning"),
     "the command ppo": ('main(["ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo"])', "learning"),
-    "training": ("from pcs_racing_agents.approximator.training import fit; fit(None, None)", "learning"),
+    "training": ("from pcs_racing_agents.networks.training import fit; fit(None, None)", "learning"),
     "a study": ('main(["study", "quick", "--out", "study"])', "learning"),
     "a study's archive": ('main(["study", "paper", "--out", "study"])', "synthesis"),
     "a picture of a circuit": ('main(["track", "show", "Pipkin", "--out", "out.png"])', "plots"),
-    "a picture": ("from pcs_racing_agents.picture_style import picture; picture(print)()", "plots"),
+    "a picture": ("from pcs_racing_agents.pictures.style import picture; picture(print)()", "plots"),
     "the command synthesize": ('main(["synthesize", "--out", "archive"])', "synthesis"),
     "a new circuit": ('main(["track", "generate", "--seed", "7", "--out", "circuit"])', "mapping"),
     "a map without lines": ("pcs_racing.load_track('map')", "mapping"),
@@ -110,7 +110,7 @@ def told(tmp_path_factory):
 import contextlib, io, json
 import gymnasium as gym
 import pcs_racing
-from pcs_racing_agents.cli import main
+from pcs_racing_agents.cli.main import main
 
 told = {{}}
 for who, (code, _) in {NEEDS!r}.items():

@@ -56,7 +56,7 @@ def environments() -> None:
 def circuits() -> None:
     """A new circuit, and a lidar on it."""
     import pcs_racing
-    from pcs_racing.mapping.circuits import generate_circuit
+    from pcs_racing.track.mapping.circuits import generate_circuit
 
     generate_circuit(7)
     track = pcs_racing.load_track(TRACK)

@@ -3,7 +3,7 @@
     python tools/fuzz.py run [--engine mutations] [--minutes 20] [--turns N] [--targets NAME ...] [--seed 0]
     python tools/fuzz.py summary [--out out/fuzz]
 
-An input may be accepted, or refused by an error of the family :mod:`pcs_racing.errors`. Anything else is a finding:
+An input may be accepted, or refused by an error of the family :mod:`pcs_racing.base.errors`. Anything else is a finding:
 another exception, a warning, more than 2 seconds of processor, more memory than 500 MB, a crash of the interpreter.
 
 Three engines make inputs (``--engine``): ``mutations`` changes bytes and structure of valid ones, ``hypothesis``
@@ -42,7 +42,7 @@ LIMIT = 6_000_000_000  # of the process's address space, above what it has at th
 
 def judge(run: Callable[[bytes], object], data: bytes, again: bool = True) -> tuple[str, str]:
     """Return what a target makes of an input: a word, and for findings where it happened."""
-    from pcs_racing.errors import InputError  # not before atheris has seen the import
+    from pcs_racing.base.errors import InputError  # not before atheris has seen the import
 
     began, before = time.thread_time(), peak()
     try:

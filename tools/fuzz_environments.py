@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from pcs_racing import RaceGame, load_game_config, load_race_config, load_track
-from pcs_racing.archive import load_archive
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveOptions
 from pcs_racing.envs.drive_vector import DriveVectorEnv
@@ -15,6 +14,7 @@ from pcs_racing.envs.duel import DuelEnv
 from pcs_racing.envs.duel_vector import DuelVectorEnv
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
 from pcs_racing.envs.opponents import parse_opponents
+from pcs_racing.game.archive import load_archive
 
 __all__ = [
     "drive_envs", "drive_inputs", "drive_options", "duel_envs", "duel_inputs", "game_options", "head_to_head_inputs",

@@ -1,6 +1,6 @@
 """What is fuzzed: every loader and every input of the environments, each as a function of bytes.
 
-A target takes any bytes, and either accepts them or raises an error of :mod:`pcs_racing.errors`. Loaders of files get
+A target takes any bytes, and either accepts them or raises an error of :mod:`pcs_racing.base.errors`. Loaders of files get
 the bytes as the file's content; where a file carries a digest of another, the digest is made to fit, or nothing but the
 digest would be tested. What takes values (options, actions, seeds) gets values that are drawn from the bytes.
 """
@@ -32,32 +32,38 @@ from fuzz_environments import (
 from PIL import Image
 
 from pcs_racing import load_race_config, load_state, load_track, parse_policy, read_replay
-from pcs_racing.archive import PolicyArchive, load_archive
-from pcs_racing.archive import shipped_folder as archives_folder
-from pcs_racing.game_state import load_game, save_game
-from pcs_racing.map_files import CENTERLINE_COLUMNS, RACELINE_COLUMNS, parse_csv, parse_grid, parse_info, parse_ros_yaml
-from pcs_racing.maps import find_map, read_map, shipped_folder
-from pcs_racing.race_state import empty_state, save_state
-from pcs_racing.reading import plain_yaml, unpack_arrays
-from pcs_racing.recording import record_race
-from pcs_racing.replay import save_replay
-from pcs_racing_agents.approximator.network_files import read_network
-from pcs_racing_agents.approximator.network_files import shipped_folder as networks_folder
-from pcs_racing_agents.approximator.settings import load_train_settings
-from pcs_racing_agents.chunk_files import fingerprint, read_chunk, write_chunk
-from pcs_racing_agents.configuration import plain_settings, shipped_configs
-from pcs_racing_agents.explaining.contests import open_results
-from pcs_racing_agents.jobs import chunk_file, open_job
-from pcs_racing_agents.ppo.curves import COLUMNS, read_curve
-from pcs_racing_agents.ppo.driver import read_driver, save_driver
-from pcs_racing_agents.ppo.layers import Layers
-from pcs_racing_agents.ppo.plain_state import pack as pack_state
-from pcs_racing_agents.ppo.plain_state import unpack as unpack_state
-from pcs_racing_agents.ppo.settings import load_ppo_settings
-from pcs_racing_agents.rollouts.learner import load_response_settings
-from pcs_racing_agents.strategies.fits import load_fit, shipped_fits
-from pcs_racing_agents.strategies.setting import Setting, make_setting
-from pcs_racing_agents.strategies.zoo import parse_agent
+from pcs_racing.base.reading import plain_yaml, unpack_arrays
+from pcs_racing.game.archive import PolicyArchive, load_archive
+from pcs_racing.game.archive import shipped_folder as archives_folder
+from pcs_racing.game.state import load_game, save_game
+from pcs_racing.race.recording import record_race
+from pcs_racing.race.replay import save_replay
+from pcs_racing.race.state import empty_state, save_state
+from pcs_racing.track.map_files import (
+    CENTERLINE_COLUMNS,
+    RACELINE_COLUMNS,
+    parse_csv,
+    parse_grid,
+    parse_info,
+    parse_ros_yaml,
+)
+from pcs_racing.track.maps import find_map, read_map, shipped_folder
+from pcs_racing_agents.agents.fits import load_fit, shipped_fits
+from pcs_racing_agents.agents.setting import Setting, make_setting
+from pcs_racing_agents.agents.zoo import parse_agent
+from pcs_racing_agents.jobs.chunk_files import fingerprint, read_chunk, write_chunk
+from pcs_racing_agents.jobs.configuration import plain_settings, shipped_configs
+from pcs_racing_agents.jobs.jobs import chunk_file, open_job
+from pcs_racing_agents.learning.ppo.curves import COLUMNS, read_curve
+from pcs_racing_agents.learning.ppo.plain_state import pack as pack_state
+from pcs_racing_agents.learning.ppo.plain_state import unpack as unpack_state
+from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.networks.driver import read_driver, save_driver
+from pcs_racing_agents.networks.layers import Layers
+from pcs_racing_agents.networks.network_files import read_network
+from pcs_racing_agents.networks.network_files import shipped_folder as networks_folder
+from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.study.cell_races import read_races
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.report_inputs import read_curves, read_losses
@@ -65,7 +71,8 @@ from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.tournament.play import plan_tournament, tournament_settings
 from pcs_racing_agents.tournament.result_lines import read_lines
 from pcs_racing_agents.trees import build_ego_trees, build_trees, ego_values, load_ego_trees, load_trees
-from pcs_racing_agents.viewing.race_columns import packed_columns, race_columns
+from pcs_racing_agents.view.contests import open_results
+from pcs_racing_agents.view.race_columns import packed_columns, race_columns
 
 __all__ = ["GROUPS", "TARGETS", "Target"]
 
@@ -176,7 +183,7 @@ def some_network() -> Path:
 @cache
 def some_driver() -> Path:
     rng = np.random.default_rng(0)
-    from pcs_racing_agents.ppo.driver import INPUTS
+    from pcs_racing_agents.networks.driver import INPUTS
 
     sizes = (len(INPUTS), 4, 2)
     layers = Layers(

@@ -22,7 +22,7 @@ from typing import IO
 
 import numpy as np
 
-from pcs_racing_agents.chunk_files import read_chunk
+from pcs_racing_agents.jobs.chunk_files import read_chunk
 
 PATIENCE = 120.0  # s, for a cluster to start
 TIMES = re.compile(rb"<h3>Time, s</h3>.*?</table>", re.DOTALL)  # in the report
@@ -35,7 +35,7 @@ def say(text: str) -> None:
 
 def study(name: str, folder: Path, options: Sequence[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
     """Start the command."""
-    command = [sys.executable, "-m", "pcs_racing_agents.cli", "study", name, "--out", str(folder), *options]
+    command = [sys.executable, "-m", "pcs_racing_agents", "study", name, "--out", str(folder), *options]
     say("pcs-racing " + " ".join(command[3:]))
     return subprocess.Popen(command, stdout=log, stderr=log)
 

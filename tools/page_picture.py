@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests/pcs_racing_agents/viewing"))
+sys.path.insert(0, str(ROOT / "tests/pcs_racing_agents/view"))
 
 
 def main() -> None:

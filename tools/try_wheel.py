@@ -27,12 +27,12 @@ INSIDE = (
     "pcs_racing_agents/py.typed",
     "pcs_racing_agents/configs/study_quick.yaml",
     "pcs_racing_agents/shipped_networks/default-paper-regret/weights.safetensors",
-    "pcs_racing_agents/strategies/fits/default-paper-best-fixed.yaml",
+    "pcs_racing_agents/agents/fits/default-paper-best-fixed.yaml",
     "pcs_racing_agents/study/report.html",
 )
 WHERE = """
 import importlib.util, pcs_racing, pcs_racing_agents
-from pcs_racing_agents.approximator import list_networks
+from pcs_racing_agents.networks import list_networks
 print(pcs_racing.__file__)
 print(len(pcs_racing.list_tracks()), "circuits,", len(pcs_racing.list_archives()), "archives,",
       len(list_networks()), "networks,", len(pcs_racing_agents.names()), "agents")
@@ -132,7 +132,7 @@ def try_base(environment: Environment, wheel: Path) -> None:
     if told.strip().splitlines()[-1].split()[2:] != list(NOT_IN_BASE):
         sys.exit("the base installation brought something along that it should not")
     bare = environment.seconds("pass")
-    environment.run("python", "-c", "import pcs_racing, pcs_racing_agents.cli")  # writes the bytecode
+    environment.run("python", "-c", "import pcs_racing, pcs_racing_agents.cli.main")  # writes the bytecode
     print("beyond those of an empty program:")
     for package in ("numpy", "numba", "gymnasium, pettingzoo", "pcs_racing", "pcs_racing_agents"):
         print(f"import {package}: {environment.seconds(f'import {package}') - bare:.2f} s of processor time")

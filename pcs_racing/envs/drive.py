@@ -10,12 +10,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive_batch import EXTERNAL, DriveBatch, DriveOptions, Element, Opponent
-from pcs_racing.errors import InputError
-from pcs_racing.race_config import RaceConfig
-from pcs_racing.race_state import RaceState
-from pcs_racing.rendering import MODES, VIEWS, Renderer
-from pcs_racing.track import Track
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.rendering import MODES, VIEWS, Renderer
+from pcs_racing.race.state import RaceState
+from pcs_racing.track.track import Track
 
 __all__ = ["EXTERNAL", "DriveEnv", "DriveState"]
 

@@ -9,20 +9,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.compilation import announce_compilation
-from pcs_racing.driving import default_threads, pad_parameters
+from pcs_racing.base.compilation import announce_compilation
+from pcs_racing.base.errors import InputError
+from pcs_racing.car.lidar import MOST_BEAMS, WORK_SHAPE, Beams, Lidar
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive_kernel import observe_races, restart, set_commands, step_races
-from pcs_racing.errors import InputError
-from pcs_racing.lidar import MOST_BEAMS, WORK_SHAPE, Beams, Lidar
-from pcs_racing.planner import COMMAND_SLOTS, Planner, Policy, hold_command, leave_path
-from pcs_racing.race import RaceSetup, advance, start_lines, start_races
-from pcs_racing.race_config import RaceConfig, load_race_config
-from pcs_racing.race_kernel import CONTROL_EVERY, DT, WORK_SIZE
-from pcs_racing.race_state import RaceState, take
-from pcs_racing.registry import parse_policy
-from pcs_racing.start_grid import Starts
-from pcs_racing.track import Track, load_track
-from pcs_racing.vehicle import F1TENTH
+from pcs_racing.planners.planner import COMMAND_SLOTS, Planner, Policy, hold_command, leave_path
+from pcs_racing.planners.registry import parse_policy
+from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.race.driving import default_threads, pad_parameters
+from pcs_racing.race.kernel import CONTROL_EVERY, DT, WORK_SIZE
+from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import RaceState, take
+from pcs_racing.track.track import Track, load_track
 
 __all__ = ["EXTERNAL", "DriveBatch", "DriveOptions", "Element", "Opponent", "check_batch", "drive_elements"]
 

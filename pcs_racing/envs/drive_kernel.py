@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from pcs_racing import race_state as _state
-from pcs_racing import vehicle as _vehicle
-from pcs_racing.collision import car_hits_wall
-from pcs_racing.compilation import compiled, kernel
-from pcs_racing.elementary import sine_cosine
-from pcs_racing.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
-from pcs_racing.lidar_kernel import scan_into
-from pcs_racing.race_kernel import CONTROL_EVERY, DT, advance_races, steering_noise
+from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.collision import car_hits_wall
+from pcs_racing.car.lidar_kernel import scan_into
+from pcs_racing.race import state as _state
+from pcs_racing.race.kernel import CONTROL_EVERY, DT, advance_races, steering_noise
+from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
 
 __all__ = [
     "OWN_ELEMENTS",
@@ -32,7 +32,7 @@ _LIDAR_KEY = np.uint64(0x5851F42D4C957F2D)
 def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type: ignore[no-untyped-def]
     """Advance car 0 of races ``first`` to ``last - 1`` by ``ticks`` steps, as if no other car were there.
 
-    The same steps at the same times as in :func:`pcs_racing.race_kernel.advance_races`, for a car that drives as the
+    The same steps at the same times as in :func:`pcs_racing.race.kernel.advance_races`, for a car that drives as the
     first two numbers of its memory say. Car 1 stays where it is, and nothing is summed up for characteristics.
     """
     keep = settings.noise_keep
@@ -264,7 +264,7 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
     Parameters
     ----------
     track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks
-        As in :func:`pcs_racing.race_kernel.advance_races`.
+        As in :func:`pcs_racing.race.kernel.advance_races`.
     actions : ndarray, shape (B, 2)
         Steering and speed, clipped to [-1, 1].
     limits : tuple of float

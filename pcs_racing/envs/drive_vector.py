@@ -10,12 +10,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive import check_rendering, draw_race
 from pcs_racing.envs.drive_batch import DriveBatch, DriveOptions, Element
-from pcs_racing.errors import InputError
-from pcs_racing.race_state import RaceState
-from pcs_racing.rendering import MODES, Renderer
-from pcs_racing.track import Track
+from pcs_racing.race.rendering import MODES, Renderer
+from pcs_racing.race.state import RaceState
+from pcs_racing.track.track import Track
 
 __all__ = ["DriveVectorEnv", "DriveVectorState", "renewed_generators", "split_seeds"]
 

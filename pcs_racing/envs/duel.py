@@ -8,17 +8,17 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from pcs_racing.archive import PolicyArchive
+from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive import check_rendering, checked_seed
 from pcs_racing.envs.duel_batch import DuelBatch
 from pcs_racing.envs.duel_vector import DuelVectorEnv
 from pcs_racing.envs.opponents import Opponent
-from pcs_racing.errors import InputError
-from pcs_racing.game import ObservationElement, RaceGame
-from pcs_racing.game_config import GameConfig
-from pcs_racing.race_config import RaceConfig
-from pcs_racing.rendering import MODES, Renderer
-from pcs_racing.track import Track
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.game import ObservationElement, RaceGame
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.rendering import MODES, Renderer
+from pcs_racing.track.track import Track
 
 __all__ = ["DuelEnv", "DuelState", "DuelVectorEnv"]
 
@@ -67,7 +67,7 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
     ## Rewards
 
     0 until the game ends; then the utility: by default the own lead in m, and 0 after a crash. ``utility``,
-    ``fault_penalty`` and ``discount`` change it (:class:`pcs_racing.game_config.GameConfig`).
+    ``fault_penalty`` and ``discount`` change it (:class:`pcs_racing.game.config.GameConfig`).
 
     ## Starting State
 
@@ -103,7 +103,7 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
     view : {"track", "both", "car_0", "car_1"}
         What a frame shows.
     **settings
-        Fields of :class:`pcs_racing.game_config.GameConfig`: ``moves``, ``step_seconds``, ``epsilon``, ``stay``...
+        Fields of :class:`pcs_racing.game.config.GameConfig`: ``moves``, ``step_seconds``, ``epsilon``, ``stay``...
 
     Raises
     ------

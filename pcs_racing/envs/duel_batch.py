@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.archive import PolicyArchive, load_archive
+from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive_batch import check_batch
 from pcs_racing.envs.opponents import NEVER_SWITCH, Opponent, as_array, checked_move, choose, parse_opponents
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame, make_game, with_opponent
-from pcs_racing.game_config import GameConfig
-from pcs_racing.game_state import GameState, put_games
-from pcs_racing.planner import Policy
-from pcs_racing.race_config import RaceConfig
-from pcs_racing.registry import get_planner
-from pcs_racing.track import Track
+from pcs_racing.game.archive import PolicyArchive, load_archive
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.game import RaceGame, make_game, with_opponent
+from pcs_racing.game.state import GameState, put_games
+from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.registry import get_planner
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.track.track import Track
 
 __all__ = ["DuelBatch"]
 
@@ -33,7 +33,7 @@ class DuelBatch:
     games : int
         How many.
     track, archive, race, **settings
-        As in :func:`pcs_racing.game.make_game`.
+        As in :func:`pcs_racing.game.game.make_game`.
     opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
         None where a second agent moves car 1.
     deterministic_opponent : bool

@@ -10,14 +10,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from pcs_racing.archive import PolicyArchive
+from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive_vector import Step, renewed_generators, with_masks
 from pcs_racing.envs.duel_batch import DuelBatch
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame
-from pcs_racing.game_config import GameConfig
-from pcs_racing.race_config import RaceConfig
-from pcs_racing.track import Track
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.game import RaceGame
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.track.track import Track
 
 __all__ = ["DuelVectorEnv", "DuelVectorState", "SelfPlayVectorEnv"]
 

@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.archive import PolicyArchive
+from pcs_racing.base.errors import InputError
 from pcs_racing.envs.opponents import as_array
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame, make_game
-from pcs_racing.game_config import GameConfig
-from pcs_racing.game_state import GameState, empty_game
-from pcs_racing.race import advance
-from pcs_racing.race_config import RaceConfig
-from pcs_racing.race_state import CAR_CRASH, WALL_CRASH
-from pcs_racing.rendering import MODES, VIEWS, Renderer
-from pcs_racing.start_grid import Starts
-from pcs_racing.track import Track
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.game import RaceGame, make_game
+from pcs_racing.game.state import GameState, empty_game
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.races import advance
+from pcs_racing.race.rendering import MODES, VIEWS, Renderer
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import CAR_CRASH, WALL_CRASH
+from pcs_racing.track.track import Track
 
 __all__ = ["AGENTS", "HeadToHeadEnv", "HeadToHeadState", "env", "parallel_env"]
 
@@ -136,8 +136,8 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     ## Vectorized environment
 
-    `pcs_racing.game.RaceGame` plays any number of games at once, with the same rules: this environment is a batch of
-    one. `gymnasium.make_vec("pcs_racing/Duel-v1", num_envs=256)` is the single-agent view of such a batch.
+    `pcs_racing.game.game.RaceGame` plays any number of games at once, with the same rules: this environment is a batch
+    of one. `gymnasium.make_vec("pcs_racing/Duel-v1", num_envs=256)` is the single-agent view of such a batch.
 
     ## Version History
 

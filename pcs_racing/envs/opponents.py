@@ -7,9 +7,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError, UnknownNameError
-from pcs_racing.planner import Policy
-from pcs_racing.registry import parse_policy, planner_names
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.registry import parse_policy, planner_names
 
 __all__ = ["NEVER_SWITCH", "RANDOM_MOVES", "Opponent", "Predictor", "parse_opponents"]
 

@@ -11,9 +11,9 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.envs.drive_vector import DriveVectorEnv
 from pcs_racing.envs.duel_vector import DuelVectorEnv, SelfPlayVectorEnv
-from pcs_racing.errors import InputError, UnknownNameError
 
 try:
     from stable_baselines3.common.monitor import Monitor

@@ -14,11 +14,11 @@ References
 
 import numpy as np
 
-from pcs_racing import planner as _view
-from pcs_racing.compilation import compiled
-from pcs_racing.elementary import arcsine, sine_cosine, tangent
-from pcs_racing.lidar import WORK_SHAPE, Beams, scan_into
-from pcs_racing.planner import PATH_POINTS, Parameter, Planner
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import arcsine, sine_cosine, tangent
+from pcs_racing.car.lidar import WORK_SHAPE, Beams, scan_into
+from pcs_racing.planners import planner as _view
+from pcs_racing.planners.planner import PATH_POINTS, Parameter, Planner
 
 __all__ = ["BEAMS", "FIELD_OF_VIEW", "GAP_FOLLOWER"]
 

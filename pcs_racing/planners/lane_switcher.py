@@ -14,12 +14,10 @@ added to the steering. The farthest look-ahead is 1.3 m instead of 2.0 m, and th
 wall instead of 0.3 m: race lines with 0.15 m of air leave little room for cutting corners.
 """
 
-from pcs_racing import frenet as _frenet
-from pcs_racing import planner as _view
-from pcs_racing.compilation import compiled
-from pcs_racing.elementary import sine_cosine
-from pcs_racing.frenet import project, to_cartesian
-from pcs_racing.planner import PATH_POINTS, Parameter, Planner, calm_speed
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.planners import planner as _view
+from pcs_racing.planners.planner import PATH_POINTS, Parameter, Planner, calm_speed
 from pcs_racing.planners.pure_pursuit import (
     FOLLOW_GAIN,
     IN_THE_WAY,
@@ -30,6 +28,8 @@ from pcs_racing.planners.pure_pursuit import (
     side_air,
     within_walls,
 )
+from pcs_racing.track import frenet as _frenet
+from pcs_racing.track.frenet import project, to_cartesian
 
 __all__ = ["LANE_SWITCHER", "lane_offset"]
 

@@ -10,14 +10,14 @@ policy. Of two cars side by side the one ahead has the right of way; the other o
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing import frenet as _frenet
-from pcs_racing import planner as _view
-from pcs_racing.compilation import kernel
-from pcs_racing.elementary import sine_cosine, tangent
-from pcs_racing.frenet import angle_between, offset
-from pcs_racing.planner import PATH_POINTS, Parameter, Planner
+from pcs_racing.base.compilation import kernel
+from pcs_racing.base.elementary import sine_cosine, tangent
+from pcs_racing.planners import planner as _view
 from pcs_racing.planners import spiral
+from pcs_racing.planners.planner import PATH_POINTS, Parameter, Planner
 from pcs_racing.planners.spiral import SEGMENTS, sample_spirals, solve_spirals, spiral_curvature
+from pcs_racing.track import frenet as _frenet
+from pcs_racing.track.frenet import angle_between, offset
 
 __all__ = ["LATTICE"]
 

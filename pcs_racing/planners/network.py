@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing import frenet as _frenet
-from pcs_racing import planner as _view
-from pcs_racing.compilation import compiled
-from pcs_racing.elementary import hyperbolic_tangent
-from pcs_racing.errors import InputError
-from pcs_racing.frenet import angle_between
-from pcs_racing.planner import Parameter, Planner
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import hyperbolic_tangent
+from pcs_racing.base.errors import InputError
+from pcs_racing.planners import planner as _view
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
+from pcs_racing.track import frenet as _frenet
+from pcs_racing.track.frenet import angle_between
 
 __all__ = [
     "INPUTS",

@@ -12,12 +12,12 @@ References
 
 import numpy as np
 
-from pcs_racing import frenet as _frenet
-from pcs_racing import planner as _view
-from pcs_racing.compilation import compiled
-from pcs_racing.elementary import tangent
-from pcs_racing.frenet import angle_between, to_cartesian, wrap_s
-from pcs_racing.planner import PATH_POINTS, Parameter, Planner
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import tangent
+from pcs_racing.planners import planner as _view
+from pcs_racing.planners.planner import PATH_POINTS, Parameter, Planner
+from pcs_racing.track import frenet as _frenet
+from pcs_racing.track.frenet import angle_between, to_cartesian, wrap_s
 
 __all__ = ["PURE_PURSUIT", "gap_ahead", "gives_way", "line_index", "side_air", "within_walls"]
 

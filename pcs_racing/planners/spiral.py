@@ -16,8 +16,8 @@ References
 
 import numpy as np
 
-from pcs_racing.compilation import kernel
-from pcs_racing.elementary import sine_cosine
+from pcs_racing.base.compilation import kernel
+from pcs_racing.base.elementary import sine_cosine
 
 __all__ = ["SEGMENTS", "SPIRALS", "heading_basis", "sample_spirals", "solve_spirals", "spiral_curvature"]
 

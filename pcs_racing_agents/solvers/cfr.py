@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.compilation import announce_compilation
-from pcs_racing.errors import InputError, UnknownNameError
+from pcs_racing.base.compilation import announce_compilation
+from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.solvers.cfr_kernels import Layout, State, initial_state, iterate, node_order, tree_layout
 from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.compilation import compiled, kernel
+from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
 
 __all__ = ["Layout", "State", "initial_state", "iterate", "node_order", "tree_layout"]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.errors import UnknownNameError
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.solvers.cfr import VARIANTS, cfr
 from pcs_racing_agents.solvers.evaluation import Profile, exploitability, reach_probabilities
 from pcs_racing_agents.solvers.exact import ExactResult, solve_exact

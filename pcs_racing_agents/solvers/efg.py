@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing.errors import InputError
-from pcs_racing.files import write_atomically
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.solvers.game_tree import GameTree
 
 __all__ = ["efg_text", "infoset_name", "write_efg"]

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 
 __all__ = ["Floats", "GameTree", "Integers"]
 

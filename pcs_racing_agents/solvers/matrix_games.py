@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.compilation import announce_compilation, compiled, kernel
-from pcs_racing.errors import InputError
+from pcs_racing.base.compilation import announce_compilation, compiled, kernel
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.game_tree import Floats
 from pcs_racing_agents.solvers.rational_games import solve_rationally
 

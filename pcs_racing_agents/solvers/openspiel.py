@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.efg import efg_text
 from pcs_racing_agents.solvers.evaluation import Profile, check_profile
 from pcs_racing_agents.solvers.game_tree import GameTree

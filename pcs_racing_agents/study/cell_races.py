@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing_agents.csv_files import read_csv
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.tournament.cells import Cell
 from pcs_racing_agents.tournament.statistics import score
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from pcs_racing.files import write_atomically
+from pcs_racing.base.files import write_atomically
 
 __all__ = ["seconds_counted"]
 

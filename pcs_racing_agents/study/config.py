@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pcs_racing.archive import list_archives
-from pcs_racing.errors import ConfigError
-from pcs_racing.game_config import GameConfig, load_game_config
-from pcs_racing.race_config import load_race_config
-from pcs_racing_agents.approximator.targets import get_target
-from pcs_racing_agents.configuration import check_wholes, load_settings
-from pcs_racing_agents.ppo.settings import load_ppo_settings
-from pcs_racing_agents.rollouts.learner import load_response_settings
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.game.archive import list_archives
+from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.race.config import load_race_config
+from pcs_racing_agents.jobs.configuration import check_wholes, load_settings
+from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.networks.targets import get_target
 from pcs_racing_agents.synthesis.config import load_archive_config
 
 __all__ = ["BEST_BLIND", "StudyConfig", "load_study_config"]
@@ -50,7 +50,7 @@ class StudyConfig:
     targets : tuple of str
         What networks are trained to say, in this order.
     responses : tuple of str
-        Settings of the answers to learn: names of :class:`pcs_racing_agents.rollouts.ResponseSettings`.
+        Settings of the answers to learn: names of :class:`pcs_racing_agents.learning.responses.ResponseSettings`.
     response_pool : tuple of str
         Opponents that answers are learned against.
     fitting_games : int

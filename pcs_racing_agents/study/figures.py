@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.errors import InputError
-from pcs_racing_agents.picture_style import (
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.pictures.style import (
     COLOURS,
     INK,
     SOFT,

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game import RaceGame
-from pcs_racing.replay import Replay
-from pcs_racing_agents.explaining.explain import explain_match
-from pcs_racing_agents.explaining.words import story
-from pcs_racing_agents.strategies.agent import Competitor
+from pcs_racing.game.game import RaceGame
+from pcs_racing.race.replay import Replay
+from pcs_racing_agents.agents.agent import Competitor
+from pcs_racing_agents.explain.explain import explain_match
+from pcs_racing_agents.explain.words import story
 from pcs_racing_agents.tournament.cells import Cell
 
 __all__ = ["KINDS", "TellingRace", "Watched", "telling_races", "watch_race"]
@@ -28,7 +28,7 @@ class Watched(NamedTuple):
         What happened, in words; may be empty.
     replay : Replay
     picture : bytes
-        The moves, as :func:`pcs_racing_agents.explaining.pictures.explanation_picture` draws them, SVG; may be empty.
+        The moves, as :func:`pcs_racing_agents.explain.pictures.explanation_picture` draws them, SVG; may be empty.
     """
 
     title: str
@@ -132,8 +132,8 @@ def watch_race(
     )
     picture = b""
     if find_spec("matplotlib") is not None:
-        from pcs_racing_agents.explaining.pictures import explanation_picture
-        from pcs_racing_agents.picture_style import picture_bytes
+        from pcs_racing_agents.explain.pictures import explanation_picture
+        from pcs_racing_agents.pictures.style import picture_bytes
 
         picture = picture_bytes(explanation_picture(explanation))
     return Watched(title, story(explanation), explanation.replay, picture)

@@ -89,8 +89,8 @@ def drawn(name: str, caption: str, *arguments: Any, **options: Any) -> Iterator[
     if find_spec("matplotlib") is None:
         yield f'<p class="note">{html.escape(caption)} Not drawn: matplotlib is not installed.</p>'
         return
-    from pcs_racing_agents.explaining import pcs_picture, situations
-    from pcs_racing_agents.picture_style import picture_bytes
+    from pcs_racing_agents.explain import pcs_picture, situations
+    from pcs_racing_agents.pictures.style import picture_bytes
     from pcs_racing_agents.study import figures
 
     place = {"archive_picture": pcs_picture, "situations_picture": situations}.get(name, figures)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game import RaceGame
-from pcs_racing.start_grid import Starts
-from pcs_racing_agents.chunk_files import fingerprint
-from pcs_racing_agents.explaining.explain import is_blind
-from pcs_racing_agents.explaining.situations import Situations, summarise, write_situations
-from pcs_racing_agents.jobs import open_job
-from pcs_racing_agents.strategies.agent import Agent, Competitor, competitor_hash
+from pcs_racing.game.game import RaceGame
+from pcs_racing.race.start_grid import Starts
+from pcs_racing_agents.agents.agent import Agent, Competitor, competitor_hash
+from pcs_racing_agents.explain.explain import is_blind
+from pcs_racing_agents.explain.situations import Situations, summarise, write_situations
+from pcs_racing_agents.jobs.chunk_files import fingerprint
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.study.racing import StudyCell
 from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.tournament.matches import play_games

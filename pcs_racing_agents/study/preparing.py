@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.approximator.identity import GameIdentity
-from pcs_racing_agents.approximator.network_files import load_network
-from pcs_racing_agents.approximator.settings import TrainSettings, load_train_settings
-from pcs_racing_agents.configuration import plain_settings
-from pcs_racing_agents.jobs import Progress, open_job, run_parts
-from pcs_racing_agents.rollouts.learner import learn_response, load_response_settings
-from pcs_racing_agents.strategies.fits import save_fit
+from pcs_racing_agents.agents.fits import save_fit
+from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.jobs import Progress, open_job, run_parts
+from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes
+from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
+from pcs_racing_agents.networks.identity import GameIdentity
+from pcs_racing_agents.networks.network_files import load_network
+from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.synthesis.diverse import select_diverse
-from pcs_racing_agents.tasks import completed, each, in_other_processes
 from pcs_racing_agents.trees.storage import StoredTrees, load_trees, open_trees
 from pcs_racing_agents.trees.tree import RaceTree
 
 if TYPE_CHECKING:
-    from pcs_racing_agents.approximator.from_trees import Trained
+    from pcs_racing_agents.networks.from_trees import Trained
 
 __all__ = [
     "choose_blind",
@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 # Added to the study's seed: other start policies and other noise than in the races of the tables. Which start places
-# training and tables may draw from is decided in pcs_racing.race.start_lines.
+# training and tables may draw from is decided in pcs_racing.race.races.start_lines.
 TREE_SEED = 1_000_000
 FITTING_SEED = 2_000_000
 RESPONSE_SEED = 3_000_000
@@ -103,8 +103,8 @@ def stored_trees(study: Study) -> list[StoredTrees]:
 
 def train_networks(study: Study) -> None:
     """Train a network for every target, side by side where there are processes; all have the same trees held out."""
-    from pcs_racing_agents.approximator.curves import write_curves
-    from pcs_racing_agents.approximator.from_trees import trees_identity
+    from pcs_racing_agents.networks.curves import write_curves
+    from pcs_racing_agents.networks.from_trees import trees_identity
 
     config = study.config
     missing = [name for name in config.targets if not (study.network(name) / "learning_curves.csv").is_file()]
@@ -152,7 +152,7 @@ class _Training:
     progress: Callable[[str], Progress | None] | None
 
     def __call__(self, settings: TrainSettings) -> "Trained":
-        from pcs_racing_agents.approximator.from_trees import train_on_trees
+        from pcs_racing_agents.networks.from_trees import train_on_trees
 
         places = [(trees, i) for trees in self.trees for i in range(len(trees))]
         return train_on_trees(
@@ -223,9 +223,9 @@ def train_ppo_baseline(study: Study) -> None:
     config = study.config
     if config.ppo is None:
         return
-    from pcs_racing_agents.ppo.curves import write_curve
-    from pcs_racing_agents.ppo.settings import load_ppo_settings
-    from pcs_racing_agents.ppo.train import train_ppo
+    from pcs_racing_agents.learning.ppo.curves import write_curve
+    from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+    from pcs_racing_agents.learning.ppo.train import train_ppo
 
     settings = load_ppo_settings(config.ppo, tracks=config.circuits)
     trained = train_ppo(

@@ -11,16 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.files import write_atomically
-from pcs_racing.game import RaceGame
-from pcs_racing.start_grid import Starts
-from pcs_racing_agents.approximator.metrics import Play, TreeScore, score_trees
-from pcs_racing_agents.jobs import open_job
-from pcs_racing_agents.strategies.agent import Agent
-from pcs_racing_agents.strategies.fits import save_fit
+from pcs_racing.base.files import write_atomically
+from pcs_racing.game.game import RaceGame
+from pcs_racing.race.start_grid import Starts
+from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.fits import save_fit
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.tasks import Work, completed
+from pcs_racing_agents.networks.metrics import Play, TreeScore, score_trees
 from pcs_racing_agents.study.preparing import play_on_circuits, stored_trees
 from pcs_racing_agents.study.run import Study
-from pcs_racing_agents.tasks import Work, completed
 from pcs_racing_agents.tournament.best_reply import best_reply
 from pcs_racing_agents.tournament.cells import Cell, plan_cell, play_cells
 from pcs_racing_agents.trees.storage import StoredTrees

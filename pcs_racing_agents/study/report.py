@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcs_racing.archive import PolicyArchive
-from pcs_racing.files import write_atomically
-from pcs_racing.replay import replay_page
-from pcs_racing_agents.explaining.situations import Situations, situations_text
+from pcs_racing.base.files import write_atomically
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.race.replay import replay_page
+from pcs_racing_agents.explain.situations import Situations, situations_text
 from pcs_racing_agents.study.highlights import Watched
 from pcs_racing_agents.study.markup import drawn, facts, image, overview, table_of
 from pcs_racing_agents.study.report_inputs import Curve, TreeLoss, mean_losses, mean_scores, places_of

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing_agents.csv_files import read_csv
-from pcs_racing_agents.job_folders import package_version
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.jobs.folders import package_version
+from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study.table import StudyTable
 
 __all__ = [

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing.errors import InputError
-from pcs_racing.files import write_atomically
-from pcs_racing_agents.configuration import plain_settings
-from pcs_racing_agents.csv_files import read_csv
-from pcs_racing_agents.ppo.curves import read_curve
-from pcs_racing_agents.strategies.fits import load_fit
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.agents.fits import load_fit
+from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.learning.ppo.curves import read_curve
+from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study.cell_races import cell_races
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.highlights import KINDS, TellingRace, telling_races, watch_race

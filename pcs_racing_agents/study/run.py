@@ -15,20 +15,20 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from pcs_racing.archive import PolicyArchive, load_archive
-from pcs_racing.errors import InputError, UnknownNameError
-from pcs_racing.files import write_atomically
-from pcs_racing.game import RaceGame, make_game
-from pcs_racing.mapping.optional import require
-from pcs_racing.reading import parse_yaml
-from pcs_racing.track import Track, load_track
-from pcs_racing_agents.configuration import plain_settings
-from pcs_racing_agents.job_folders import claim_folder
-from pcs_racing_agents.jobs import Progress, show_progress
-from pcs_racing_agents.ppo.learner import check_packages
-from pcs_racing_agents.strategies.agent import Agent, Competitor
-from pcs_racing_agents.strategies.setting import Setting, make_setting
-from pcs_racing_agents.strategies.zoo import build
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.optional import require
+from pcs_racing.base.reading import parse_yaml
+from pcs_racing.game.archive import PolicyArchive, load_archive
+from pcs_racing.game.game import RaceGame, make_game
+from pcs_racing.track.track import Track, load_track
+from pcs_racing_agents.agents.agent import Agent, Competitor
+from pcs_racing_agents.agents.setting import Setting, make_setting
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.folders import claim_folder
+from pcs_racing_agents.jobs.jobs import Progress, show_progress
+from pcs_racing_agents.learning.ppo.learner import check_packages
 from pcs_racing_agents.study.clock import seconds_counted
 from pcs_racing_agents.study.config import BEST_BLIND, StudyConfig
 from pcs_racing_agents.synthesis.config import load_archive_config
@@ -187,7 +187,7 @@ def run_study(
     only : sequence of str, optional
         Stages to run; each needs what the earlier ones left. All by default.
     executor : Executor, optional
-        Where its jobs run (:func:`pcs_racing_agents.jobs.make_executor`). It does not change the results.
+        Where its jobs run (:func:`pcs_racing_agents.jobs.jobs.make_executor`). It does not change the results.
     quiet : bool
         Show no progress.
 

@@ -3,7 +3,7 @@
     pcs-racing study paper --out out/paper
     python -m pcs_racing_agents.study.ship paper out/paper .
 
-The last argument is a checkout; networks go to ``networks/``, choices to ``pcs_racing_agents/strategies/fits/``.
+The last argument is a checkout; networks go to ``networks/``, choices to ``pcs_racing_agents/agents/fits/``.
 """
 
 import argparse
@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pcs_racing.errors import InputError
-from pcs_racing_agents.approximator import load_network
-from pcs_racing_agents.strategies.fits import load_fit, save_fit
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.agents.fits import load_fit, save_fit
+from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.run import Study
 

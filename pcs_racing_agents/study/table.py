@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.study.cell_races import CellRaces, Key, Labels
 from pcs_racing_agents.tournament.statistics import Comparison, clustered_mean, compare, holm, match_units
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing.files import write_atomically
+from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
 
 __all__ = [

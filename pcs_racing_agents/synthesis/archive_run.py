@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.archive import PolicyArchive
-from pcs_racing.errors import InputError
-from pcs_racing.planner import Planner
-from pcs_racing.registry import get_planner
-from pcs_racing.track import load_track
-from pcs_racing_agents.chunk_files import Arrays
-from pcs_racing_agents.configuration import plain_settings
-from pcs_racing_agents.job_folders import clear_half_written
-from pcs_racing_agents.jobs import open_job
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.registry import get_planner
+from pcs_racing.track.track import load_track
+from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.folders import clear_half_written
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.synthesis.archive_report import write_archive
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveSearch, News, Told
 from pcs_racing_agents.synthesis.config import ArchiveConfig
@@ -52,7 +52,7 @@ def make_archive(
     folder : str or Path
         A new or empty folder, or one in which the same synthesis was begun.
     executor : Executor, optional
-        Where policies race (:func:`pcs_racing_agents.jobs.make_executor`). It has no influence on the result.
+        Where policies race (:func:`pcs_racing_agents.jobs.jobs.make_executor`). It has no influence on the result.
     told : callable, optional
         Called with the news as they come.
 

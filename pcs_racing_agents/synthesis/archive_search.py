@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.planner import Planner
-from pcs_racing_agents.chunk_files import Arrays
-from pcs_racing_agents.jobs import Job
+from pcs_racing.base.errors import InputError
+from pcs_racing.planners.planner import Planner
+from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.diverse import greedy_map, similarity
 from pcs_racing_agents.synthesis.evaluate import Evaluation, Scenarios, blocks, join, race_here, summarise

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.characteristics import get_characteristics
-from pcs_racing.errors import ConfigError
-from pcs_racing.race_config import RaceConfig, load_race_config
-from pcs_racing.registry import get_planner
-from pcs_racing_agents.configuration import check_numbers, check_wholes, load_settings, shipped_configs
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.planners.registry import get_planner
+from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing_agents.jobs.configuration import check_numbers, check_wholes, load_settings, shipped_configs
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS
 from pcs_racing_agents.synthesis.optimisers import METHODS
 

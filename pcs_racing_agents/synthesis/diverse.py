@@ -8,8 +8,8 @@ point processes for machine learning, 2012).
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.archive import PolicyArchive
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
 
 __all__ = ["METHODS", "greedy_map", "log_elementary_symmetric", "sample_kdpp", "select_diverse", "similarity"]
 

@@ -15,15 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.characteristics import Segment, get_characteristics, measure
-from pcs_racing.errors import InputError
-from pcs_racing.race import RaceSetup, advance, start_lines, start_races, winners
-from pcs_racing.race_config import RaceConfig
-from pcs_racing.registry import get_planner
-from pcs_racing.seeds import race_seeds
-from pcs_racing.start_grid import Starts
-from pcs_racing.track import Track, load_track
-from pcs_racing_agents.chunk_files import Arrays
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.characteristics import Segment, get_characteristics, measure
+from pcs_racing.planners.registry import get_planner
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.track import Track, load_track
+from pcs_racing_agents.jobs.chunk_files import Arrays
 
 __all__ = ["Block", "Evaluation", "Scenarios", "blocks", "draw_scenarios", "evaluate", "race_block", "summarise"]
 

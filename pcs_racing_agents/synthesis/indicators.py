@@ -8,8 +8,8 @@ brings moocore, which computes it exactly.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.mapping.optional import require
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.optional import require
 
 __all__ = [
     "contributions",

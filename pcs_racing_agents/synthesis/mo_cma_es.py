@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.mapping.optional import require
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.optional import require
 from pcs_racing_agents.synthesis.explored import Explored, Scale
 from pcs_racing_agents.synthesis.indicators import (
     contributions,

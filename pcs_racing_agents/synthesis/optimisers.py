@@ -19,8 +19,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError, UnknownNameError
-from pcs_racing.mapping.optional import require
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.optional import require
 from pcs_racing_agents.synthesis.explored import Explored, Scale
 from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, Setting, cma_options, middle_of_the_best
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.synthesis.explored import Explored, Scale
 from pcs_racing_agents.synthesis.indicators import contributions, hypervolume
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS, Setting

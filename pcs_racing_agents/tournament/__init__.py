@@ -1,6 +1,6 @@
 """Competitors against each other: match play, tournaments, the cells of a study, tables and result files."""
 
-from pcs_racing_agents.jobs import show_progress
+from pcs_racing_agents.jobs.jobs import show_progress
 from pcs_racing_agents.tournament.matches import Matches, play_games
 from pcs_racing_agents.tournament.play import (
     Tournament,

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame, take_games
-from pcs_racing.start_grid import Starts
-from pcs_racing_agents.strategies.agent import Competitor, Driver
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.game import RaceGame, take_games
+from pcs_racing.race.start_grid import Starts
+from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.tournament.matches import game_between, moves_of
 
 __all__ = ["Replies", "best_reply"]

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame
-from pcs_racing.planner import Policy
-from pcs_racing.race import start_lines
-from pcs_racing.seeds import race_seeds
-from pcs_racing.start_grid import Starts
-from pcs_racing_agents.jobs import Job, Progress
-from pcs_racing_agents.strategies.agent import Competitor, as_competitor
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.game import RaceGame
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.races import start_lines
+from pcs_racing.race.start_grid import Starts
+from pcs_racing_agents.agents.agent import Competitor, as_competitor
+from pcs_racing_agents.jobs.jobs import Job, Progress
 from pcs_racing_agents.tournament.matches import Matches, game_between, variant_count
 from pcs_racing_agents.tournament.rows import RaceRow, pair_races
 from pcs_racing_agents.tournament.runner import Pairing, each_pairing

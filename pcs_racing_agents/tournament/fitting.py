@@ -1,7 +1,7 @@
 """The best that can be done without looking at the race, and the best mixture of agents: chosen on training races.
 
 Every candidate drives the same training races (common random numbers), so that the choice is between candidates and
-not between their luck. What is found is a :class:`pcs_racing_agents.strategies.fits.Fit`, a small file that the agents
+not between their luck. What is found is a :class:`pcs_racing_agents.agents.fits.Fit`, a small file that the agents
 "best-schedule", "best-fixed" and "psro" follow.
 """
 
@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame
-from pcs_racing.track import Track
-from pcs_racing_agents.jobs import Job, Progress
-from pcs_racing_agents.strategies.agent import Agent, Competitor
-from pcs_racing_agents.strategies.agents import best_fixed, best_schedule
-from pcs_racing_agents.strategies.fits import Fit, make_fit
-from pcs_racing_agents.strategies.setting import Setting
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.game import RaceGame
+from pcs_racing.track.track import Track
+from pcs_racing_agents.agents.agent import Agent, Competitor
+from pcs_racing_agents.agents.agents import best_fixed, best_schedule
+from pcs_racing_agents.agents.fits import Fit, make_fit
+from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.jobs.jobs import Job, Progress
 from pcs_racing_agents.tournament.matches import Matches, variant_count
 from pcs_racing_agents.tournament.runner import Pairing, play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule

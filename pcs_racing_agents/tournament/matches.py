@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame, take_games
-from pcs_racing.game_state import GameState
-from pcs_racing.planner import Policy
-from pcs_racing.race_kernel import DT
-from pcs_racing.start_grid import Starts
-from pcs_racing_agents.strategies.agent import Agent, Competitor, Decider, Driver, as_competitor
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.game import RaceGame, take_games
+from pcs_racing.game.state import GameState
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.kernel import DT
+from pcs_racing.race.start_grid import Starts
+from pcs_racing_agents.agents.agent import Agent, Competitor, Decider, Driver, as_competitor
 
 __all__ = [
     "Matches",

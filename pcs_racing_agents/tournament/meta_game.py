@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.mapping.optional import require
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.optional import require
 
 __all__ = ["Equilibrium", "alpha_rank", "excess", "zero_sum_equilibrium"]
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.errors import InputError
-from pcs_racing_agents.picture_style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
 from pcs_racing_agents.tournament.ratings import Ratings
 
 __all__ = ["payoffs_picture", "ratings_picture"]

@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.archive import PolicyArchive
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame
-from pcs_racing.game_config import GameConfig, load_game_config
-from pcs_racing.planner import Policy
-from pcs_racing.race_config import RaceConfig, load_race_config
-from pcs_racing.track import Track
-from pcs_racing_agents.jobs import Job, Progress
-from pcs_racing_agents.strategies.agent import Competitor, as_competitor, competitor_hash
-from pcs_racing_agents.strategies.setting import Setting, make_setting
-from pcs_racing_agents.strategies.zoo import parse_agent
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.game import RaceGame
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.track.track import Track
+from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
+from pcs_racing_agents.agents.setting import Setting, make_setting
+from pcs_racing_agents.agents.zoo import parse_agent
+from pcs_racing_agents.jobs.jobs import Job, Progress
 from pcs_racing_agents.tournament.matches import game_between, variant_count
 from pcs_racing_agents.tournament.rows import RaceRow, RaceRows, pair_races
 from pcs_racing_agents.tournament.runner import Pairing, each_pairing
@@ -169,7 +169,7 @@ def play_tournament(
     ----------
     tracks : Track or sequence of Track
     entrants : sequence, or mapping by name
-        At least two agents, drivers, policies, names (:func:`pcs_racing_agents.strategies.make`), or models with
+        At least two agents, drivers, policies, names (:func:`pcs_racing_agents.agents.make`), or models with
         ``predict``. Their names tell them apart.
     race : GameConfig, RaceConfig, str or path
         The rules. Those of a race alone make a game of the same duration (:func:`game_rules`); its ``start_lines`` is
@@ -185,8 +185,8 @@ def play_tournament(
     executor : Executor, optional
         Where the races are driven; by default here, on all cores. It does not change the result.
     progress : callable, optional
-        Called as ``progress(done, total, what)``, counting races; :func:`pcs_racing_agents.jobs.show_progress` prints
-        a line.
+        Called as ``progress(done, total, what)``, counting races; :func:`pcs_racing_agents.jobs.jobs.show_progress`
+        prints a line.
 
     Returns
     -------
@@ -227,7 +227,7 @@ def play_plan(
 
 
 def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
-    """Return all that the results of a tournament depend on, for :func:`pcs_racing_agents.jobs.open_job`."""
+    """Return all that the results of a tournament depend on, for :func:`pcs_racing_agents.jobs.jobs.open_job`."""
     setting = plan.setting
     return {
         "seed": plan.seed,

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing_agents.csv_files import read_csv
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.results.csv_files import read_csv
 
 __all__ = ["Labels", "ResultLines", "lines_of", "read_lines"]
 

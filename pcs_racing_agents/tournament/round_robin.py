@@ -11,7 +11,7 @@ from importlib.util import find_spec
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.tournament.meta_game import alpha_rank, excess, zero_sum_equilibrium
 from pcs_racing_agents.tournament.ratings import Ratings, rate
 

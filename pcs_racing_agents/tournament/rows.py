@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.start_grid import Starts
+from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.tournament.matches import Matches
 
 __all__ = ["PairRaces", "RaceRow", "RaceRows", "pair_races", "start_label"]

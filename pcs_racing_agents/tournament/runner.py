@@ -1,4 +1,4 @@
-"""Many matches as tasks: anywhere (:mod:`pcs_racing_agents.jobs`), resumable, and with the same result everywhere."""
+"""Many matches as tasks, anywhere (:mod:`pcs_racing_agents.jobs.jobs`), resumable, with the same result everywhere."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -12,16 +12,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.archive import PolicyArchive
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame
-from pcs_racing.game_config import GameConfig
-from pcs_racing.start_grid import Starts
-from pcs_racing.track import Track, calibration_values, load_track
-from pcs_racing_agents.chunk_files import fingerprint
-from pcs_racing_agents.jobs import Arrays, Job, Progress
-from pcs_racing_agents.strategies.agent import Competitor, competitor_hash
-from pcs_racing_agents.tasks import in_other_processes
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.game import RaceGame
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.track import Track, calibration_values, load_track
+from pcs_racing_agents.agents.agent import Competitor, competitor_hash
+from pcs_racing_agents.jobs.chunk_files import fingerprint
+from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
+from pcs_racing_agents.jobs.tasks import in_other_processes
 from pcs_racing_agents.tournament.matches import Matches, join_matches, play_games
 
 __all__ = ["Pairing", "each_pairing", "play_pairings"]

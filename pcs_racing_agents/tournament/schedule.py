@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.race import draw_starts
-from pcs_racing.race_config import RaceConfig
-from pcs_racing.seeds import race_seeds
-from pcs_racing.start_grid import Starts
-from pcs_racing.track import Track
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.races import draw_starts
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.track import Track
 
 __all__ = ["Schedule", "draw_schedule"]
 

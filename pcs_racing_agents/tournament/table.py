@@ -13,8 +13,8 @@ from typing import IO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.files import write_atomically
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.tournament.play import Tournament
 from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
 from pcs_racing_agents.tournament.rows import RaceRow, start_label
@@ -228,7 +228,7 @@ def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path
     ModuleNotFoundError
         If matplotlib is not installed.
     """
-    from pcs_racing_agents.picture_style import save_picture
+    from pcs_racing_agents.pictures.style import save_picture
     from pcs_racing_agents.tournament.pictures import payoffs_picture
 
     names = [standing.name for standing in standings(tournament)]

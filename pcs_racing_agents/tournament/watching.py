@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame
-from pcs_racing.planner import Policy
-from pcs_racing.recording import record_drive
-from pcs_racing.replay import Replay
-from pcs_racing.start_grid import Starts
-from pcs_racing_agents.strategies.agent import Competitor, Driver, as_competitor
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.game import RaceGame
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.recording import record_drive
+from pcs_racing.race.replay import Replay
+from pcs_racing.race.start_grid import Starts
+from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.tournament.matches import Matches, game_between, play_games
 
 __all__ = ["Recording", "record_match"]

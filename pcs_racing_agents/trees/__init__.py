@@ -1,8 +1,8 @@
 """Game trees of races: played once, kept in files, and the data that solvers and networks are made of."""
 
+from pcs_racing_agents.networks.ego_rows import ego_rows, ego_values
 from pcs_racing_agents.trees.build import build_tree
 from pcs_racing_agents.trees.ego import EgoTrees, play_ego
-from pcs_racing_agents.trees.ego_rows import ego_rows, ego_values
 from pcs_racing_agents.trees.ego_storage import build_ego_trees, load_ego_trees
 from pcs_racing_agents.trees.roots import choose_pairs
 from pcs_racing_agents.trees.storage import StoredTrees, build_trees, load_trees

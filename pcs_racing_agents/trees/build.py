@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame, take_games
-from pcs_racing.game_state import GameState
-from pcs_racing.start_grid import Starts
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.game import RaceGame, take_games
+from pcs_racing.game.state import GameState
+from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.trees.driving import drive_children
 from pcs_racing_agents.trees.far import finish
 from pcs_racing_agents.trees.paths import PolicyPaths, check_size, policy_paths

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game import RaceGame
-from pcs_racing.race import advance
-from pcs_racing.race_kernel import PLAN_EVERY
-from pcs_racing.race_state import RaceState, concatenate, empty_state, take
+from pcs_racing.game.game import RaceGame
+from pcs_racing.race.kernel import PLAN_EVERY
+from pcs_racing.race.races import advance
+from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 
 __all__ = ["Ends", "drive_children", "drive_to_the_end"]
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.errors import InputError, UnknownNameError
-from pcs_racing.game import RaceGame, encode_observation
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.game.game import RaceGame, encode_observation
 from pcs_racing_agents.trees.build import check_game
 from pcs_racing_agents.trees.driving import drive_children
 from pcs_racing_agents.trees.far import finish

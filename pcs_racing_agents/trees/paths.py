@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 
 __all__ = ["MAX_LEAVES", "PolicyPaths", "check_size", "own_histories", "policy_paths"]
 

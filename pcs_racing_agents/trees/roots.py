@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.archive import PolicyArchive
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame
-from pcs_racing.start_grid import Starts
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.game import RaceGame
+from pcs_racing.race.start_grid import Starts
 
 __all__ = ["Root", "choose_pairs", "default_seeds", "draw_root"]
 

@@ -10,11 +10,11 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.archive import PolicyArchive
-from pcs_racing.errors import InputError
-from pcs_racing.game import RaceGame
-from pcs_racing_agents.job_folders import read_job
-from pcs_racing_agents.jobs import Part, Progress, chunk_file, open_job, read_chunk, run_parts
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.game import RaceGame
+from pcs_racing_agents.jobs.folders import read_job
+from pcs_racing_agents.jobs.jobs import Part, Progress, chunk_file, open_job, read_chunk, run_parts
 from pcs_racing_agents.trees.build import build_tree, check_game
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
@@ -113,7 +113,7 @@ def open_trees(
     ------
     Part
         The trees as tasks, so that those of several folders can be played side by side
-        (:func:`pcs_racing_agents.jobs.run_parts`).
+        (:func:`pcs_racing_agents.jobs.jobs.run_parts`).
 
     Raises
     ------

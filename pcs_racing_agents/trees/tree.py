@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
-from pcs_racing.game import encode_observation
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.game import encode_observation
 from pcs_racing_agents.trees.paths import PolicyPaths, check_size, own_histories, policy_paths
 
 if TYPE_CHECKING:

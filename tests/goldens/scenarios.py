@@ -12,10 +12,10 @@ import pettingzoo
 
 import pcs_racing
 from pcs_racing import PolicyArchive, get_planner, load_race_config, load_track, parse_policy
-from pcs_racing.driving import pad_parameters
+from pcs_racing.base.seeds import race_seeds
 from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_ID
-from pcs_racing.race import RaceSetup, advance, draw_starts, start_races
-from pcs_racing.seeds import race_seeds
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 
 __all__ = ["RACES_ID", "SCENARIOS", "TRACK", "file_name", "track_hash"]
 

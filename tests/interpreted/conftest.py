@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pcs_racing.track import Calibration, build_track
+from pcs_racing.track.track import Calibration, build_track
 
 STRAIGHT, RADIUS, HALF_WIDTH, CELL = 8.0, 4.0, 1.2, 0.2
 

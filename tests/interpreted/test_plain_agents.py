@@ -4,13 +4,13 @@ import numpy as np
 
 from pcs_racing import CONTEST, PAPER, draw_starts, get_planner, load_race_config, run_races
 from pcs_racing.planners.network import INPUTS, network_planner
-from pcs_racing_agents.ppo.driver import driver_planner, flat_weights
-from pcs_racing_agents.ppo.drives import Drives
-from pcs_racing_agents.ppo.layers import Layers
+from pcs_racing_agents.agents.drawing import draw, hash_rows
+from pcs_racing_agents.learning.ppo.drives import Drives
+from pcs_racing_agents.networks.driver import driver_planner, flat_weights
+from pcs_racing_agents.networks.layers import Layers
 from pcs_racing_agents.solvers import GameTree, cfr, exploitability, play_value, solve_exact
 from pcs_racing_agents.solvers.cfr import VARIANTS
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
-from pcs_racing_agents.strategies.drawing import draw, hash_rows
 
 
 def layers(hidden=(5,), seed=0):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from pcs_racing import MapError
-from pcs_racing.mapping.circuits import generate_circuit
-from pcs_racing.mapping.clearance import wall_clearance
-from pcs_racing.mapping.curves import first_crossing, resample
-from pcs_racing.track import build_track
+from pcs_racing.track.building.clearance import wall_clearance
+from pcs_racing.track.building.curves import first_crossing, resample
+from pcs_racing.track.mapping.circuits import generate_circuit
+from pcs_racing.track.track import build_track
 
 
 def test_a_generated_circuit_is_as_wide_as_it_says_and_its_race_line_keeps_clear():

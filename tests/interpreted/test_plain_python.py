@@ -22,7 +22,7 @@ from pcs_racing import (
 )
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_vector import DriveVectorEnv
-from pcs_racing.race_state import CAR_CRASH, NO_CRASH
+from pcs_racing.race.state import CAR_CRASH, NO_CRASH
 
 
 def test_places_on_the_track_and_back(stadium):

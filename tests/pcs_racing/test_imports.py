@@ -4,12 +4,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 HEAVY = ("torch", "scipy", "matplotlib", "pygame", "stable_baselines3", "skimage", "clarabel", "cma")
 
 
-@pytest.mark.parametrize("package", ["pcs_racing", "pcs_racing_agents", "pcs_racing_agents.cli"])
+@pytest.mark.parametrize("package", ["pcs_racing", "pcs_racing_agents", "pcs_racing_agents.cli.main"])
 def test_importing_is_light(package):
     """Numba itself looks at scipy's version, so what it brings along does not count."""
     code = f"""
@@ -44,7 +44,9 @@ def test_the_environment_never_imports_the_agents():
         assert not agents, f"{file} imports {agents}"
 
 
-BEHIND_FUNCTIONS = ("pcs_racing_agents/ppo/vec_env.py",)  # a class of Stable-Baselines3; imported when it trains
+BEHIND_FUNCTIONS = (
+    "pcs_racing_agents/learning/ppo/vec_env.py",
+)  # a class of Stable-Baselines3; imported when it trains
 
 
 def test_optional_libraries_are_imported_inside_functions():

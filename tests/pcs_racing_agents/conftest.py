@@ -3,8 +3,8 @@ import pytest
 from zoo_games import CONFIG, toy_archive, untrained
 
 from pcs_racing import PolicyArchive, RaceGame
-from pcs_racing_agents.approximator import RegretNetwork
-from pcs_racing_agents.strategies import Setting, make_setting
+from pcs_racing_agents.agents import Setting, make_setting
+from pcs_racing_agents.networks import RegretNetwork
 
 
 @pytest.fixture(scope="session")

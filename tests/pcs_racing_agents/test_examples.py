@@ -4,8 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-REPOSITORY = Path(__file__).resolve().parents[2]
+from repository import REPOSITORY
 
 
 def run(folder: Path, *arguments: object) -> str:

@@ -3,9 +3,9 @@
 import numpy as np
 
 from pcs_racing import GameConfig, PolicyArchive, get_planner
-from pcs_racing_agents.approximator import RegretNetwork
-from pcs_racing_agents.approximator.network import GameIdentity
-from pcs_racing_agents.strategies import Setting
+from pcs_racing_agents.agents import Setting
+from pcs_racing_agents.networks import RegretNetwork
+from pcs_racing_agents.networks.network import GameIdentity
 
 CONFIG = GameConfig(step_seconds=0.8, epsilon=0.5)
 

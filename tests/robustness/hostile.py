@@ -20,22 +20,22 @@ import numpy as np
 import yaml
 
 from pcs_racing import InputError, load_archive, load_race_config, load_state, load_track, parse_policy, read_replay
-from pcs_racing.archive import shipped_folder
 from pcs_racing.envs.drive_vector import DriveVectorEnv
 from pcs_racing.envs.duel_vector import DuelVectorEnv
-from pcs_racing.game_state import load_game
-from pcs_racing.map_files import parse_csv, parse_grid, parse_ros_yaml
-from pcs_racing.maps import read_map
-from pcs_racing_agents.approximator import load_network
-from pcs_racing_agents.chunk_files import read_chunk, write_chunk
-from pcs_racing_agents.configuration import read_mapping
-from pcs_racing_agents.job_folders import claim_folder
-from pcs_racing_agents.ppo.curves import read_curve
-from pcs_racing_agents.strategies.fits import load_fit
+from pcs_racing.game.archive import shipped_folder
+from pcs_racing.game.state import load_game
+from pcs_racing.track.map_files import parse_csv, parse_grid, parse_ros_yaml
+from pcs_racing.track.maps import read_map
+from pcs_racing_agents.agents.fits import load_fit
+from pcs_racing_agents.jobs.chunk_files import read_chunk, write_chunk
+from pcs_racing_agents.jobs.configuration import read_mapping
+from pcs_racing_agents.jobs.folders import claim_folder
+from pcs_racing_agents.learning.ppo.curves import read_curve
+from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.study.cell_races import read_races
 from pcs_racing_agents.tournament.result_lines import read_lines
 from pcs_racing_agents.trees import load_ego_trees, load_trees
-from pcs_racing_agents.viewing.race_columns import race_columns
+from pcs_racing_agents.view.race_columns import race_columns
 
 ROOM = 1_000_000_000  # bytes above what the process holds at the start
 GROWTH = 300_000_000  # that the most it ever held may grow by

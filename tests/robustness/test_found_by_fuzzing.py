@@ -9,15 +9,15 @@ import yaml
 from PIL import Image
 
 from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track, make_game
-from pcs_racing.characteristics import get_characteristics
 from pcs_racing.envs.drive import checked_seed
 from pcs_racing.envs.drive_batch import DriveOptions
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
-from pcs_racing.map_files import CENTERLINE_COLUMNS, parse_csv, parse_grid
-from pcs_racing_agents.approximator import load_network
-from pcs_racing_agents.approximator.settings import load_train_settings
-from pcs_racing_agents.ppo.settings import load_ppo_settings
-from pcs_racing_agents.strategies.fits import Fit, load_fit
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.track.map_files import CENTERLINE_COLUMNS, parse_csv, parse_grid
+from pcs_racing_agents.agents.fits import Fit, load_fit
+from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+from pcs_racing_agents.networks import load_network
+from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.study.cell_races import COLUMNS, read_races
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.report_inputs import LOSSES, read_curves, read_losses

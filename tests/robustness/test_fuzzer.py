@@ -5,13 +5,13 @@ import json
 import subprocess
 import sys
 import warnings
-from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 
 from pcs_racing import InputError
 
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
+TOOLS = REPOSITORY / "tools"
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.tournament.statistics.comparison import Comparison, compare
 from pcs_racing_agents.tournament.statistics.units import check_values
 
@@ -52,9 +52,9 @@ def adaptivity_gain(
     Choosing the best blind arm on the test races themselves would make it look better than it is, and the gain
     smaller; choosing the adaptive arm on them would make the gain larger. So both must be chosen on training races,
     which should start at other places than the test races. This function sees scores only, and refuses no more than the
-    very same ones; which places the races of a study draw from is decided in :func:`pcs_racing.race.start_lines`. The
-    interval holds for the blind arm that was chosen. With too few training races that is not the best one, and the gain
-    is flattered; ``over_each`` shows whether another one does better.
+    very same ones; which places the races of a study draw from is decided in :func:`pcs_racing.race.races.start_lines`.
+    The interval holds for the blind arm that was chosen. With too few training races that is not the best one, and the
+    gain is flattered; ``over_each`` shows whether another one does better.
 
     Parameters
     ----------

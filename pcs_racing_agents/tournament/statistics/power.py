@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.tournament.statistics.student_t import check_level, noncentral_power
 from pcs_racing_agents.tournament.statistics.units import check_values, cluster_codes
 

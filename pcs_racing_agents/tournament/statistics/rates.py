@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.tournament.statistics.comparison import paired_t
 from pcs_racing_agents.tournament.statistics.student_t import check_level
 from pcs_racing_agents.tournament.statistics.units import Floats, check_arms, check_values

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 
 __all__ = ["check_level", "critical_value", "noncentral_power", "two_sided_p"]
 

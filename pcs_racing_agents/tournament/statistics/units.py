@@ -5,7 +5,7 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 
 __all__ = ["check_arms", "check_values", "cluster_codes", "match_units", "pool_codes", "score"]
 

@@ -348,7 +348,7 @@ def test_a_window_follows_the_race(monkeypatch):
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     shown = []
-    monkeypatch.setattr("pcs_racing.rendering.Renderer._show", lambda self, frame: shown.append(frame))
+    monkeypatch.setattr("pcs_racing.race.rendering.Renderer._show", lambda self, frame: shown.append(frame))
     for env in (DriveEnv(opponent=None, render_mode="human"), DriveVectorEnv(2, opponent=None, render_mode="human")):
         shown.clear()
         env.reset(seed=0)

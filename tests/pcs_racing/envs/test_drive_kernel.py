@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from pcs_racing import Lidar, Parameter, Planner, Starts, load_race_config
-from pcs_racing.compilation import compiled
+from pcs_racing.base.compilation import compiled
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveBatch, DriveOptions
 from pcs_racing.envs.drive_kernel import advance_alone, restart
-from pcs_racing.race import RaceSetup, start_races
-from pcs_racing.race_kernel import place_cars, steering_noise
-from pcs_racing.race_state import NO_CRASH, WALL_CRASH, take
-from pcs_racing.vehicle import F1TENTH
+from pcs_racing.race.kernel import place_cars, steering_noise
+from pcs_racing.race.races import RaceSetup, start_races
+from pcs_racing.race.state import NO_CRASH, WALL_CRASH, take
 
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
 TOP = 8.0

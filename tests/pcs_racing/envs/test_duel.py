@@ -12,7 +12,7 @@ from pcs_racing import InputError, UnknownNameError, get_planner
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.duel_vector import SelfPlayVectorEnv
 from pcs_racing.envs.registration import register_environments
-from pcs_racing.game import make_game
+from pcs_racing.game.game import make_game
 
 SHORT = {"step_seconds": 1.0, "moves": 3}
 MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
@@ -325,7 +325,7 @@ def test_a_window_follows_the_game(monkeypatch):
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     shown = []
-    monkeypatch.setattr("pcs_racing.rendering.Renderer._show", lambda self, frame: shown.append(frame))
+    monkeypatch.setattr("pcs_racing.race.rendering.Renderer._show", lambda self, frame: shown.append(frame))
     env = DuelEnv(render_mode="human", **SHORT)
     env.reset(seed=0)
     env.step(0)

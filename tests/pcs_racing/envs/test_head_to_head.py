@@ -6,17 +6,17 @@ import re
 import subprocess
 import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pettingzoo
 import pytest
+from repository import REPOSITORY
 
 import pcs_racing
 from pcs_racing import GameConfig, InputError, PolicyArchive, UnknownNameError, load_archive, load_track, make_game
 from pcs_racing.envs import head_to_head, registration
 from pcs_racing.envs.head_to_head import AGENTS, HeadToHeadEnv, HeadToHeadState
-from pcs_racing.game import observation_table
+from pcs_racing.game.game import observation_table
 
 with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
     warnings.simplefilter("ignore")
@@ -132,7 +132,7 @@ def test_the_class_documents_itself(env):
 
 
 def test_the_page_has_the_whole_table(env):
-    page = (Path(__file__).parents[3] / "docs" / "environments.md").read_text(encoding="utf-8")
+    page = (REPOSITORY / "docs" / "environments.md").read_text(encoding="utf-8")
     assert observation_table(env.game.observation_elements) in page
     example = page.split("```python\n")[1].split("```")[0]
     exec(compile(example, "environments.md", "exec"), {})

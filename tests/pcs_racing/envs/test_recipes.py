@@ -5,11 +5,10 @@ import importlib.util
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 PAGE = (REPOSITORY / "docs" / "recipes.md").read_text(encoding="utf-8")
 NOT_RUN = "<!-- not run -->\n"
 

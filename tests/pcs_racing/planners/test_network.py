@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, RaceConfig, RaceSetup, Starts, advance, load_track
-from pcs_racing.planner import OPP_D, OPP_V, OWN_D, OWN_V, STEER_MAX, VIEW_SIZE
 from pcs_racing.planners import PURE_PURSUIT
 from pcs_racing.planners.network import INPUTS, TOP_SPEED, network_inputs, network_planner, weight_count
-from pcs_racing.race import start_races
-from pcs_racing.race_kernel import fill_view
+from pcs_racing.planners.planner import OPP_D, OPP_V, OWN_D, OWN_V, STEER_MAX, VIEW_SIZE
+from pcs_racing.race.kernel import fill_view
+from pcs_racing.race.races import start_races
 
 
 def inputs(track, view) -> dict[str, float]:

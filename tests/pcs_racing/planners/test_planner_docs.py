@@ -3,16 +3,15 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 
-from pcs_racing import get_planner, planner
-from pcs_racing.planner import VIEW
-from pcs_racing.planners import BUILT_IN
+from pcs_racing import get_planner
+from pcs_racing.planners import BUILT_IN, planner
 from pcs_racing.planners.network import INPUTS
+from pcs_racing.planners.planner import VIEW
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 PAGE = (REPOSITORY / "docs" / "planners.md").read_text(encoding="utf-8")
 
 

@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import RaceConfig, Starts, load_track
-from pcs_racing.planner import OWN_DELTA, OWN_PSI_DOT, OWN_V, PATH_POINTS, WHEELBASE
 from pcs_racing.planners import spiral
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.planner import OWN_DELTA, OWN_PSI_DOT, OWN_V, PATH_POINTS, WHEELBASE
 from pcs_racing.planners.spiral import (
     BLOCK,
     BROKEN,

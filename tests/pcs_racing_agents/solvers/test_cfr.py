@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_games import PENNIES, kuhn_poker, random_tree
 
-from pcs_racing.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.solvers import (
     VARIANTS,
     GameTree,

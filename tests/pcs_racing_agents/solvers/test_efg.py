@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_games import kuhn_poker, random_profile, random_tree
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers import (
     GameTree,
     cfr,

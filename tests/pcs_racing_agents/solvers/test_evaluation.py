@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_games import PENNIES, random_profile, random_tree
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers import (
     GameTree,
     advantages,

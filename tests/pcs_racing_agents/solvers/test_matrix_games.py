@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers import solve_matrix_games
 from pcs_racing_agents.solvers.rational_games import solve_rationally
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from small_games import kuhn_poker, random_tree
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers import cfr, exploitability, solve_exact, solve_matrix_games
 
 pyspiel = pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")

@@ -5,8 +5,8 @@ import pytest
 from small_games import kuhn_poker, random_tree
 
 from pcs_racing import make_game
-from pcs_racing.errors import InputError, UnknownNameError
-from pcs_racing_agents.cli import main
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.solvers import (
     METHODS,
     GameTree,

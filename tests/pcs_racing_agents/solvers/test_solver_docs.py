@@ -6,10 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 
 from pcs_racing_agents.solvers import VARIANTS
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 PAGE = (REPOSITORY / "docs" / "solvers.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"(<!-- needs OpenSpiel -->\n)?```python\n(.*?)```", PAGE, flags=re.DOTALL)
 

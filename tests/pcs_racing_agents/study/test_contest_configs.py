@@ -2,7 +2,7 @@
 
 import pytest
 
-from pcs_racing_agents.rollouts import load_response_settings
+from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.study import load_study_config
 from pcs_racing_agents.synthesis.config import load_archive_config
 

@@ -13,10 +13,10 @@ import pytest
 from toy_cells import toy_cells
 
 from pcs_racing import InputError, make_game
-from pcs_racing.replay import read_replay
-from pcs_racing_agents.explaining.situations import Situations
-from pcs_racing_agents.strategies import make_setting
-from pcs_racing_agents.strategies.zoo import build
+from pcs_racing.race.replay import read_replay
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.study import report
 from pcs_racing_agents.study.highlights import Watched, telling_races, watch_race
 from pcs_racing_agents.study.report import Picture, ReportContent, Sheet, report_page, write_page

@@ -2,15 +2,14 @@
 
 import re
 import shlex
-from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 from toy_cells import toy_cells
 
-from pcs_racing_agents.cli import _parser
+from pcs_racing_agents.cli.main import _parser
 from pcs_racing_agents.study.table_text import CSV_COLUMNS
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 PAGE = (REPOSITORY / "docs" / "reports.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
 COMMANDS = re.findall(r"^pcs-racing (.*)$", PAGE, flags=re.MULTILINE)

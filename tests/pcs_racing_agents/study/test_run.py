@@ -10,14 +10,14 @@ import pytest
 import yaml
 
 from pcs_racing import load_archive
-from pcs_racing.errors import ConfigError, InputError, UnknownNameError
-from pcs_racing_agents.approximator import load_network
-from pcs_racing_agents.approximator.network import game_identity
-from pcs_racing_agents.cli import main
-from pcs_racing_agents.configuration import plain_settings
-from pcs_racing_agents.jobs import make_executor
-from pcs_racing_agents.ppo.curves import read_curve
-from pcs_racing_agents.strategies.fits import load_fit, save_fit
+from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing_agents.agents.fits import load_fit, save_fit
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.jobs import make_executor
+from pcs_racing_agents.learning.ppo.curves import read_curve
+from pcs_racing_agents.networks import load_network
+from pcs_racing_agents.networks.network import game_identity
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.reporting import best_blind
@@ -224,13 +224,13 @@ def test_shipped_studies_load_and_have_the_blind_agents_in_their_main_table(name
     [({"ppo": None}, "torch", "learning"), ({"synthesis": "default"}, "moocore", "synthesis")],
 )
 def test_a_missing_library_is_told_before_any_work(monkeypatch, tmp_path, changes, library, extra):
-    monkeypatch.setattr("pcs_racing.mapping.optional.find_spec", lambda name: None if name == library else object())
+    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None if name == library else object())
     with pytest.raises(ModuleNotFoundError, match=rf"{library} is needed .*\[{extra}\]"):
         run_study(replace(TINY, **changes), tmp_path / "x", quiet=True)
     assert not (tmp_path / "x").exists()
 
 
 def test_a_library_is_asked_for_only_by_stages_that_are_still_to_run(monkeypatch, finished):
-    monkeypatch.setattr("pcs_racing.mapping.optional.find_spec", lambda name: None)
+    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None)
     assert stages_to_run(TINY, finished.folder) == ["report"]
     assert stages_to_run(TINY, finished.folder / "new", ["trees", "archive"]) == ["archive", "trees"]

@@ -1,11 +1,10 @@
 """The code of docs/archives.md runs."""
 
 import re
-from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 PAGE = (REPOSITORY / "docs" / "archives.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
@@ -21,7 +20,7 @@ def test_the_code_runs(number, tmp_path, monkeypatch, capsys):
 
 
 def test_the_commands_are_commands():
-    from pcs_racing_agents.cli import _parser
+    from pcs_racing_agents.cli.main import _parser
 
     for line in re.findall(r"^pcs-racing (.*)$", PAGE, re.MULTILINE):
         assert _parser().parse_args(line.split()).run is not None

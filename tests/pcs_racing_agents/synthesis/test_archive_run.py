@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from repository import REPOSITORY
 
 from pcs_racing import InputError, PolicyArchive, load_archive
-from pcs_racing.errors import ConfigError
+from pcs_racing.base.errors import ConfigError
 from pcs_racing.testing import check_archive
-from pcs_racing_agents.cli import main
-from pcs_racing_agents.jobs import make_executor
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.jobs.jobs import make_executor
 from pcs_racing_agents.synthesis.archive_run import make_archive, stage_scenarios
 from pcs_racing_agents.synthesis.config import ArchiveConfig, list_archive_configs, load_archive_config
 from pcs_racing_agents.synthesis.evaluate import Block, race_block, summarise
@@ -137,7 +138,7 @@ from pcs_racing_agents.synthesis.archive_run import make_archive
 from tests.pcs_racing_agents.synthesis.test_archive_run import TINY
 make_archive(TINY, sys.argv[1], told=lambda news: time.sleep(0.5))
 """
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
     process = subprocess.Popen([sys.executable, "-c", code, str(folder)], env=environment)
     while not list(folder.glob("job/chunks/generation-00002-*.npz")):
         assert process.poll() is None

@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, characteristics, load_race_config, load_track
-from pcs_racing.characteristics import Characteristic
+from pcs_racing import InputError, load_race_config, load_track
+from pcs_racing.game import characteristics
+from pcs_racing.game.characteristics import Characteristic
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.race import RaceSetup, advance
-from pcs_racing_agents.jobs import make_executor
+from pcs_racing.race.races import RaceSetup, advance
+from pcs_racing_agents.jobs.jobs import make_executor
 from pcs_racing_agents.synthesis.evaluate import (
     Block,
     blocks,
@@ -61,9 +62,9 @@ def test_races_are_drawn_from_the_seed(oval, scenarios):
 
 def test_coordinates_are_means_over_the_pieces(scenarios, raced, oval):
     """One policy's races on the first track, driven here by hand."""
-    from pcs_racing.characteristics import Segment, get_characteristics, measure
-    from pcs_racing.race import start_races
-    from pcs_racing.start_grid import Starts
+    from pcs_racing.game.characteristics import Segment, get_characteristics, measure
+    from pcs_racing.race.races import start_races
+    from pcs_racing.race.start_grid import Starts
 
     setup = RaceSetup(oval, SHORT, (LATTICE, LATTICE))
     state = start_races(setup, Starts(scenarios.start_s[:12], scenarios.side[:12]), scenarios.seed[:12])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import load_archive, load_track, make_game
-from pcs_racing.archive import shipped_folder
+from pcs_racing.game.archive import shipped_folder
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.synthesis import load_archive_config
 from pcs_racing_agents.synthesis.archive_report import stated_settings

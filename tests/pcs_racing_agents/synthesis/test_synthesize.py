@@ -396,7 +396,7 @@ def test_asking_and_telling_take_turns():
 
 
 def test_without_the_library_the_error_says_what_to_install(monkeypatch):
-    monkeypatch.setattr("pcs_racing.mapping.optional.find_spec", lambda name: None)
+    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r'pip install "pcs-racing\[synthesis\]"'):
         Search(UNIT)
     with pytest.raises(ModuleNotFoundError, match=r'pip install "pcs-racing\[baselines\]"'):

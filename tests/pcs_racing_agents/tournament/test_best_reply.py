@@ -5,10 +5,10 @@ import pytest
 from zoo_games import untrained
 
 from pcs_racing import InputError, make_game
-from pcs_racing.start_grid import Starts
-from pcs_racing_agents.approximator.metrics import play_profile, score_tree
-from pcs_racing_agents.strategies import make_setting
-from pcs_racing_agents.strategies.zoo import build
+from pcs_racing.race.start_grid import Starts
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.networks.metrics import play_profile, score_tree
 from pcs_racing_agents.tournament.best_reply import best_reply
 from pcs_racing_agents.trees import build_tree
 

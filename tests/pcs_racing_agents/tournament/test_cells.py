@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from pcs_racing import CONTEST, InputError, make_game
-from pcs_racing_agents.jobs import make_executor, open_job
-from pcs_racing_agents.strategies import make_setting
-from pcs_racing_agents.strategies.zoo import build
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.jobs.jobs import make_executor, open_job
 from pcs_racing_agents.tournament.cells import draw_units, play_cell
 from pcs_racing_agents.tournament.statistics import compare, match_units
 

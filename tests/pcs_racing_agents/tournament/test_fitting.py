@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, get_planner
-from pcs_racing.race_config import CONTEST
-from pcs_racing_agents.jobs import open_job
-from pcs_racing_agents.strategies import Driver, make_setting
-from pcs_racing_agents.strategies.zoo import build
+from pcs_racing.race.config import CONTEST
+from pcs_racing_agents.agents import Driver, make_setting
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.tournament.fitting import (
     TrainingRaces,
     Work,

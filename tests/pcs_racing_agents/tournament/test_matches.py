@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, RaceGame, Starts, get_planner, make_game
-from pcs_racing.race import draw_starts
-from pcs_racing.race_config import CONTEST
-from pcs_racing.seeds import race_seeds
-from pcs_racing_agents.strategies import make_setting
-from pcs_racing_agents.strategies.agents import always, never_switch, random_moves
-from pcs_racing_agents.strategies.zoo import build
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.race.config import CONTEST
+from pcs_racing.race.races import draw_starts
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.agents import always, never_switch, random_moves
+from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament.matches import Matches, moves_of, play_games
 
 GAMES = 12

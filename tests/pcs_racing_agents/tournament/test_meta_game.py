@@ -67,7 +67,7 @@ def test_alpha_rank_is_the_stationary_distribution_by_hand():
 @pytest.mark.parametrize("library", ["scipy", "pyspiel"])
 def test_a_missing_library_is_named_with_its_extra(monkeypatch, library):
     call, extra = {"scipy": (zero_sum_equilibrium, "synthesis"), "pyspiel": (alpha_rank, "games")}[library]
-    monkeypatch.setattr("pcs_racing.mapping.optional.find_spec", lambda name: None if name == library else object())
+    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None if name == library else object())
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ModuleNotFoundError, match=rf'{library} .* pip install "pcs-racing\[{extra}\]"'):
         call(CYCLE)

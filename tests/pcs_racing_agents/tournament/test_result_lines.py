@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcs_racing.errors import InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.tournament.result_lines import lines_of, read_lines
 
 TEXT = 'ego,lead,moves\na,1.5,stay\n\n"b, c",-2.0,stay\na,1.5,"stay; stay"\n'

@@ -7,12 +7,12 @@ the full study.
 import re
 import sys
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from repository import REPOSITORY
 from scipy import stats
 
 from pcs_racing import InputError
@@ -34,7 +34,7 @@ from pcs_racing_agents.tournament.statistics import (
     wilson,
 )
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "statistics.md"
+PAGE = REPOSITORY / "docs" / "statistics.md"
 EGOS, OPPONENTS, RACES = 12, 12, 3
 EGO, OPPONENT, LINE = (index.ravel() for index in np.indices((EGOS, OPPONENTS, RACES)))
 CELL = EGO * OPPONENTS + OPPONENT

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pcs_racing import GameConfig, InputError, load_race_config, load_track, parse_policy
-from pcs_racing_agents.jobs import make_executor, open_job, show_progress
-from pcs_racing_agents.strategies import Driver, make_setting
+from pcs_racing_agents.agents import Driver, make_setting
+from pcs_racing_agents.jobs.jobs import make_executor, open_job, show_progress
 from pcs_racing_agents.tournament import (
     RaceRow,
     Tournament,

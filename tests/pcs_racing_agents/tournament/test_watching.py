@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from pcs_racing import CONTEST, InputError, make_game
-from pcs_racing.race import draw_starts
-from pcs_racing.seeds import race_seeds
-from pcs_racing_agents.strategies import make_setting
-from pcs_racing_agents.strategies.zoo import build
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.race.races import draw_starts
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament.matches import play_games
 from pcs_racing_agents.tournament.watching import record_match
 

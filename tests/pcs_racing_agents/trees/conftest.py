@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import CONTEST, PolicyArchive, RaceGame, Starts, Track, load_track, make_game
-from pcs_racing.game_state import GameState
+from pcs_racing.game.state import GameState
 from pcs_racing.planners import LATTICE
 from pcs_racing_agents.trees import RaceTree
 

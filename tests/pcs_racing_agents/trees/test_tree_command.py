@@ -2,7 +2,7 @@ import re
 
 import pytest
 
-from pcs_racing_agents.cli import main
+from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.trees import load_ego_trees, load_trees
 
 GAME = ["tree", "--track", "Tarnfjord", "--moves", 2, "--step", 2, "--executor", "serial"]

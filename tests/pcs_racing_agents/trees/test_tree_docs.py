@@ -1,11 +1,11 @@
 """The code of docs/trees.md runs."""
 
 import re
-from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "trees.md").read_text(encoding="utf-8")
+PAGE = (REPOSITORY / "docs" / "trees.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
@@ -18,7 +18,7 @@ def test_the_code_runs(number, tmp_path, monkeypatch, capsys):
 
 
 def test_the_commands_are_commands():
-    from pcs_racing_agents.cli import _parser
+    from pcs_racing_agents.cli.main import _parser
 
     for line in re.findall(r"^pcs-racing (.*)$", PAGE, re.MULTILINE):
         assert _parser().parse_args(line.split()).run is not None

@@ -1,0 +1,79 @@
+"""How this package compiles its hot paths, keeps them on disk, and says so when the first time takes a while."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+
+from pcs_racing.base.code_cache import forget_stale_code
+
+__all__ = ["announce_compilation", "compiled", "kernel"]
+
+
+def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function with numba: cached on disk, without the GIL, with IEEE division.
+
+    Division by zero then gives infinity as in numpy; a check for it would keep the compiler from using vector
+    instructions. Leave ``fastmath`` off, and take sines and the like from :mod:`pcs_racing.base.elementary`: then a
+    function computes the same bits on every processor, and in each of the copies that its callers contain.
+
+    Parameters
+    ----------
+    function : callable, optional
+        What to compile; without it, a decorator is returned.
+    **options
+        Further options of :func:`numba.njit`.
+    """
+    # Stated even where it is the default: otherwise a function compiled for a kernel would inherit the kernel's choice.
+    options.setdefault("_nrt", True)
+    decorate = njit(cache=True, nogil=True, error_model="numpy", **options)
+    return decorate if function is None else decorate(function)
+
+
+def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function as :func:`compiled` does, but without counting references to its arrays.
+
+    Only for functions that neither allocate nor return arrays (allocating in one is an error when it is compiled).
+    Counting costs about 10 ns for each array argument and field, more than many of these functions do.
+
+    Parameters
+    ----------
+    function : callable, optional
+        What to compile; without it, a decorator is returned.
+    **options
+        Further options of :func:`numba.njit`.
+    """
+    return compiled(function, _nrt=False, **options)
+
+
+_announced: set[str] = set()
+
+
+@contextmanager
+def announce_compilation(dispatcher: Any, what: str, seconds: int) -> Iterator[None]:
+    """Print a line to stderr if a compiled function is neither in memory nor in numba's cache on disk.
+
+    Parameters
+    ----------
+    dispatcher : numba dispatcher
+        The function about to be called.
+    what : str
+        What is being compiled, for the reader.
+    seconds : int
+        About how long it takes.
+    """
+    # Without compilation (NUMBA_DISABLE_JIT) it is an ordinary function.
+    if what not in _announced and hasattr(dispatcher, "signatures") and not dispatcher.signatures:
+        _announced.add(what)
+        name = f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__qualname__}-"
+        cache = Path(dispatcher.stats.cache_path)
+        if not (cache.is_dir() and any(entry.name.startswith(name) for entry in cache.glob("*.nbi"))):
+            line = f"pcs-racing: compiling {what} (about {seconds} s, once; it is cached on disk)"
+            print(line, file=sys.stderr, flush=True)
+    yield
+
+
+forget_stale_code(Path(__file__).parents[1])

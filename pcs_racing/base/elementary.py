@@ -1,0 +1,195 @@
+"""Sine, arctangent, exponential and the like, with the same bits on every processor.
+
+The C library and numpy choose their code for these functions by the processor (with or without fused multiply-add, by
+the width of its vectors), and the versions differ in the last bit, which a race doubles again and again. Here they are
+made of additions, multiplications, divisions and square roots in a fixed order alone, which IEEE 754 rounds in one way.
+
+Reductions and coefficients are those of fdlibm (sine and cosine) [1]_ and Cephes (the others) [2]_. The errors named
+below are checked against long double in the tests.
+
+References
+----------
+.. [1] Sun Microsystems, "Freely distributable libm", 1993, ``k_sin.c`` and ``k_cos.c``.
+.. [2] S. L. Moshier, "Methods and Programs for Mathematical Functions", 1989, ``atan.c``, ``exp.c`` and ``tanh.c``.
+"""
+
+import numpy as np
+
+from pcs_racing.base.compilation import compiled, kernel
+
+__all__ = [
+    "arcsine",
+    "arctangent",
+    "arctangent2",
+    "exponential",
+    "headings",
+    "hyperbolic_tangent",
+    "lengths",
+    "sine_cosine",
+    "sines_cosines",
+    "tangent",
+]
+
+_ROUNDER = 6755399441055744.0  # 1.5 * 2**52: added to a number it leaves the nearest integer in the last bits
+
+
+@kernel(inline="always")
+def sine_cosine(angle):  # type: ignore[no-untyped-def]
+    """Sine and cosine of an angle in rad, |angle| < 1000, with an error below 1.5e-16.
+
+    No branch and no table, so that loops over many angles use vector instructions.
+    """
+    shifted = angle * 0.6366197723675814 + _ROUNDER
+    quarter = shifted - _ROUNDER
+    turn = np.float64(shifted).view(np.int64)
+    # Half a pi in two parts; the product with the first is exact.
+    r = (angle - quarter * 1.5707963267341256) - quarter * 6.077100506506192e-11
+    q = r * r
+    s = q * (2.75573137070700676789e-06 + q * (-2.50507602534068634195e-08 + q * 1.58969099521155010221e-10))
+    s = 8.33333333332248946124e-03 + q * (-1.98412698298579493134e-04 + s)
+    s = r + r * q * (-1.66666666666666324348e-01 + q * s)
+    c = q * (-2.75573143513906633035e-07 + q * (2.08757232129817482790e-09 - q * 1.13596475577881948265e-11))
+    c = -1.38888888888741095749e-03 + q * (2.48015872894767294178e-05 + c)
+    c = 1.0 - q * (0.5 - q * (4.16666666666666019037e-02 + q * c))
+    swapped = turn & 1 != 0
+    sine = c if swapped else s
+    cosine = s if swapped else c
+    # The second bit of the number of quarter turns becomes the sign.
+    sine_bits = np.float64(sine).view(np.int64) ^ ((turn & 2) << 62)
+    cosine_bits = np.float64(cosine).view(np.int64) ^ (((turn + 1) & 2) << 62)
+    return np.int64(sine_bits).view(np.float64), np.int64(cosine_bits).view(np.float64)
+
+
+@kernel(inline="always")
+def tangent(angle):  # type: ignore[no-untyped-def]
+    """Tangent of an angle in rad, |angle| < 1000, to 3 ulp (away from its zeros and poles beyond the first)."""
+    sine, cosine = sine_cosine(angle)
+    return sine / cosine
+
+
+@kernel
+def arctangent(x):  # type: ignore[no-untyped-def]
+    """Angle in [-pi/2, pi/2] whose tangent is x, in rad, to 1 ulp."""
+    a = abs(x)
+    begin = 0.0
+    rest = 0.0
+    if a > 2.414213562373095:
+        begin, rest, a = 1.5707963267948966, 6.123233995736766e-17, -1.0 / a
+    elif a > 0.66:
+        begin, rest, a = 0.7853981633974483, 3.061616997868383e-17, (a - 1.0) / (a + 1.0)
+    q = a * a
+    above = -8.750608600031904122785e-1 * q - 1.615753718733365076637e1
+    above = ((above * q - 7.500855792314704667340e1) * q - 1.228866684490136173410e2) * q - 6.485021904942025371773e1
+    below = (q + 2.485846490142306297962e1) * q + 1.650270098316988542046e2
+    below = (below * q + 4.328810604912902668951e2) * q + 4.853903996359136964868e2
+    below = below * q + 1.945506571482613964425e2
+    angle = begin + ((a * (q * above / below) + rest) + a)
+    return -angle if x < 0.0 else angle
+
+
+@kernel
+def arctangent2(y, x):  # type: ignore[no-untyped-def]
+    """Angle in [-pi, pi] of the direction (x, y), in rad, to 2 ulp; 0 of no direction."""
+    if x == 0.0 and y == 0.0:
+        return 0.0
+    if abs(y) > abs(x):
+        quarter = np.pi / 2.0 if y > 0.0 else -np.pi / 2.0
+        return quarter - arctangent(x / y)
+    angle = arctangent(y / x)
+    if x > 0.0:
+        return angle
+    return angle + np.pi if y >= 0.0 else angle - np.pi
+
+
+@kernel
+def arcsine(x):  # type: ignore[no-untyped-def]
+    """Angle in [-pi/2, pi/2] whose sine is x in [-1, 1], in rad, to 3 ulp."""
+    return arctangent2(x, np.sqrt((1.0 - x) * (1.0 + x)))
+
+
+@kernel(inline="always")
+def _power_of_two(n):  # type: ignore[no-untyped-def]
+    """2.0**n for whole n in [-1022, 1023]."""
+    return np.int64((n + 1023) << 52).view(np.float64)
+
+
+@kernel
+def exponential(x):  # type: ignore[no-untyped-def]
+    """e**x to 2 ulp; 0 below -745.2 and infinity above 709.8."""
+    if not -746.0 < x < 710.0:
+        return x + np.inf if not x <= -746.0 else 0.0
+    n = np.floor(x * 1.4426950408889634 + 0.5)
+    r = (x - n * 6.93145751953125e-1) - n * 1.42860682030941723212e-6
+    q = r * r
+    p = r * ((1.26177193074810590878e-4 * q + 3.02994407707441961300e-2) * q + 1.0)
+    below = ((3.00198505138664455042e-6 * q + 2.52448340349684104192e-3) * q + 2.27265548208155028766e-1) * q + 2.0
+    # In two steps: the power itself may be out of range where the result is not.
+    half = np.int64(n) >> 1
+    return (1.0 + 2.0 * (p / (below - p))) * _power_of_two(half) * _power_of_two(np.int64(n) - half)
+
+
+@kernel
+def hyperbolic_tangent(x):  # type: ignore[no-untyped-def]
+    """Hyperbolic tangent, to 2 ulp."""
+    a = abs(x)
+    if a >= 0.625:
+        a = 1.0 - 2.0 / (exponential(2.0 * a) + 1.0)
+        return -a if x < 0.0 else a
+    q = x * x
+    above = (-9.64399179425052238628e-1 * q - 9.92877231001918586564e1) * q - 1.61468768441708447952e3
+    below = ((q + 1.12811678491632931402e2) * q + 2.23548839060100448583e3) * q + 4.84406305325125486048e3
+    return x + x * (q * above / below)
+
+
+@compiled
+def sines_cosines(angles):  # type: ignore[no-untyped-def]
+    """Sines and cosines of many angles.
+
+    Parameters
+    ----------
+    angles : ndarray, shape (N,)
+        In rad, each within 1000 of 0.
+
+    Returns
+    -------
+    sines, cosines : ndarray, shape (N,)
+    """
+    sines = np.empty(angles.shape[0])
+    cosines = np.empty(angles.shape[0])
+    for k in range(angles.shape[0]):
+        sines[k], cosines[k] = sine_cosine(angles[k])
+    return sines, cosines
+
+
+@compiled
+def headings(vectors):  # type: ignore[no-untyped-def]
+    """Angles in [-pi, pi] of plane vectors.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (N, 2)
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        In rad.
+    """
+    out = np.empty(vectors.shape[0])
+    for k in range(vectors.shape[0]):
+        out[k] = arctangent2(vectors[k, 1], vectors[k, 0])
+    return out
+
+
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    """Lengths of plane vectors of moderate size.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (..., 2)
+
+    Returns
+    -------
+    ndarray, shape (...,)
+    """
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.asarray(np.sqrt(x * x + y * y), np.float64)

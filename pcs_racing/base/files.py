@@ -1,0 +1,38 @@
+"""Writing files so that nobody ever reads half of one."""
+
+import os
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+from pcs_racing.base.errors import InputError
+
+__all__ = ["write_atomically"]
+
+
+def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Let ``write`` fill a temporary file beside ``path``, then put it in place: readers never see half a file.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist or ``path`` is a folder.
+    OSError
+        If it can't be written, for want of space, say; it names ``path``, and what was there before is as it was.
+    """
+    if not path.parent.is_dir():
+        raise InputError(f"can't write {path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise InputError(f"can't write {path}: it is a folder")
+    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
+    try:
+        with open(temporary, "xb") as file:
+            write(file)
+        os.replace(temporary, path)
+    except OSError as error:
+        if error.strerror is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    finally:
+        temporary.unlink(missing_ok=True)

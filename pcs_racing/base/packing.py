@@ -1,0 +1,251 @@
+"""Arrays as short text, for the JSON of a replay.
+
+An array is rounded to whole multiples of a unit and differenced along chosen axes, which leaves mostly tiny integers.
+Each is written as one or more characters of the base-64 alphabet: five bits a character, lowest first, and a sixth bit
+that says whether more follow. Negative numbers are folded between the positive ones (0, -1, 1, -2, ...), as in Google's
+polyline format. A JSON list of the same integers is about twice as long and slower to parse.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pcs_racing.base.errors import InputError
+
+__all__ = [
+    "COARSE",
+    "FINE",
+    "join_segments",
+    "pack",
+    "pack_costs",
+    "pack_paths",
+    "pack_segments",
+    "unpack",
+    "unpack_costs",
+    "unpack_paths",
+    "unpack_segments",
+]
+
+# Steps per unit: millimetres and milliradians for what is interpolated, centimetres for what is only looked at.
+FINE = 1000
+COARSE = 100
+
+_CODES = np.frombuffer(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_", np.uint8)
+_VALUES = np.full(256, 255, np.uint8)
+_VALUES[_CODES] = np.arange(64, dtype=np.uint8)
+
+# Ten characters hold 50 bits: all that eight differences can make of 2^40, and exact in JavaScript's numbers too.
+_MOST_CHARACTERS = 10
+_MOST_DIFFERENCES = 8
+_LARGEST = 2.0**40
+_MOST_NUMBERS = 10_000_000
+
+
+def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -> dict[str, Any]:
+    """Write an array as text.
+
+    Parameters
+    ----------
+    values : ndarray
+        Finite numbers, at most 2^40 steps in size.
+    per_unit : float
+        Steps per unit of ``values``: 1000 keeps three decimals.
+    differences : sequence of int
+        Axes along which differences are taken, one after the other; an axis may occur twice.
+
+    Returns
+    -------
+    dict
+        ``shape``, ``per_unit``, ``differences`` and ``data``, ready for JSON.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite or too large.
+    """
+    values = np.asarray(values, float)
+    if not np.all(np.abs(values * per_unit) < _LARGEST):  # also false for NaN
+        raise InputError(f"can't store numbers that are not finite or beyond {_LARGEST / per_unit:.3g}")
+    whole = np.rint(values * per_unit).astype(np.int64)
+    for axis in differences:
+        whole = np.diff(whole, axis=axis, prepend=0)
+    folded = np.where(whole < 0, -2 * whole - 1, 2 * whole).ravel()
+    lengths = np.ones(folded.shape, np.int64)
+    for place in range(1, _MOST_CHARACTERS):
+        lengths += folded >= 32**place
+    starts = np.cumsum(lengths) - lengths
+    text = np.empty(int(lengths.sum()), np.uint8)
+    for place in range(_MOST_CHARACTERS):
+        here = lengths > place
+        more = lengths[here] > place + 1
+        text[starts[here] + place] = _CODES[((folded[here] >> 5 * place) & 31) + 32 * more]
+    data = text.tobytes().decode()
+    return {"shape": list(values.shape), "per_unit": per_unit, "differences": list(differences), "data": data}
+
+
+def unpack(packed: object, name: str = "array") -> np.ndarray:
+    """Read an array that `pack` wrote; every part of it is checked first.
+
+    Parameters
+    ----------
+    packed : object
+        What stood in the JSON.
+    name : str
+        How error messages call it.
+
+    Returns
+    -------
+    ndarray, float64
+        Finite numbers below 1e15 in size.
+
+    Raises
+    ------
+    InputError
+        If it is not such an array, or larger than 10 million numbers.
+    """
+    parts = _parts(packed, name, ("shape", "per_unit", "differences", "data"))
+    shape, per_unit, differences, data = parts
+    if not _whole_numbers(shape, _MOST_NUMBERS) or len(shape) > 6 or math.prod(shape) > _MOST_NUMBERS:
+        raise InputError(f"{name}.shape must list at most six sizes, {_MOST_NUMBERS} numbers in all, got {shape!r:.60}")
+    per_unit = _number(per_unit, f"{name}.per_unit", 1e-9, 1e9)
+    if not _whole_numbers(differences, len(shape) - 1) or len(differences) > _MOST_DIFFERENCES:
+        raise InputError(f"{name}.differences must list axes of {shape}, got {differences!r:.60}")
+    if not isinstance(data, str) or not data.isascii():
+        raise InputError(f"{name}.data must be text in the base-64 alphabet")
+    digits = _VALUES[np.frombuffer(data.encode(), np.uint8)]
+    if np.any(digits == 255):
+        raise InputError(f"{name}.data must be text in the base-64 alphabet")
+    last = digits < 32
+    count, found = math.prod(shape), int(np.count_nonzero(last))
+    if found != count or (len(last) > 0 and not last[-1]):
+        raise InputError(f"{name}.data must hold {count} numbers for shape {shape}, got {found}")
+    if count == 0:
+        return np.zeros(shape)
+
+    starts = np.concatenate([[0], np.flatnonzero(last)[:-1] + 1])
+    lengths = np.diff(starts, append=len(digits))
+    if lengths.max() > _MOST_CHARACTERS:
+        raise InputError(f"{name}.data holds a number of more than {_MOST_CHARACTERS} characters")
+    place = np.arange(len(digits)) - np.repeat(starts, lengths)
+    folded = np.add.reduceat((digits & 31).astype(np.int64) << (5 * place), starts)
+    whole = np.where(folded & 1, -(folded >> 1) - 1, folded >> 1).reshape(shape)
+    for axis in differences:
+        whole = np.cumsum(whole, axis=axis)
+    values: np.ndarray = whole / per_unit
+    if np.any(np.abs(values) >= 1e15):
+        raise InputError(f"{name}.data holds numbers beyond 1e15")
+    return values
+
+
+def join_segments(segments: np.ndarray) -> list[np.ndarray]:
+    """Join segments (S, 4) end to start into polylines (n, 2), rounded to 1 cm; a loop ends with its first point."""
+    ends = [tuple(row) for row in (np.rint(segments * COARSE) / COARSE + 0.0).tolist()]
+    following: dict[tuple[float, ...], list[int]] = {}
+    for i in range(len(ends) - 1, -1, -1):
+        following.setdefault(ends[i][:2], []).append(i)
+    free = [True] * len(ends)
+    polylines = []
+    for first in range(len(ends)):
+        if not free[first]:
+            continue
+        points = [ends[first][:2]]
+        ahead = [first]
+        while ahead:
+            i = ahead[-1]
+            free[i] = False
+            points.append(ends[i][2:])
+            ahead = following.get(ends[i][2:], [])
+            while ahead and not free[ahead[-1]]:
+                ahead.pop()
+        polylines.append(np.array(points))
+    return polylines
+
+
+def pack_segments(segments: np.ndarray) -> dict[str, Any]:
+    """Write segments of shape (S, 4) as polylines (which may change their order)."""
+    polylines = join_segments(segments)
+    counts = np.array([len(points) for points in polylines])
+    return {"points": pack(np.vstack([np.empty((0, 2)), *polylines]), COARSE, [0]), "counts": pack(counts, 1)}
+
+
+def unpack_segments(packed: object, name: str) -> np.ndarray:
+    """Read segments that `pack_segments` wrote, shape (S, 4)."""
+    points, counts = _parts(packed, name, ("points", "counts"))
+    points, counts = unpack(points, f"{name}.points"), unpack(counts, f"{name}.counts").astype(np.int64)
+    if points.ndim != 2 or points.shape[1] != 2 or counts.ndim != 1:
+        raise InputError(f"{name} must have points of shape (M, 2) and a list of counts")
+    if np.any(counts < 2) or np.any(counts > len(points)) or counts.sum() != len(points):
+        raise InputError(f"{name}.counts must be at least 2 each and sum to the {len(points)} points")
+    joined = np.ones(len(points), bool)
+    joined[np.cumsum(counts) - 1] = False
+    starts = np.flatnonzero(joined)
+    return np.hstack([points[starts], points[starts + 1]])
+
+
+def pack_paths(paths: np.ndarray, per_unit: float) -> dict[str, Any]:
+    """Write paths (..., P, columns) that end in NaN: full rows, the last point held, and each path's number of points.
+
+    Second differences along a path are small because its points are evenly spaced; those of neighbouring paths (the
+    axis before the points; of a car's plans, the previous plan) are alike.
+    """
+    counts = np.count_nonzero(~np.isnan(paths).any(axis=-1), axis=-1)
+    last = np.minimum(np.arange(paths.shape[-2]), np.maximum(counts - 1, 0)[..., None])
+    held = np.nan_to_num(np.take_along_axis(paths, last[..., None], axis=-2))
+    along = paths.ndim - 2
+    across = 0 if paths.ndim == 4 else along - 1
+    return {"points": pack(held, per_unit, [along, along, across]), "counts": pack(counts, 1, [0])}
+
+
+def unpack_paths(packed: object, name: str) -> np.ndarray:
+    """Read paths that `pack_paths` wrote."""
+    points, counts = _parts(packed, name, ("points", "counts"))
+    points, counts = unpack(points, f"{name}.points"), unpack(counts, f"{name}.counts")
+    if points.ndim < 3 or counts.shape != points.shape[:-2]:
+        raise InputError(f"{name}.counts must have one number for each path of {name}.points")
+    points[np.arange(points.shape[-2]) >= counts[..., None]] = np.nan
+    return points
+
+
+def pack_costs(costs: np.ndarray) -> dict[str, Any]:
+    """Write costs, three digits of a middling one, in steps above the smallest; 0 stands for infinity."""
+    finite = costs[np.isfinite(costs)]
+    offset = float(finite.min()) if finite.size else 0.0
+    middle = float(np.median(finite - offset)) if finite.size else 0.0
+    reach = float(finite.max() - offset) if finite.size else 0.0
+    digits = min(2 - _exponent(middle), 9 - _exponent(reach), 9)
+    per_unit = float(f"1e{digits}")
+    steps = np.zeros(costs.shape)
+    steps[np.isfinite(costs)] = 1.0 + np.rint((finite - offset) * per_unit)
+    return {"offset": offset, "per_unit": per_unit, "steps": pack(steps, 1)}
+
+
+def unpack_costs(packed: object, name: str) -> np.ndarray:
+    """Read costs that `pack_costs` wrote."""
+    offset, per_unit, steps = _parts(packed, name, ("offset", "per_unit", "steps"))
+    offset = _number(offset, f"{name}.offset", -1e15, 1e15)
+    per_unit = _number(per_unit, f"{name}.per_unit", 1e-15, 1e9)
+    steps = unpack(steps, f"{name}.steps")
+    return np.where(steps > 0.0, offset + (steps - 1.0) / per_unit, np.inf)
+
+
+def _exponent(value: float) -> int:
+    return math.floor(math.log10(max(value, 1e-9)))
+
+
+def _parts(packed: object, name: str, keys: tuple[str, ...]) -> list[Any]:
+    if not isinstance(packed, dict) or packed.keys() != set(keys):
+        raise InputError(f"{name} must be an object with {', '.join(keys)}")
+    return [packed[key] for key in keys]
+
+
+def _number(value: object, name: str, low: float, high: float) -> float:
+    if type(value) not in (int, float) or not low <= value <= high:  # type: ignore[operator]
+        raise InputError(f"{name} must be a number from {low:g} to {high:g}, got {value!r:.60}")
+    return float(value)  # type: ignore[arg-type]
+
+
+def _whole_numbers(values: object, most: int) -> bool:
+    """Whether this is a list of plain integers from 0 to ``most``."""
+    return isinstance(values, list) and all(type(value) is int and 0 <= value <= most for value in values)

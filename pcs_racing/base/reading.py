@@ -1,0 +1,201 @@
+"""Reading files that anybody may have written: nothing in them is run, and none costs more than it is worth.
+
+A few bytes can ask for a lot of memory: YAML whose names stand for lists of names, an array's header that promises
+terabytes, a zip file that unpacks to them. What is read here is measured before it is built.
+"""
+
+import io
+import math
+import os
+import stat
+import zipfile
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+
+__all__ = ["MAX_YAML", "parse_manifest", "parse_yaml", "plain_yaml", "read_limited", "unpack_arrays"]
+
+MAX_YAML = 200_000
+"""Bytes of a YAML file that people write; more would take seconds to parse."""
+
+_MOST_VALUES = 2_000_000  # of a YAML text, names written out; letters count as a tenth
+_DEEPEST = 50
+_LONGEST_NUMBER = 100  # characters
+_MOST_MEMBERS = 1000  # of a file of arrays
+_KINDS = "biufcUS"  # of arrays: booleans, numbers and texts
+
+
+def read_limited(path: str | os.PathLike[str], limit: int, what: str) -> bytes:
+    """Return the content of an ordinary file.
+
+    Parameters
+    ----------
+    path : path
+        A pipe or a device is refused: it may never end.
+    limit : int
+        Most bytes.
+    what : str
+        What it ought to be, for the message: "an archive".
+
+    Raises
+    ------
+    InputError
+        If it is too large or no ordinary file.
+    OSError
+        If it can't be read.
+    """
+    with open(path, "rb", opener=_ordinary) as file:
+        size = os.fstat(file.fileno()).st_size  # not the limit: room for all that is asked for is made at once
+        content = file.read(min(size, limit) + 1)
+    if len(content) > limit:
+        raise InputError(f"{path} has more than {limit} bytes; that is not {what}")
+    return content
+
+
+def _ordinary(path: str, flags: int) -> int:
+    handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+    if stat.S_ISREG(os.fstat(handle).st_mode):
+        return handle
+    os.close(handle)
+    raise InputError(f"{path} is no ordinary file")
+
+
+def plain_yaml(data: bytes | str) -> Any:
+    """Return what a YAML text holds: mappings, lists, texts, numbers.
+
+    Raises
+    ------
+    InputError
+        If it is no such text, is nested too deeply, or is a great deal longer when its names are written out; the
+        message does not name the file.
+    """
+    try:
+        loader = yaml.SafeLoader(data.decode("utf-8") if isinstance(data, bytes) else data)
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        if _size(node, {}, 0) > _MOST_VALUES:
+            raise InputError("it holds far more than it seems: its names stand for too much")
+        return loader.construct_document(node)
+    except InputError:
+        raise
+    except RecursionError:
+        raise InputError("it is nested too deeply") from None
+    except Exception as error:  # values that only look like dates and numbers fail in a dozen ways
+        raise InputError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+
+
+def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputError] = InputError) -> Any:
+    """Return what the content of a YAML file holds, as :func:`plain_yaml` does; the error names the file.
+
+    Raises
+    ------
+    InputError
+        Of the kind ``error``.
+    """
+    try:
+        return plain_yaml(content)
+    except InputError as problem:
+        raise error(f"{file} is not valid YAML: {problem}") from None
+
+
+def parse_manifest(
+    file: str | os.PathLike[str], content: bytes, what: str, form: str, version: int, keys: Collection[str]
+) -> dict[str, Any]:
+    """Return the manifest of an archive, a network or the like: a mapping with the keys that it must have.
+
+    Parameters
+    ----------
+    file : path
+        For messages.
+    content : bytes
+        Of the file.
+    what : str
+        What it is the manifest of: "an archive".
+    form, version : str, int
+        What its ``format`` and ``version`` must be.
+    keys : collection of str
+        All its keys.
+
+    Raises
+    ------
+    InputError
+        If it is something else. What the other keys hold is not looked at.
+    """
+    manifest = parse_yaml(file, content)
+    if not isinstance(manifest, dict) or manifest.get("format") != form:
+        raise InputError(f"{file} is no manifest of {what}: format must be {form!r}")
+    if manifest.get("version") != version:
+        raise InputError(f"{file} has version {manifest.get('version')!r}; this release reads version {version}")
+    if set(manifest) != set(keys):
+        odd = ", ".join(sorted(map(str, set(manifest) ^ set(keys))))
+        raise InputError(f"{file}: unknown or missing {odd}; a manifest holds {', '.join(keys)}")
+    return manifest
+
+
+def _size(node: yaml.Node, known: dict[int, float], depth: int) -> float:
+    """How many values a node stands for, names written out; every node is looked at once."""
+    if isinstance(node, yaml.ScalarNode):
+        number = node.tag.rpartition(":")[2] in ("int", "float", "timestamp")
+        if number and len(node.value) > _LONGEST_NUMBER:
+            raise InputError(f"the number {node.value[:20]}... has {len(node.value)} characters")
+        return 1.0 + 0.1 * len(node.value)
+    if id(node) not in known:
+        if depth > _DEEPEST:
+            raise InputError(f"it is nested more than {_DEEPEST} levels deep")
+        known[id(node)] = math.inf  # for one that contains itself
+        parts = node.value if isinstance(node, yaml.SequenceNode) else [part for pair in node.value for part in pair]
+        known[id(node)] = 1.0 + sum(_size(part, known, depth + 1) for part in parts)
+    return known[id(node)]
+
+
+def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an ``.npz`` file by name; objects are refused.
+
+    Parameters
+    ----------
+    content : bytes
+        Of the file.
+    limit : int
+        Most bytes of all arrays together.
+
+    Raises
+    ------
+    InputError
+        If it is no such file, damaged, or unpacks to more; the message does not name the file.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as file:
+            members = file.infolist()
+            if len(members) > _MOST_MEMBERS or sum(member.file_size for member in members) > limit:
+                raise InputError(f"it unpacks to more than {limit} bytes or {_MOST_MEMBERS} arrays")
+            return {member.filename.removesuffix(".npy"): _array(file.read(member)) for member in members}
+    except InputError:
+        raise
+    except Exception as error:  # zipfile and zlib raise a dozen kinds for damaged files
+        raise InputError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+
+
+def _array(content: bytes) -> NDArray[Any]:
+    """Array of an ``.npy`` file, whose header must promise what is there."""
+    stream = io.BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    if version == (1, 0):
+        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    elif version == (2, 0):
+        shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
+    else:
+        raise InputError(f"an array is in version {version} of the format; 1 and 2 are known")
+    if dtype.kind not in _KINDS or dtype.itemsize == 0:
+        raise InputError(f"an array is of type {dtype}; there may be numbers and texts")
+    count = math.prod(shape)
+    fits = min(shape, default=0) >= 0 and max(shape, default=0) <= 2**40
+    if not fits or count * dtype.itemsize != len(content) - stream.tell():
+        raise InputError(f"an array of shape {shape!s:.80} and type {dtype} is announced; something else is there")
+    flat = np.frombuffer(content, dtype, count, stream.tell())
+    return flat.reshape(shape, order="F" if fortran else "C").copy()

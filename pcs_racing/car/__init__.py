@@ -1,0 +1,1 @@
+"""One car: vehicle dynamics, contacts, lidar, time to collision."""

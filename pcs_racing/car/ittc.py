@@ -1,0 +1,157 @@
+"""The smallest instantaneous time to collision around a car, exact over all directions and without a scan.
+
+A beam that hits a point p (relative to the lidar) which approaches with the relative velocity v has the range |p|, the
+range rate -(v . p) / |p| and so the instantaneous time to collision |p|^2 / (v . p). The points of equal time t form
+the circle through the lidar with the diameter |v| t along v, and the minimum over infinitely many beams is the smallest
+such circle that touches a wall or the opponent. What a nearer thing of the same velocity hides lies farther out on its
+beam, so that nothing has to be tested for being visible.
+"""
+
+import numpy as np
+
+from pcs_racing.base.compilation import kernel
+from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.track.frenet import wrap_s
+
+__all__ = ["minimum_ittc", "segment_ittc"]
+
+# A segment may end this far, in m, before the point that was computed on it.
+_ROUNDING = 1e-9
+
+
+@kernel(inline="always")
+def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untyped-def]
+    """The smaller of ``best`` and the least time to collision with the points of a segment.
+
+    Parameters
+    ----------
+    ax, ay, bx, by : float
+        Ends of the segment relative to the lidar, m.
+    vx, vy : float
+        Velocity of the lidar relative to the segment, m/s.
+    speed : float
+        Its norm, positive.
+    best : float
+        Time known so far, s.
+
+    Returns
+    -------
+    float
+    """
+    if max(vx * ax + vy * ay, vx * bx + vy * by) <= 0.0:
+        return best
+    ex = bx - ax
+    ey = by - ay
+    length = np.sqrt(ex * ex + ey * ey)
+    if length > 0.0:
+        ux = ex / length
+        uy = ey / length
+        # Unit normal (nx, ny) from the lidar to the line, at distance h.
+        nx = uy
+        ny = -ux
+        h = ax * nx + ay * ny
+        if h < 0.0:
+            h, nx, ny = -h, -nx, -ny
+        # The circle of time t has its centre at v t / 2 and touches the line where v.n t / 2 + |v| t / 2 = h.
+        closing = speed + vx * nx + vy * ny
+        if 2.0 * h >= best * closing:
+            return best
+        time = 2.0 * h / closing
+        foot = (0.5 * time * (vx + speed * nx) - ax) * ux + (0.5 * time * (vy + speed * ny) - ay) * uy
+        if -_ROUNDING <= foot <= length + _ROUNDING:
+            return time
+        # Along the line the time has a single minimum, so the end nearer to it is the best point of the segment.
+        if foot > length:
+            ax = bx
+            ay = by
+    approach = vx * ax + vy * ay
+    square = ax * ax + ay * ay
+    if square < best * approach:
+        return square / approach
+    return best
+
+
+@kernel
+def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
+    """The smaller of ``best`` and the least time to collision with the walls that can be seen from a stretch."""
+    speed = np.sqrt(vx * vx + vy * vy)
+    if speed == 0.0:
+        return best
+    dx = x - middle[stretch, 0]
+    dy = y - middle[stretch, 1]
+    off = np.sqrt(dx * dx + dy * dy)
+    for k in range(seen_start[stretch], seen_start[stretch + 1]):
+        # The circle of the best time reaches |v| t far from the lidar; this and all later segments lie outside it.
+        if distance[k] - off >= best * speed:
+            break
+        i = np.uint32(seen[k])
+        best = segment_ittc(walls[i, 0] - x, walls[i, 1] - y, walls[i, 2] - x, walls[i, 3] - y, vx, vy, speed, best)
+    return best
+
+
+@kernel
+def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: ignore[no-untyped-def]
+    """The smaller of ``best`` and the least time to collision with a rectangle centred at (x, y) from the lidar."""
+    speed = np.sqrt(vx * vx + vy * vy)
+    nearest = np.sqrt(x * x + y * y) - half_length - half_width  # no point of it is nearer
+    if speed == 0.0 or nearest >= best * speed:
+        return best
+    s, c = sine_cosine(psi)
+    lx = half_length * c
+    ly = half_length * s
+    wx = -half_width * s
+    wy = half_width * c
+    best = segment_ittc(x + lx - wx, y + ly - wy, x + lx + wx, y + ly + wy, vx, vy, speed, best)
+    best = segment_ittc(x + lx + wx, y + ly + wy, x - lx + wx, y - ly + wy, vx, vy, speed, best)
+    best = segment_ittc(x - lx + wx, y - ly + wy, x - lx - wx, y - ly - wy, vx, vy, speed, best)
+    return segment_ittc(x - lx - wx, y - ly - wy, x + lx - wx, y + ly - wy, vx, vy, speed, best)
+
+
+@kernel
+def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon):  # type: ignore[no-untyped-def]
+    """Least instantaneous time to collision of a lidar with the walls and, if asked, with the opponent.
+
+    Walls hidden by the opponent count too. Rotation of either car is left out: a beam is taken to keep its direction.
+
+    Parameters
+    ----------
+    track : TrackArrays
+    x, y : float
+        Position of the lidar, m.
+    vx, vy : float
+        Its velocity in the frame of the map, m/s.
+    s : float
+        Its arc length on the race line, m.
+    ox, oy, opsi : float
+        Pose of the opponent's centre, m and rad.
+    half_length, half_width : float
+        Half the sides of the opponent's rectangle, m.
+    ovx, ovy : float
+        Velocity of the opponent in the frame of the map, m/s.
+    use_opponent : bool
+        Whether there is an opponent.
+    horizon : float
+        Cap of the result, s.
+
+    Returns
+    -------
+    float
+        Time in [0, horizon], s.
+    """
+    stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
+    best = walls_ittc(
+        track.walls,
+        track.seen_start,
+        track.seen,
+        track.seen_distance,
+        track.seen_middle,
+        stretch,
+        x,
+        y,
+        vx,
+        vy,
+        horizon,
+    )
+    if use_opponent:
+        best = rectangle_ittc(ox - x, oy - y, opsi, half_length, half_width, vx - ovx, vy - ovy, best)
+    return best

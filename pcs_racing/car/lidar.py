@@ -1,0 +1,161 @@
+"""A 2D lidar: ranges to walls and to the opponent."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import sines_cosines
+from pcs_racing.base.errors import InputError
+from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_into
+from pcs_racing.track.frenet import locate
+from pcs_racing.track.track import Track
+
+__all__ = ["WORK_SHAPE", "Beams", "Lidar", "scan_into"]
+
+MOST_BEAMS = 100_000
+
+
+@compiled
+def _scan_all(track, beams, poses, has_opponent, opponents, half_length, half_width, out):  # type: ignore[no-untyped-def]
+    work = np.empty(WORK_SHAPE)
+    for k in range(poses.shape[0]):
+        x, y, psi = poses[k]
+        ox, oy, opsi = opponents[k]
+        s, _ = locate(track, x, y)
+        scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out[k])
+
+
+def _poses(value: ArrayLike, name: str) -> NDArray[np.float64]:
+    try:
+        poses = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be numbers of shape (..., 3): x, y, psi") from error
+    if poses.ndim == 0 or poses.shape[-1] != 3:
+        raise InputError(f"{name} must have the shape (..., 3): x, y, psi; got {poses.shape}")
+    if not np.isfinite(poses).all():
+        raise InputError(f"{name} must be finite; got {poses[~np.isfinite(poses).all(axis=-1)][0].tolist()}")
+    return poses
+
+
+def _number(value: float, name: str, low: float, high: float) -> None:
+    if not (isinstance(value, (int, float, np.integer, np.floating)) and low <= value <= high):
+        raise InputError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Lidar:
+    """A scanning lidar at the pose of a car, on one track.
+
+    Attributes
+    ----------
+    track : Track
+    beams : int
+        Number of beams, 1 to 100,000; a single one looks straight ahead.
+    fov : float
+        Angle from the first beam to the last in rad, up to 2 pi.
+    max_range : float
+        Longest range that is reported, m.
+    noise : float
+        Standard deviation of the noise that `scan` adds to ranges, m.
+
+    Raises
+    ------
+    InputError
+        If a value lies outside its range.
+    """
+
+    track: Track
+    beams: int = 1080
+    fov: float = 4.7
+    max_range: float = 30.0
+    noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.track, Track):
+            raise InputError(f"track must be a Track, as load_track returns it, got {type(self.track).__name__}")
+        if isinstance(self.beams, bool) or not isinstance(self.beams, (int, np.integer)):
+            raise InputError(f"beams must be a whole number, got {self.beams!r}")
+        _number(self.beams, "beams", 1, MOST_BEAMS)
+        _number(self.fov, "fov", 1e-6, 2.0 * np.pi)
+        _number(self.max_range, "max_range", 1e-3, 1e6)
+        _number(self.noise, "noise", 0.0, 1e6)
+
+    @cached_property
+    def angles(self) -> NDArray[np.float64]:
+        """Angles of the beams relative to the heading, shape (beams,), rad, counter-clockwise; read-only."""
+        angles = np.linspace(-0.5 * self.fov, 0.5 * self.fov, self.beams) if self.beams > 1 else np.zeros(1)
+        angles.flags.writeable = False
+        return angles
+
+    @cached_property
+    def kernel(self) -> Beams:
+        """The beams as `scan_into` takes them."""
+        step = self.fov / (self.beams - 1) if self.beams > 1 else 2.0 * np.pi
+        sin, cos = sines_cosines(self.angles)
+        cos.flags.writeable = sin.flags.writeable = False
+        return Beams(float(self.angles[0]), float(step), float(self.max_range), cos, sin)
+
+    def scan(
+        self,
+        poses: ArrayLike,
+        opponents: ArrayLike | None = None,
+        *,
+        opponent_size: tuple[float, float] = (0.58, 0.31),
+        rng: np.random.Generator | None = None,
+    ) -> NDArray[np.float64]:
+        """Ranges seen from any number of poses.
+
+        Parameters
+        ----------
+        poses : array_like, shape (..., 3)
+            x, y (m) and psi (rad) of the lidar.
+        opponents : array_like, shape (..., 3), optional
+            Pose of one other car for each scan; broadcast to the shape of ``poses``.
+        opponent_size : tuple of float
+            Its length and width, m.
+        rng : numpy.random.Generator, optional
+            Source of the noise; needed if ``noise`` is positive, else not used.
+
+        Returns
+        -------
+        ndarray, shape (..., beams)
+            Ranges in [0, max_range], m; all 0 for a pose inside a wall or off the map.
+
+        Raises
+        ------
+        InputError
+            If a shape is wrong, a pose is not finite, or a generator is needed and missing.
+        """
+        at = _poses(poses, "poses")
+        others = at
+        if opponents is not None:
+            others = _poses(opponents, "opponents")
+            try:
+                others = np.broadcast_to(others, at.shape)
+            except ValueError as error:
+                message = f"opponents of shape {others.shape} can't be broadcast to poses of shape {at.shape}"
+                raise InputError(message) from error
+        length, width = opponent_size
+        _number(length, "the opponent's length", 1e-3, 1e3)
+        _number(width, "the opponent's width", 1e-3, 1e3)
+        if self.noise > 0.0 and not isinstance(rng, np.random.Generator):
+            raise InputError(f"a lidar with noise needs rng, a numpy.random.Generator, got {rng!r}")
+        out = np.empty((at.size // 3, self.beams))
+        # Writeable though nobody writes: numba compiles read-only arrays as a type of their own.
+        _scan_all(
+            self.track.arrays,
+            self.kernel,
+            np.require(at.reshape(-1, 3), requirements=["C", "W"]),
+            opponents is not None,
+            np.require(others.reshape(-1, 3), requirements=["C", "W"]),
+            0.5 * length,
+            0.5 * width,
+            out,
+        )
+        if rng is not None and self.noise > 0.0:
+            out += rng.normal(0.0, self.noise, out.shape)
+            np.clip(out, 0.0, self.max_range, out=out)
+        return out.reshape(*at.shape[:-1], self.beams)

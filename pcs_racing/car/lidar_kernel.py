@@ -1,0 +1,287 @@
+"""One lidar scan in compiled code, without marching along beams.
+
+The wall segments that can be seen from the car's stretch of track are projected into polar coordinates and drawn into a
+depth buffer of beams, the nearest winning. Along a segment the inverse range is linear in the cosine and sine of the
+beam's angle, so drawing needs a product and a maximum per beam. The walls are polylines within about half a cell of the
+grid. At the edge of something near, this half cell may put a beam on the wrong side of the edge; the beams beside such
+a jump, and those that no listed segment fills, are settled by following them through the cells of the grid.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.car.collision import inside_wall
+from pcs_racing.track.frenet import wrap_s
+from pcs_racing.track.grid import cast
+
+__all__ = ["WORK_SHAPE", "Beams", "scan_into"]
+
+# Neighbouring beams lie on two sides of an edge if their ranges differ by this much in m and as a share of the nearer.
+JUMP = 1.0
+JUMP_SHARE = 0.2
+
+# How well the grid and the buffer must agree, in m, for the search beside an edge to end.
+AGREEMENT = 0.5
+
+# Segments are drawn this much longer at both ends, in rad, to leave no gap where they meet: more than `_angle` errs.
+_OVERLAP = 1e-7
+
+# Shape of the working memory of `scan_into`: longer lists of segments are worked off in parts.
+WORK_SHAPE = (4, 256)
+
+
+class Beams(NamedTuple):
+    """The beams of a lidar as a compiled kernel sees them.
+
+    Attributes
+    ----------
+    first, step : float
+        Angle of the first beam relative to the car's heading, and from each beam to the next, counter-clockwise, rad.
+    max_range : float
+        Longest range that is reported, m.
+    cos, sin : ndarray, shape (beams,)
+        Of the beams' angles.
+    """
+
+    first: float
+    step: float
+    max_range: float
+    cos: NDArray[np.float64]
+    sin: NDArray[np.float64]
+
+
+@compiled(inline="always")
+def _angle(x, y):  # type: ignore[no-untyped-def]
+    """Direction of (x, y) in rad to 2e-8 (Abramowitz and Stegun 1964, 4.4.49); free of branches, to be vectorised."""
+    ax = abs(x)
+    ay = abs(y)
+    r = min(ax, ay) / max(ax, ay)
+    q = r * r
+    a = 0.0429096138 + q * (-0.0161657367 + q * 0.0028662257)
+    a = -0.1420889944 + q * (0.1065626393 + q * (-0.0752896400 + q * a))
+    a = r * (1.0 + q * (-0.3333314528 + q * (0.1999355085 + q * a)))
+    a = 0.5 * np.pi - a if ay > ax else a
+    a = np.pi - a if x < 0.0 else a
+    return -a if y < 0.0 else a
+
+
+@compiled(inline="always")
+def _faces_lidar(ax, ay, bx, by):  # type: ignore[no-untyped-def]
+    """Whether a segment has the lidar on its left and spans an angle (3e-7 rad) well above the error of `_angle`."""
+    across = ax * by - ay * bx
+    return across > 0.0 and across * across > 1e-13 * (ax * ax + ay * ay) * (bx * bx + by * by)
+
+
+@compiled
+def _gather(walls, seen, x, y, work):  # type: ignore[no-untyped-def]
+    """Copy the ends, relative to the lidar, of the segments that face it; returns how many there are."""
+    count = 0
+    for k in range(seen.shape[0]):
+        i = np.uint32(seen[k])
+        ax = walls[i, 0] - x
+        ay = walls[i, 1] - y
+        bx = walls[i, 2] - x
+        by = walls[i, 3] - y
+        work[0, count] = ax
+        work[1, count] = ay
+        work[2, count] = bx
+        work[3, count] = by
+        count += _faces_lidar(ax, ay, bx, by)
+    return count
+
+
+@compiled
+def _to_beams(beams, cos, sin, ax, ay, bx, by, count):  # type: ignore[no-untyped-def]
+    """Turn ends of segments, in place, into their span of beams and the two coefficients of their inverse range.
+
+    The span is counted in beams from the first one and begins below 0 where the segment crosses the first direction.
+    A beam in the direction (c, s) of the car's frame has the inverse range ``p c + q s``. Written for the compiler to
+    vectorise: no branch, no look-up.
+    """
+    per_step = 1.0 / beams.step
+    zero = beams.first
+    margin = _OVERLAP * per_step
+    for k in range(count):
+        ux = ax[k] * cos + ay[k] * sin
+        uy = ay[k] * cos - ax[k] * sin
+        vx = bx[k] * cos + by[k] * sin
+        vy = by[k] * cos - bx[k] * sin
+        begin = _angle(ux, uy) - zero
+        end = _angle(vx, vy) - zero
+        begin = begin + 2.0 * np.pi if begin < 0.0 else begin
+        end = end + 2.0 * np.pi if end < 0.0 else end
+        begin = begin - 2.0 * np.pi if begin > end else begin
+        scale = 1.0 / (ux * vy - uy * vx)
+        ax[k] = begin * per_step - margin
+        ay[k] = end * per_step + margin
+        bx[k] = (vy - uy) * scale
+        by[k] = (ux - vx) * scale
+
+
+@compiled
+def _fill(cos, sin, p, q, first, last, out):  # type: ignore[no-untyped-def]
+    """Draw an inverse range into a run of beams; the larger wins."""
+    # Unsigned: an index that might be negative (counted from the end, in Python) keeps the loop from being vectorised.
+    for k in range(np.uint64(first), np.uint64(last + 1)):
+        before = out[k]
+        inverse = p * cos[k] + q * sin[k]
+        out[k] = inverse if inverse > before else before
+
+
+@compiled
+def _draw(beams, work, count, out):  # type: ignore[no-untyped-def]
+    """Draw the segments that `_to_beams` has prepared."""
+    last = out.shape[0] - 1.0
+    turn = 2.0 * np.pi / beams.step
+    kept = 0
+    for k in range(count):
+        begin, p, q = work[0, k], work[2, k], work[3, k]
+        if begin < 0.0:
+            around = min(max(np.ceil(begin + turn), 0.0), last + 1.0)
+            _fill(beams.cos, beams.sin, p, q, int(around), int(last), out)
+        first = min(max(np.ceil(begin), 0.0), last + 1.0)
+        final = min(np.floor(work[1, k]), last)
+        work[0, kept] = first
+        work[1, kept] = final
+        work[2, kept] = p
+        work[3, kept] = q
+        kept += final >= first  # half of them fall between two beams; a branch here would be mispredicted
+    for k in range(kept):
+        _fill(beams.cos, beams.sin, work[2, k], work[3, k], int(work[0, k]), int(work[1, k]), out)
+
+
+@compiled
+def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-untyped-def]
+    """Draw the walls that can be seen from arc length s into a buffer of inverse ranges."""
+    stretch = int(wrap_s(track, s) / track.seen_stretch) % (track.seen_start.shape[0] - 1)
+    end = track.seen_start[stretch + 1]
+    for begin in range(track.seen_start[stretch], end, work.shape[1]):
+        seen = track.seen[begin : min(begin + work.shape[1], end)]
+        count = _gather(track.walls, seen, x, y, work)
+        _to_beams(beams, cos, sin, work[0], work[1], work[2], work[3], count)
+        _draw(beams, work, count, out)
+
+
+@compiled
+def _draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):  # type: ignore[no-untyped-def]
+    """Draw a rectangle, centred at (x, y) relative to the lidar, into a buffer of inverse ranges."""
+    s, c = sine_cosine(psi)
+    count = 0
+    for k in range(4):
+        u = half_length if k in (0, 3) else -half_length
+        v = half_width if k < 2 else -half_width
+        ax = x + u * c - v * s
+        ay = y + u * s + v * c
+        u, v = (-u, v) if k % 2 == 0 else (u, -v)
+        bx = x + u * c - v * s
+        by = y + u * s + v * c
+        # Near sides run clockwise around a lidar outside, every side counter-clockwise around one inside.
+        if ax * by - ay * bx < 0.0:
+            ax, ay, bx, by = bx, by, ax, ay
+        work[0, count], work[1, count], work[2, count], work[3, count] = ax, ay, bx, by
+        count += _faces_lidar(ax, ay, bx, by)
+    _to_beams(beams, cos, sin, work[0], work[1], work[2], work[3], count)
+    _draw(beams, work, count, out)
+
+
+@compiled
+def _follow(track, beams, x, y, cos, sin, k, reach):  # type: ignore[no-untyped-def]
+    """Range of beam k in m, at most ``reach``, by following it through the cells of the grid."""
+    c = cos * beams.cos[k] - sin * beams.sin[k]
+    s = sin * beams.cos[k] + cos * beams.sin[k]
+    u = (x - track.origin_x) / track.cell
+    v = (y - track.origin_y) / track.cell
+    cells = cast(track.distance, u, v, c, s, reach / track.cell)[0]
+    return min(cells * track.cell, reach) if cells < reach / track.cell else reach
+
+
+@compiled(inline="always")
+def _stands_out(out, k):  # type: ignore[no-untyped-def]
+    """Whether the jump behind beam k is no mere slope: along a wall seen at a grazing angle ranges grow steadily."""
+    before = abs(out[k] - out[max(k - 1, 0)])
+    after = abs(out[min(k + 2, out.shape[0] - 1)] - out[k + 1])
+    return abs(out[k + 1] - out[k]) > 2.0 * max(before, after)
+
+
+@compiled
+def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped-def]
+    """Follow the beams on both sides of every jump, outwards from it, until the grid agrees with the buffer.
+
+    A beam that passes the nearer thing has agreed: how far it goes then was not in doubt.
+    """
+    last = out.shape[0] - 1
+    k = 0
+    while k < last:
+        far = min(out[k], out[k + 1])
+        near = max(out[k], out[k + 1])
+        if near - far > max(JUMP * near, JUMP_SHARE) * far and _stands_out(out, k):
+            passed = min(1.0 / near + JUMP, beams.max_range)
+            for step in (-1, 1):
+                j = k if step < 0 else k + 1
+                while 0 <= j <= last:
+                    drawn = 1.0 / out[j]
+                    true = _follow(track, beams, x, y, cos, sin, j, passed)
+                    if true >= passed:
+                        if drawn >= passed:
+                            break
+                        true = _follow(track, beams, x, y, cos, sin, j, beams.max_range)
+                    out[j] = 1.0 / true
+                    if abs(true - drawn) <= AGREEMENT:
+                        break
+                    j += step
+            k = max(k, j - 1)
+        k += 1
+
+
+@compiled
+def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out):  # type: ignore[no-untyped-def]
+    """Write one scan, without allocating anything.
+
+    A lidar inside a wall or off the map reads 0 everywhere.
+
+    Parameters
+    ----------
+    track : TrackArrays
+    beams : Beams
+        As in ``Lidar(track).kernel``.
+    x, y, psi : float
+        Pose of the lidar, m and rad.
+    s : float
+        Its arc length on the race line, m.
+    has_opponent : bool
+        Whether there is an opponent to draw.
+    ox, oy, opsi : float
+        Pose of the opponent's centre, m and rad.
+    half_length, half_width : float
+        Half the sides of its rectangle, m.
+    work : ndarray, shape (4, n), float64
+        Working memory with n >= 4, one for each thread; ``np.empty(WORK_SHAPE)`` will do.
+    out : ndarray, shape (beams,)
+        Receives the ranges in m, in [0, max_range].
+    """
+    if inside_wall(track, x, y):
+        out[:] = 0.0
+        return
+    # The buffer holds inverse ranges until the end; 0 means that nothing was drawn.
+    out[:] = 0.0
+    sin, cos = sine_cosine(psi)
+    _draw_walls(track, beams, x, y, cos, sin, s, work, out)
+    empty = 0
+    for k in range(out.shape[0]):
+        empty += out[k] <= 0.0
+    if empty > 0:
+        for k in range(out.shape[0]):
+            if out[k] <= 0.0:
+                out[k] = 1.0 / _follow(track, beams, x, y, cos, sin, k, beams.max_range)
+    least = 1.0 / beams.max_range
+    for k in range(out.shape[0]):
+        out[k] = out[k] if out[k] > least else least
+    _settle_edges(track, beams, x, y, cos, sin, out)
+    if has_opponent:
+        _draw_rectangle(beams, ox - x, oy - y, opsi, half_length, half_width, cos, sin, work, out)
+    for k in range(out.shape[0]):
+        out[k] = 1.0 / out[k]

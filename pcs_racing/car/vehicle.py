@@ -1,0 +1,327 @@
+"""The single-track vehicle model of CommonRoad [1]_ and the controllers that turn commands into its inputs.
+
+A vehicle's state is a row of seven numbers: x, y (m), steering angle delta (rad), speed v (m/s), heading psi (rad),
+yaw rate psi_dot (rad/s) and slip angle beta (rad), all at the centre of gravity. Its inputs are the steering rate
+(rad/s) and the longitudinal acceleration (m/s^2).
+
+References
+----------
+.. [1] M. Althoff, M. Koschi and S. Manzinger, "CommonRoad: Composable benchmarks for motion planning on roads", IV
+2017,
+   single-track model with load transfer.
+"""
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.elementary import arctangent, sine_cosine
+from pcs_racing.base.errors import InputError
+
+__all__ = ["F1TENTH", "STATE_SIZE", "ControlMode", "VehicleParams", "simulate", "step", "target_inputs"]
+
+# Columns of a vehicle state; X and Y share their numbers with a line of the track.
+X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
+STATE_SIZE = 7
+GRAVITY = 9.81
+KINEMATIC_BELOW = 0.5  # m/s; the dynamic branch divides by the speed
+
+ControlMode = Literal["rates", "target", "f1tenth_gym"]
+
+
+@dataclass(frozen=True)
+class VehicleParams:
+    """Parameters of one car; the defaults are the 1:10 F1TENTH car.
+
+    Attributes
+    ----------
+    mu : float
+        Friction coefficient.
+    c_sf, c_sr : float
+        Cornering stiffness of the front and rear tyres, 1/rad.
+    lf, lr : float
+        Distance from the centre of gravity to the front and rear axle, m.
+    h : float
+        Height of the centre of gravity, m.
+    m : float
+        Mass, kg.
+    inertia : float
+        Yaw inertia, kg m^2.
+    steer_max : float
+        Largest steering angle either way, rad.
+    steer_rate_max : float
+        Largest steering rate either way, rad/s.
+    v_switch : float
+        Speed above which the engine's power, not its force, limits the acceleration, m/s.
+    a_max : float
+        Largest acceleration and braking, m/s^2.
+    v_min, v_max : float
+        Speed limits, m/s.
+    width, length : float
+        The car's rectangle, centred on its pose, m.
+    """
+
+    mu: float = 1.0489
+    c_sf: float = 4.718
+    c_sr: float = 5.4562
+    lf: float = 0.15875
+    lr: float = 0.17145
+    h: float = 0.074
+    m: float = 3.74
+    inertia: float = 0.04712
+    steer_max: float = 0.4189
+    steer_rate_max: float = 3.2
+    v_switch: float = 7.319
+    a_max: float = 9.51
+    v_min: float = -5.0
+    v_max: float = 20.0
+    width: float = 0.31
+    length: float = 0.58
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not np.isfinite(value):
+                raise InputError(f"vehicle parameter {field.name} is {value!r}; it must be a finite number")
+            if field.name != "v_min" and value <= 0.0:
+                raise InputError(f"vehicle parameter {field.name} is {value!r}; it must be above 0")
+        if self.v_min > 0.0:
+            raise InputError(f"vehicle parameter v_min is {self.v_min!r}; it must be 0 or below")
+
+    @property
+    def wheelbase(self) -> float:
+        """Distance between the axles, m."""
+        return self.lf + self.lr
+
+    def as_row(self) -> NDArray[np.float64]:
+        """Return the parameters as the row of numbers that compiled code reads, shape (16,)."""
+        return np.array([getattr(self, field.name) for field in fields(self)], dtype=np.float64)
+
+
+F1TENTH = VehicleParams()
+
+# Columns of a parameter row.
+(MU, C_SF, C_SR, LF, LR, H, M, INERTIA, STEER_MAX, STEER_RATE_MAX, V_SWITCH, A_MAX, V_MIN, V_MAX, WIDTH, LENGTH) = (
+    range(16)
+)
+PARAMS_SIZE = 16
+
+
+@kernel(inline="always")
+def _limited_rate(delta, rate, p):  # type: ignore[no-untyped-def]
+    limit = p[STEER_MAX]
+    if (delta <= -limit and rate <= 0.0) or (delta >= limit and rate >= 0.0):
+        return 0.0
+    return min(max(rate, -p[STEER_RATE_MAX]), p[STEER_RATE_MAX])
+
+
+@kernel(inline="always")
+def _limited_acceleration(v, a, p):  # type: ignore[no-untyped-def]
+    if (v <= p[V_MIN] and a <= 0.0) or (v >= p[V_MAX] and a >= 0.0):
+        return 0.0
+    most = p[A_MAX] * p[V_SWITCH] / v if v > p[V_SWITCH] else p[A_MAX]
+    return min(max(a, -p[A_MAX]), most)
+
+
+@kernel(inline="always")
+def _derivative(delta, v, psi, psi_dot, beta, rate, acceleration, p):  # type: ignore[no-untyped-def]
+    """Right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
+    rate = _limited_rate(delta, rate, p)
+    a = _limited_acceleration(v, acceleration, p)
+    lf = p[LF]
+    lr = p[LR]
+    wheelbase = lf + lr
+    if v < KINEMATIC_BELOW:
+        sin_delta, cos_delta = sine_cosine(delta)
+        tan_delta = sin_delta / cos_delta
+        slip = arctangent(tan_delta * lr / wheelbase)
+        slip_dot = lr * rate / (wheelbase * cos_delta**2 * (1.0 + (tan_delta * lr / wheelbase) ** 2))
+        _, cos_slip = sine_cosine(slip)
+        yaw = v * cos_slip * tan_delta / wheelbase
+        sin_beta, cos_beta = sine_cosine(beta)
+        yaw_dot = (
+            a * cos_beta * tan_delta - v * sin_beta * slip_dot * tan_delta + v * cos_beta * rate / cos_delta**2
+        ) / wheelbase
+        sine, cosine = sine_cosine(psi + slip)
+        return v * cosine, v * sine, rate, a, yaw, yaw_dot, slip_dot
+    front = p[C_SF] * (GRAVITY * lr - a * p[H])
+    rear = p[C_SR] * (GRAVITY * lf + a * p[H])
+    per_v = 1.0 / v
+    yaw_dot = (
+        p[MU]
+        * p[M]
+        / (p[INERTIA] * wheelbase)
+        * (lf * front * delta + (lr * rear - lf * front) * beta - (lf * lf * front + lr * lr * rear) * psi_dot * per_v)
+    )
+    beta_dot = (
+        p[MU] * per_v / wheelbase * (front * delta - (rear + front) * beta + (rear * lr - front * lf) * psi_dot * per_v)
+        - psi_dot
+    )
+    sine, cosine = sine_cosine(psi + beta)
+    return v * cosine, v * sine, rate, a, psi_dot, yaw_dot, beta_dot
+
+
+@kernel
+def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
+    """Advance one vehicle in place by one classic Runge-Kutta step with its inputs held.
+
+    Parameters
+    ----------
+    state : ndarray, shape (7,)
+        The vehicle's state, overwritten.
+    rate, acceleration : float
+        Steering rate in rad/s and longitudinal acceleration in m/s^2; limited inside the derivative, in all four
+        stages.
+    p : ndarray, shape (16,)
+        Parameter row (:meth:`VehicleParams.as_row`).
+    dt : float
+        Length of the step in s.
+    """
+    h = 0.5 * dt
+    delta, v, psi, r, beta = state[DELTA], state[V], state[PSI], state[PSI_DOT], state[BETA]
+    a0, a1, a2, a3, a4, a5, a6 = _derivative(delta, v, psi, r, beta, rate, acceleration, p)
+    b0, b1, b2, b3, b4, b5, b6 = _derivative(
+        delta + h * a2, v + h * a3, psi + h * a4, r + h * a5, beta + h * a6, rate, acceleration, p
+    )
+    c0, c1, c2, c3, c4, c5, c6 = _derivative(
+        delta + h * b2, v + h * b3, psi + h * b4, r + h * b5, beta + h * b6, rate, acceleration, p
+    )
+    d0, d1, d2, d3, d4, d5, d6 = _derivative(
+        delta + dt * c2, v + dt * c3, psi + dt * c4, r + dt * c5, beta + dt * c6, rate, acceleration, p
+    )
+    w = dt / 6.0
+    state[X] += w * (a0 + 2.0 * b0 + 2.0 * c0 + d0)
+    state[Y] += w * (a1 + 2.0 * b1 + 2.0 * c1 + d1)
+    state[DELTA] = delta + w * (a2 + 2.0 * b2 + 2.0 * c2 + d2)
+    state[V] = v + w * (a3 + 2.0 * b3 + 2.0 * c3 + d3)
+    psi += w * (a4 + 2.0 * b4 + 2.0 * c4 + d4)
+    state[PSI] = psi - 2.0 * np.pi * np.floor(psi / (2.0 * np.pi))
+    state[PSI_DOT] = r + w * (a5 + 2.0 * b5 + 2.0 * c5 + d5)
+    state[BETA] = beta + w * (a6 + 2.0 * b6 + 2.0 * c6 + d6)
+
+
+@kernel(inline="always")
+def target_inputs(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
+    """Inputs that lead to a target steering angle and speed without chatter or overshoot.
+
+    The steering moves at its full rate and arrives exactly; the speed error decays with a time constant of 0.1 s
+    where the
+    engine and the brakes allow it.
+    """
+    steer = min(max(steer, -p[STEER_MAX]), p[STEER_MAX])
+    rate = (steer - state[DELTA]) / dt
+    rate = min(max(rate, -p[STEER_RATE_MAX]), p[STEER_RATE_MAX])
+    return rate, _limited_acceleration(state[V], 10.0 * (speed - state[V]), p)
+
+
+@kernel
+def _gym_inputs(state, steer, speed, p):  # type: ignore[no-untyped-def]
+    """Inputs of the established simulator's controllers: bang-bang steering and a speed gain that depends on the
+    case.
+    """
+    error = steer - state[DELTA]
+    rate = np.sign(error) * p[STEER_RATE_MAX] if abs(error) > 1e-4 else 0.0
+    v = state[V]
+    difference = speed - v
+    if v > 0.0:
+        gain = 10.0 * p[A_MAX] / p[V_MAX] if difference > 0.0 else 10.0 * p[A_MAX] / -p[V_MIN]
+    else:
+        gain = 2.0 * p[A_MAX] / p[V_MAX] if difference > 0.0 else 2.0 * p[A_MAX] / -p[V_MIN]
+    return rate, gain * difference
+
+
+_MODES: dict[str, int] = {"rates": 0, "target": 1, "f1tenth_gym": 2}
+_GYM_DELAY = 2  # steps by which that simulator delays its steering targets
+
+
+@compiled
+def _simulate(states, controls, mode, dt, params):  # type: ignore[no-untyped-def]
+    for b in range(states.shape[0]):
+        p = params[b]
+        for k in range(controls.shape[1]):
+            states[b, k + 1] = states[b, k]
+            state = states[b, k + 1]
+            first = controls[b, k, 0]
+            second = controls[b, k, 1]
+            if mode == 1:
+                first, second = target_inputs(state, first, second, p, dt)
+            elif mode == 2:
+                delayed = controls[b, k - _GYM_DELAY, 0] if k >= _GYM_DELAY else 0.0
+                first, second = _gym_inputs(state, delayed, second, p)
+            step(state, first, second, p, dt)
+
+
+def simulate(
+    initial_state: ArrayLike,
+    controls: ArrayLike,
+    *,
+    control_mode: ControlMode = "target",
+    dt: float = 0.01,
+    params: VehicleParams | list[VehicleParams] = F1TENTH,
+) -> NDArray[np.float64]:
+    """Drive one vehicle, or a batch of them, with given controls and return every state.
+
+    Parameters
+    ----------
+    initial_state : array_like, shape (7,) or (B, 7)
+        x, y (m), delta (rad), v (m/s), psi (rad), psi_dot (rad/s), beta (rad).
+    controls : array_like, shape (T, 2) or (B, T, 2)
+        ``"rates"``: steering rate (rad/s) and acceleration (m/s^2). Otherwise: target steering angle (rad) and speed
+        (m/s).
+    control_mode : {"target", "rates", "f1tenth_gym"}
+        ``"target"`` steers at full rate and arrives without overshoot; ``"f1tenth_gym"`` reproduces the controllers of
+        that simulator, its two-step steering delay included.
+    dt : float
+        Length of a step in s, in (0, 0.05].
+    params : VehicleParams or list of B VehicleParams
+        One set for all vehicles, or one for each.
+
+    Returns
+    -------
+    ndarray, shape (T + 1, 7) or (B, T + 1, 7)
+        The states, the initial one first; psi is brought into [0, 2 pi) after each step.
+
+    Raises
+    ------
+    InputError
+        If a shape, a value or the mode is impossible.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> states = simulate(np.zeros(7), np.tile([0.1, 2.0], (100, 1)))
+    >>> states.shape
+    (101, 7)
+    """
+    initial = np.asarray(initial_state, dtype=np.float64)
+    commands = np.asarray(controls, dtype=np.float64)
+    if control_mode not in _MODES:
+        raise InputError(f"control_mode is {control_mode!r}; it must be one of {', '.join(_MODES)}")
+    if initial.ndim not in (1, 2) or initial.shape[-1] != STATE_SIZE:
+        raise InputError(f"initial_state has shape {initial.shape}; it must be (7,) or (B, 7)")
+    if commands.ndim != initial.ndim + 1 or commands.shape[-1] != 2 or commands.shape[:-2] != initial.shape[:-1]:
+        raise InputError(
+            f"controls have shape {commands.shape}; for initial_state of shape {initial.shape} they must be "
+            f"{(*initial.shape[:-1], 'T', 2)}"
+        )
+    if not np.isfinite(initial).all() or not np.isfinite(commands).all():
+        raise InputError("initial_state and controls must be finite; found NaN or infinity")
+    if not 0.0 < dt <= 0.05:
+        raise InputError(f"dt is {dt!r}; it must be above 0 and at most 0.05 s")
+    batch = np.atleast_2d(initial)
+    rows = [params] * len(batch) if isinstance(params, VehicleParams) else list(params)
+    if len(rows) != len(batch):
+        raise InputError(f"params holds {len(rows)} sets for {len(batch)} vehicles; give one set, or one for each")
+    states = np.empty((len(batch), commands.shape[-2] + 1, STATE_SIZE))
+    states[:, 0] = batch
+    _simulate(
+        states,
+        np.ascontiguousarray(commands.reshape(len(batch), -1, 2)),
+        _MODES[control_mode],
+        dt,
+        np.array([row.as_row() for row in rows]).reshape(len(batch), PARAMS_SIZE),
+    )
+    return states.reshape(*initial.shape[:-1], -1, STATE_SIZE)

@@ -1,0 +1,564 @@
+"""Archives of policies: parameter vectors, their coordinates in the Policy Characteristic Space, and the moves there.
+
+A policy is a point; a move asks for a point a little farther along one axis and gets the nearest policy of the archive.
+Metres and seconds share no scale, so distances and moves are taken in normalised coordinates: 0 at the archive's nadir
+point (the worst value on each axis) and 1 at its ideal point (the best).
+"""
+
+import hashlib
+import io
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.reading import MAX_YAML, parse_manifest, read_limited, unpack_arrays
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.registry import get_planner
+
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["Explored", "PolicyArchive", "check_epsilon", "list_archives", "load_archive"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+FORMAT = "pcs-racing archive"
+VERSION = 1
+MAX_BYTES = 256_000_000
+
+EPSILON = 0.5
+"""How far a move goes unless the game says otherwise: half of the archive's range on an axis."""
+_ARRAYS = ("parameters", "coordinates", "ideal", "nadir", "explored_parameters", "explored_coordinates")
+_EXTRA_ARRAYS = ("spread", "own_crash", "explored_own_crash")  # where they were measured
+_TEXTS = ("name", "planner", "preset")
+_NAMES = ("parameter_names", "characteristics")
+_KEYS = ("format", "version", *_TEXTS, *_NAMES, "settings", "arrays_sha256")
+
+
+class Explored(NamedTuple):
+    """Everything that was evaluated on the way to an archive: what its "random policies" are drawn from.
+
+    Attributes
+    ----------
+    parameters : ndarray, shape (E, P)
+    coordinates : ndarray, shape (E, G)
+        In the characteristics' units, as they were measured on the way.
+    own_crash : ndarray, shape (E,), or None
+        Share of races that ended by a crash of the policy's own fault.
+    """
+
+    parameters: Floats
+    coordinates: Floats
+    own_crash: Floats | None
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyArchive:
+    """Policies of one planner and where they lie in the Policy Characteristic Space (Section IV of the paper).
+
+    Attributes
+    ----------
+    name : str
+    planner : str
+        Name of the planner that all policies belong to.
+    parameter_names : tuple of str
+        What the columns of ``parameters`` are; must agree with the planner's.
+    parameters : ndarray, shape (K, P)
+    characteristics : tuple of str
+        Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); more is more on all of them.
+    coordinates : ndarray, shape (K, G)
+        Coordinates of the policies, in the characteristics' units. They come from races that had no say in the choice
+        of the policies, since the best of many noisy values is too good to be true.
+    ideal, nadir : ndarray, shape (G,)
+        Points that stand for 1 and 0 on each normalised axis; by default the largest and smallest coordinates.
+    explored_parameters : ndarray, shape (E, P)
+        Everything that was evaluated on the way.
+    explored_coordinates : ndarray, shape (E, G)
+        What it was evaluated to.
+    settings : Mapping
+        How the archive was made: texts and numbers by name. ``segment_seconds`` is the length of the pieces of racing
+        that the coordinates are means of.
+    preset : str
+        Name of the rules of the races that the coordinates were measured in.
+    spread : ndarray, shape (K, G), optional
+        Standard errors of the coordinates.
+    own_crash : ndarray, shape (K,), optional
+        Share of the races behind the coordinates that ended by a crash of the policy's own fault, 0 to 1.
+    explored_own_crash : ndarray, shape (E,), optional
+        The same for everything that was evaluated on the way.
+
+    Raises
+    ------
+    InputError
+        If an array is not finite or has another shape, an axis has no extent, or a name is no text.
+    UnknownNameError
+        If a characteristic is unknown.
+    """
+
+    name: str
+    planner: str
+    parameter_names: tuple[str, ...]
+    parameters: Floats
+    characteristics: tuple[str, ...]
+    coordinates: Floats
+    ideal: Floats = None  # type: ignore[assignment]
+    nadir: Floats = None  # type: ignore[assignment]
+    explored_parameters: Floats = None  # type: ignore[assignment]
+    explored_coordinates: Floats = None  # type: ignore[assignment]
+    settings: Mapping[str, str | int | float | bool] = field(default_factory=dict)
+    preset: str = "paper"
+    spread: Floats | None = None
+    own_crash: Floats | None = None
+    explored_own_crash: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for key in _TEXTS:
+            if not isinstance(getattr(self, key), str) or not getattr(self, key):
+                raise InputError(f"an archive's {key} is {getattr(self, key)!r}; it must be a non-empty text")
+        where = f"archive {self.name!r}"
+        for key in _NAMES:
+            names = getattr(self, key)
+            if isinstance(names, str) or not all(isinstance(name, str) for name in names) or len(names) == 0:
+                raise InputError(f"{where}: {key} is {names!r}; it must be a list of texts")
+            object.__setattr__(self, key, tuple(names))
+        get_characteristics(self.characteristics)
+        for key, value in self.settings.items():
+            if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
+                raise InputError(f"{where}: setting {key!r} is {value!r}; settings must be texts and numbers by name")
+        object.__setattr__(self, "settings", MappingProxyType(dict(self.settings)))
+        theta, axes = len(self.parameter_names), len(self.characteristics)
+        self._set_array(where, "parameters", (None, theta))
+        if len(self.parameters) == 0:
+            raise InputError(f"{where} holds no policy; it must hold at least one")
+        self._set_array(where, "coordinates", (len(self.parameters), axes))
+        for key, default in (
+            ("ideal", self.coordinates.max(axis=0)),
+            ("nadir", self.coordinates.min(axis=0)),
+            ("explored_parameters", np.zeros((0, theta))),
+            ("explored_coordinates", np.zeros((0, axes))),
+        ):
+            if getattr(self, key) is None:
+                object.__setattr__(self, key, default)
+        self._set_array(where, "ideal", (axes,))
+        self._set_array(where, "nadir", (axes,))
+        self._set_array(where, "explored_parameters", (None, theta))
+        self._set_array(where, "explored_coordinates", (len(self.explored_parameters), axes))
+        for key, shape in (
+            ("spread", (len(self.parameters), axes)),
+            ("own_crash", (len(self.parameters),)),
+            ("explored_own_crash", (len(self.explored_parameters),)),
+        ):
+            if getattr(self, key) is not None:
+                self._set_array(where, key, shape)
+                if (getattr(self, key) < 0.0).any():
+                    raise InputError(f"{where}: {key} is {getattr(self, key).min():g} somewhere; it must be 0 or above")
+        for axis, low, high in zip(self.characteristics, self.nadir, self.ideal, strict=True):
+            if not low < high:
+                raise InputError(
+                    f"{where}: {axis} reaches from {low:g} (nadir) to {high:g} (ideal); the ideal must be the larger"
+                )
+
+    def _set_array(self, where: str, key: str, shape: tuple[int | None, ...]) -> None:
+        try:
+            array = np.array(getattr(self, key), dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"{where}: {key} holds something that is no number") from None
+        fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
+        if not fits:
+            wanted = ", ".join("any" if n is None else str(n) for n in shape)
+            raise InputError(f"{where}: {key} has shape {array.shape}; it must have ({wanted})")
+        if not np.isfinite(array).all():
+            row = int(np.argwhere(~np.isfinite(array))[0][0])
+            raise InputError(f"{where}: {key} is not finite in row {row}")
+        array.setflags(write=False)
+        object.__setattr__(self, key, array)
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    def __repr__(self) -> str:
+        """Show what it is, not its numbers."""
+        axes = ", ".join(self.characteristics)
+        return f"<PolicyArchive {self.name!r}: {len(self)} {self.planner} policies, {axes}, preset {self.preset!r}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle by value (a read-only mapping can't be pickled)."""
+        values = {**self.__dict__, "settings": dict(self.settings)}
+        return PolicyArchive, tuple(values[key] for key in self.__dataclass_fields__)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 of all that decides how a game with this archive goes: policies and coordinates, but not its name."""
+        digest = hashlib.sha256()
+        for text in (self.planner, *self.parameter_names, *self.characteristics):
+            digest.update(f"{len(text)} {text};".encode())
+        for key in ("parameters", "coordinates", "ideal", "nadir"):
+            array = getattr(self, key)
+            digest.update(f"{key} {array.shape};".encode() + array.astype("<f8").tobytes())
+        return digest.hexdigest()
+
+    # Coordinates and moves
+
+    @property
+    def normalised(self) -> Floats:
+        """Normalised coordinates of the policies, shape (K, G): 0 at the nadir, 1 at the ideal point."""
+        return self.normalise(self.coordinates)
+
+    def normalise(self, coordinates: ArrayLike) -> Floats:
+        """Return normalised coordinates of points in the characteristics' units, shape (..., G)."""
+        return (np.asarray(coordinates, np.float64) - self.nadir) / (self.ideal - self.nadir)
+
+    def nearest(self, points: ArrayLike) -> Indices:
+        """Index of the policy nearest to each normalised point, shape (...) for points (..., G).
+
+        Distances are Euclidean; of policies at the same distance the one with the lowest index is taken.
+
+        Raises
+        ------
+        InputError
+            If the points are not finite or have another number of axes.
+        """
+        points = np.asarray(points, np.float64)
+        axes = len(self.characteristics)
+        if points.ndim == 0 or points.shape[-1] != axes:
+            raise InputError(f"points have shape {points.shape}; archive {self.name!r} needs (..., {axes})")
+        if not np.isfinite(points).all():
+            raise InputError("points hold NaN or infinity; they must be finite")
+        flat = points.reshape(-1, axes)
+        found = np.empty(len(flat), np.int64)
+        for first in range(0, len(flat), 4096):  # bounded memory however many points there are
+            part = flat[first : first + 4096, None, :] - self.normalised
+            found[first : first + 4096] = np.argmin(np.sum(part * part, axis=-1), axis=1)
+        return found.reshape(points.shape[:-1])
+
+    def move(self, index: ArrayLike, axis: ArrayLike, sign: ArrayLike, epsilon: ArrayLike) -> Indices:
+        """Index of the policy that a move leads to; all arguments broadcast against each other.
+
+        The target is the policy's own point, moved by ``sign * epsilon`` along one normalised axis. It starts from the
+        policy in use, not from an earlier target, so what the snapping to a policy lost is not carried along.
+
+        Parameters
+        ----------
+        index : int
+            Policy in use.
+        axis : int
+            Characteristic to change.
+        sign : {1, -1}
+            More or less of it.
+        epsilon : float
+            By how much, in normalised units.
+
+        Raises
+        ------
+        InputError
+            If one of them is impossible.
+        """
+        given = np.broadcast_arrays(index, axis, sign, epsilon)
+        policies = _whole(given[0], "index", len(self))
+        axes = _whole(given[1], "axis", len(self.characteristics))
+        signs, steps = np.asarray(given[2], np.float64), np.asarray(given[3], np.float64)
+        if not np.isin(signs, (-1.0, 1.0)).all():
+            raise InputError(f"sign is {signs[~np.isin(signs, (-1.0, 1.0))][0]:g}; it must be 1 or -1")
+        if not np.isfinite(steps).all() or (steps < 0.0).any():
+            raise InputError(f"epsilon is {steps[~(np.isfinite(steps) & (steps >= 0.0))][0]:g}; it must be 0 or above")
+        points = self.normalised[policies]
+        np.put_along_axis(
+            points, axes[..., None], np.take_along_axis(points, axes[..., None], -1) + (signs * steps)[..., None], -1
+        )
+        return self.nearest(points)
+
+    def move_table(self, epsilon: float | Sequence[float] = EPSILON, stay: bool = False) -> Indices:
+        """Where every move leads from every policy, shape (K, M).
+
+        The moves of the first epsilon come first: characteristic 0 more, characteristic 0 less, characteristic 1 more,
+        and so on; then those of the next epsilon; the move that keeps the policy, if there is one, comes last.
+        """
+        here = np.arange(len(self))
+        columns = [
+            self.move(here, axis, sign, step)
+            for step in check_epsilon(epsilon)
+            for axis in range(len(self.characteristics))
+            for sign in (1, -1)
+        ]
+        return np.stack([*columns, here] if stay else columns, axis=1)
+
+    def move_names(self, epsilon: float | Sequence[float] = EPSILON, stay: bool = False) -> tuple[str, ...]:
+        """Names of the moves in the order of :meth:`move_table`: ``"aggressiveness +"``; with several epsilons
+        ``"aggressiveness + 0.5"``; ``"stay"``.
+        """
+        steps = check_epsilon(epsilon)
+        names = [
+            f"{axis} {sign}" if len(steps) == 1 else f"{axis} {sign} {step:g}"
+            for step in steps
+            for axis in self.characteristics
+            for sign in "+-"
+        ]
+        return (*names, "stay") if stay else tuple(names)
+
+    def no_op_share(self, epsilon: float | Sequence[float] = EPSILON) -> float:
+        """Share of all (policy, move) pairs in which the move leads back to the policy itself."""
+        return float(np.mean(self.move_table(epsilon) == np.arange(len(self))[:, None]))
+
+    def duplicate_share(self, epsilon: float | Sequence[float] = EPSILON) -> float:
+        """Share of all (policy, move) pairs in which an earlier move of the same policy leads to the same place."""
+        return float(np.mean(duplicates(self.move_table(epsilon))))
+
+    # Policies
+
+    def family(self) -> Planner:
+        """Return the planner of the archive's policies.
+
+        Raises
+        ------
+        UnknownNameError
+            If no planner of that name is registered.
+        InputError
+            If its parameters are others than the archive's, or a policy lies outside their bounds.
+        """
+        planner = get_planner(self.planner)
+        if planner.parameter_names != self.parameter_names:
+            raise InputError(
+                f"archive {self.name!r} holds parameters {', '.join(self.parameter_names)}; planner {self.planner!r} "
+                f"has {', '.join(planner.parameter_names)}"
+            )
+        for i, theta in enumerate(self.parameters):
+            Policy(planner, theta, f"{self.name}[{i}]")
+        return planner
+
+    def policy(self, index: int) -> Policy:
+        """Return one of the policies, named after the archive and its index."""
+        at = int(_whole(np.asarray(index), "policy index", len(self)))
+        return Policy(get_planner(self.planner), self.parameters[at], f"{self.name}[{at}]")
+
+    def explored_policy(self, index: int) -> Policy:
+        """Return one of the policies that were evaluated on the way."""
+        explored: Any = self.explored_parameters
+        at = int(_whole(np.asarray(index), "explored policy index", len(explored)))
+        return Policy(get_planner(self.planner), explored[at], f"{self.name}:explored[{at}]")
+
+    @property
+    def explored(self) -> Explored:
+        """Everything that was evaluated on the way; may be empty."""
+        return Explored(self.explored_parameters, self.explored_coordinates, self.explored_own_crash)
+
+    def select(self, by: str = "middle") -> int:
+        """Index of a policy that stands out: the one with the most of a characteristic, or the one in the ``"middle"``.
+
+        Raises
+        ------
+        UnknownNameError
+            If ``by`` is neither ``"middle"`` nor one of the archive's characteristics.
+        """
+        if by == "middle":
+            return int(self.nearest(np.median(self.normalised, axis=0)))
+        return int(np.argmax(self.coordinates[:, self._axis(by)]))
+
+    def project(self, characteristics: Sequence[str]) -> "PolicyArchive":
+        """Return the archive seen along some of its axes only, in the order asked for.
+
+        Raises
+        ------
+        UnknownNameError
+            If the archive has no such axis.
+        """
+        axes = [self._axis(name) for name in characteristics]
+        values: dict[str, Any] = {key: getattr(self, key) for key in self.__dataclass_fields__}
+        values["characteristics"] = tuple(characteristics)
+        for key in ("coordinates", "ideal", "nadir", "explored_coordinates", "spread"):
+            values[key] = None if values[key] is None else values[key][..., axes]
+        return PolicyArchive(**values)
+
+    def to_dataframe(self, explored: bool = False) -> "pandas.DataFrame":
+        """Return a table with a row for each policy: parameters, coordinates, and what else is known of it.
+
+        Standard errors stand in columns like ``"restraint_error"``.
+
+        Parameters
+        ----------
+        explored : bool
+            Whether to tell of everything that was evaluated on the way instead.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            If pandas is not installed: ``pip install "pcs-racing[tables]"``.
+        """
+        try:
+            import pandas
+        except ModuleNotFoundError:
+            raise ModuleNotFoundError('a table needs pandas: pip install "pcs-racing[tables]"') from None
+        parameters, coordinates, own_crash = self.parameters, self.coordinates, self.own_crash
+        if explored:
+            parameters, coordinates, own_crash = self.explored
+        columns = dict(zip(self.parameter_names, parameters.T, strict=True))
+        columns |= dict(zip(self.characteristics, coordinates.T, strict=True))
+        if self.spread is not None and not explored:
+            columns |= {
+                f"{name}_error": values for name, values in zip(self.characteristics, self.spread.T, strict=True)
+            }
+        if own_crash is not None:
+            columns["own_crash"] = own_crash
+        return pandas.DataFrame(columns).rename_axis("policy")
+
+    def _axis(self, name: str) -> int:
+        if name not in self.characteristics:
+            raise UnknownNameError(
+                f"archive {self.name!r} has no characteristic {name!r}; it has {', '.join(self.characteristics)}"
+            )
+        return self.characteristics.index(name)
+
+    # Files
+
+    def save(self, folder: str | Path) -> Path:
+        """Write ``archive.npz`` and ``manifest.yaml`` into a folder, which is made if need be.
+
+        The manifest is written last and carries a digest of the arrays: files that do not belong together are noticed.
+        """
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        buffer = io.BytesIO()
+        keys = [*_ARRAYS, *(key for key in _EXTRA_ARRAYS if getattr(self, key) is not None)]
+        np.savez_compressed(buffer, allow_pickle=False, **{key: getattr(self, key) for key in keys})
+        manifest = {
+            "format": FORMAT,
+            "version": VERSION,
+            **{key: getattr(self, key) for key in _TEXTS},
+            **{key: list(getattr(self, key)) for key in _NAMES},
+            "settings": dict(self.settings),
+            "arrays_sha256": hashlib.sha256(buffer.getvalue()).hexdigest(),
+        }
+        text = yaml.safe_dump(manifest, sort_keys=False, allow_unicode=True, width=110)
+        write_atomically(folder / "archive.npz", lambda file: file.write(buffer.getvalue()))
+        write_atomically(folder / "manifest.yaml", lambda file: file.write(text.encode("utf-8")))
+        return folder
+
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str]) -> "PolicyArchive":
+        """Read an archive that :meth:`save` wrote.
+
+        Raises
+        ------
+        InputError
+            If a file is missing, damaged, from another version, or its contents do not fit each other.
+        """
+        folder = Path(folder)
+        manifest = _read_manifest(folder / "manifest.yaml")
+        file = folder / "archive.npz"
+        content = _read(file, MAX_BYTES)
+        if hashlib.sha256(content).hexdigest() != manifest["arrays_sha256"]:
+            raise InputError(f"{file} is not the file that {folder / 'manifest.yaml'} describes: its digest differs")
+        try:
+            arrays: dict[str, Any] = unpack_arrays(content)
+        except InputError as error:
+            raise InputError(f"{file} is no archive: {error}") from None
+        if set(arrays) - set(_EXTRA_ARRAYS) != set(_ARRAYS):
+            raise InputError(
+                f"{file} holds {', '.join(sorted(arrays))}; an archive holds {', '.join(_ARRAYS)} and perhaps "
+                f"{', '.join(_EXTRA_ARRAYS)}"
+            )
+        try:
+            return cls(**{key: manifest[key] for key in (*_TEXTS, *_NAMES, "settings")}, **arrays)
+        except InputError as error:
+            raise type(error)(f"{folder}: {error}") from None
+
+
+def duplicates(table: Indices) -> NDArray[np.bool_]:
+    """Whether an earlier move of the same policy leads to the same place, for a table of moves (K, M)."""
+    same = table[:, :, None] == table[:, None, :]
+    return np.triu(same, 1).any(axis=1)
+
+
+def check_epsilon(epsilon: Any) -> tuple[float, ...]:
+    """Return the step sizes of the moves as a tuple of different positive numbers.
+
+    Raises
+    ------
+    InputError
+        If they are anything else.
+    """
+    single = isinstance(epsilon, int | float | np.integer | np.floating)
+    try:
+        given = (epsilon,) if single else tuple(epsilon)
+        steps = tuple(float(e) for e in given)
+        good = all(not isinstance(e, bool | str) for e in given) and all(0.0 < e <= 10.0 for e in steps)
+    except (TypeError, ValueError, OverflowError):
+        steps, good = (), False
+    if not good or not steps or len(set(steps)) != len(steps):
+        raise InputError(f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones")
+    return steps
+
+
+def shipped_folder() -> Path:
+    """Folder of the archives that come with the package."""
+    package = Path(__file__).resolve().parents[1]
+    inside = package / "shipped_archives"  # in an installed package; in a checkout they lie beside it
+    return inside if inside.is_dir() else package.parent / "archives"
+
+
+def list_archives() -> list[str]:
+    """Names of the archives that come with the package, sorted."""
+    folder = shipped_folder()
+    return sorted(path.parent.name for path in folder.glob("*/manifest.yaml")) if folder.is_dir() else []
+
+
+def load_archive(source: str | os.PathLike[str] | PolicyArchive) -> PolicyArchive:
+    """Return an archive from the name of a shipped one, from its folder, or as it is.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of that name and no such folder.
+    InputError
+        If the folder holds no sound archive.
+    """
+    if isinstance(source, PolicyArchive):
+        return source
+    if not isinstance(source, str | os.PathLike):
+        raise InputError(f"archive {source!r} must be a name, a folder or a PolicyArchive")
+    if source in list_archives():
+        return PolicyArchive.load(shipped_folder() / str(source))
+    if not os.path.isdir(source):
+        known = ", ".join(list_archives()) or "none"
+        raise UnknownNameError(f"unknown archive {str(source)!r}: neither a folder nor one of those shipped ({known})")
+    return PolicyArchive.load(source)
+
+
+def _whole(values: NDArray[Any], what: str, below: int) -> Indices:
+    """Check whole numbers from 0 to ``below - 1``."""
+    if values.dtype.kind not in "iu":
+        raise InputError(f"{what} is {values!r}; it must be a whole number")
+    wrong = (values < 0) | (values >= below)
+    if wrong.any():
+        raise InputError(f"{what} is {values[wrong].flat[0]}; it must lie in 0 to {below - 1}")
+    return values.astype(np.int64)
+
+
+def _read(file: Path, limit: int) -> bytes:
+    try:
+        return read_limited(file, limit, "an archive")
+    except OSError as error:
+        raise InputError(
+            f"can't read {file}: {error.strerror}; an archive is a folder that PolicyArchive.save wrote"
+        ) from None
+
+
+def _read_manifest(file: Path) -> dict[str, Any]:
+    manifest = parse_manifest(file, _read(file, MAX_YAML), "an archive", FORMAT, VERSION, _KEYS)
+    if not isinstance(manifest["settings"], dict):
+        raise InputError(f"{file}: settings is {manifest['settings']!r}; it must be a mapping")
+    for key in _NAMES:
+        if not isinstance(manifest[key], list):
+            raise InputError(f"{file}: {key} is {manifest[key]!r}; it must be a list of texts")
+    return manifest

@@ -1,0 +1,170 @@
+"""Policy characteristics: numbers that say how a policy drives, estimated from the trajectories that it produced.
+
+A characteristic maps a piece of racing (the state before and after it) to one value per race and car; a policy's
+coordinate in
+the Policy Characteristic Space is the mean over races (Remark 1 of the paper). All axes point up: more is more.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.race.kernel import DT
+from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, STEERING, TIME, RaceState
+
+__all__ = [
+    "AGGRESSIVENESS",
+    "BLOCKING_SHARE",
+    "PACE",
+    "RESTRAINT",
+    "SMOOTHNESS",
+    "SPEED",
+    "Characteristic",
+    "Segment",
+    "characteristic_names",
+    "get_characteristics",
+    "measure",
+    "register_characteristic",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A piece of a batch of races: what each car did between two moments.
+
+    Attributes
+    ----------
+    progress : ndarray, shape (B, 2)
+        Progress of each car during the piece, m.
+    sums : ndarray, shape (B, 2, 6)
+        Growth of the running sums (:data:`pcs_racing.race.state.SUMS`).
+    time : ndarray, shape (B,)
+        Time driven, s; shorter than asked for after a crash.
+    duration : float
+        Time asked for, s.
+    """
+
+    progress: NDArray[np.float64]
+    sums: NDArray[np.float64]
+    time: NDArray[np.float64]
+    duration: float
+
+    @classmethod
+    def between(cls, before: RaceState, after: RaceState, duration: float) -> "Segment":
+        """Return the piece between two states of the same races."""
+        return cls(
+            after.progress - before.progress,
+            after.sums - before.sums,
+            np.asarray((after.tick - before.tick) * DT, np.float64),
+            float(duration),
+        )
+
+
+@dataclass(frozen=True)
+class Characteristic:
+    """One axis of the Policy Characteristic Space.
+
+    Attributes
+    ----------
+    name : str
+        What tables call it.
+    unit : str
+        Its unit.
+    meaning : str
+        One line for the reader.
+    evaluate : callable
+        ``evaluate(segment) -> (B, 2)``, one value for each race and car.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    evaluate: Callable[[Segment], NDArray[np.float64]]
+
+
+def _lead(segment: Segment) -> NDArray[np.float64]:
+    return segment.progress - segment.progress[:, ::-1]
+
+
+def _pace(segment: Segment) -> NDArray[np.float64]:
+    return _lead(segment) / np.maximum(segment.time, 0.5)[:, None] * segment.duration
+
+
+def _restraint(segment: Segment) -> NDArray[np.float64]:
+    return segment.sums[..., ITTC] / np.maximum(segment.sums[..., ITTC_SAMPLES], 1.0)
+
+
+def _smoothness(segment: Segment) -> NDArray[np.float64]:
+    return -segment.sums[..., STEERING] / np.maximum(segment.sums[..., TIME], 0.5)
+
+
+def _blocking(segment: Segment) -> NDArray[np.float64]:
+    return segment.sums[..., BLOCKING] / np.maximum(segment.sums[..., TIME], 0.5)
+
+
+def _speed(segment: Segment) -> NDArray[np.float64]:
+    return segment.progress / np.maximum(segment.time, 0.5)[:, None]
+
+
+AGGRESSIVENESS = Characteristic("aggressiveness", "m", "progress gained over the opponent (the paper's g_agg)", _lead)
+PACE = Characteristic(
+    "pace", "m", "progress gained over the opponent per time driven, scaled to the full duration", _pace
+)
+RESTRAINT = Characteristic(
+    "restraint", "s", "mean of the minimum instantaneous time to collision (the paper's g_res)", _restraint
+)
+SMOOTHNESS = Characteristic("smoothness", "rad/s", "minus the mean steering rate", _smoothness)
+BLOCKING_SHARE = Characteristic(
+    "blocking", "1", "share of the time spent just ahead and in the opponent's way", _blocking
+)
+SPEED = Characteristic("speed", "m/s", "progress per time, whatever the opponent does", _speed)
+
+_registered: dict[str, Characteristic] = {}
+
+
+def register_characteristic(characteristic: Characteristic) -> None:
+    """Make a characteristic available by name.
+
+    Raises
+    ------
+    InputError
+        If the name is taken by another one.
+    """
+    if _registered.setdefault(characteristic.name, characteristic) is not characteristic:
+        raise InputError(f"a characteristic named {characteristic.name!r} exists already; choose another name")
+
+
+for _characteristic in (AGGRESSIVENESS, PACE, RESTRAINT, SMOOTHNESS, BLOCKING_SHARE, SPEED):
+    register_characteristic(_characteristic)
+
+
+def characteristic_names() -> list[str]:
+    """Names of all registered characteristics."""
+    return list(_registered)
+
+
+def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
+    """Return characteristics by name.
+
+    Raises
+    ------
+    UnknownNameError
+        If a name is not registered.
+    InputError
+        If there is none, or one stands twice.
+    """
+    texts = not isinstance(names, str) and all(isinstance(name, str) for name in names)
+    if not texts or len(names) == 0 or len(set(names)) != len(names):
+        raise InputError(f"characteristics are {list(names)!r:.200}; name at least one, each once")
+    for name in names:
+        if name not in _registered:
+            raise UnknownNameError(f"characteristic {name!r} is unknown; known are {', '.join(_registered)}")
+    return tuple(_registered[name] for name in names)
+
+
+def measure(segment: Segment, characteristics: Sequence[Characteristic]) -> NDArray[np.float64]:
+    """Evaluate characteristics on a piece of racing, shape (B, 2, |G|)."""
+    return np.stack([characteristic.evaluate(segment) for characteristic in characteristics], axis=-1)

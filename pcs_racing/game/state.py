@@ -1,0 +1,140 @@
+"""The state of a batch of games as a plain value: copy it, pick games from it, save it, restore it."""
+
+import io
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.reading import read_limited, unpack_arrays
+from pcs_racing.race.state import MAX_BYTES, RaceState, empty_state
+from pcs_racing.race.state import take as take_races
+
+__all__ = ["GameState", "empty_game", "join_games", "load_game", "save_game", "take_games"]
+
+
+class GameState(NamedTuple):
+    """A batch of B games at one moment: plain arrays, game axis first.
+
+    A game has ``N = moves + 1`` steps of driving; step 0 is the one in which the players only watch.
+
+    Attributes
+    ----------
+    race : RaceState
+        Where the cars are.
+    step : ndarray, shape (B,), int64
+        Moves made so far.
+    policy : ndarray, shape (B, 2), int64
+        Policy in use: its index in the archive, or -1 for a driver from outside the archive.
+    theta : ndarray, shape (B, 2, P)
+        Its parameters.
+    own : ndarray, shape (B, 2, N, G)
+        Normalised archive coordinates of the policy that each car used in each step; for a driver from outside what was
+        estimated.
+    estimates : ndarray, shape (B, 2, N, G)
+        Normalised coordinates of each car as seen from outside: measured on that step of driving alone.
+    leads : ndarray, shape (B, N)
+        Lead of car 0 at the end of each step, m.
+    """
+
+    race: RaceState
+    step: NDArray[np.int64]
+    policy: NDArray[np.int64]
+    theta: NDArray[np.float64]
+    own: NDArray[np.float64]
+    estimates: NDArray[np.float64]
+    leads: NDArray[np.float64]
+
+    @property
+    def games(self) -> int:
+        """Number of games in the batch."""
+        return len(self.step)
+
+    def copy(self) -> "GameState":
+        """Return an independent copy."""
+        rest: Any = self[1:]
+        return GameState(self.race.copy(), *(array.copy() for array in rest))
+
+
+def empty_game(games: int, memory: int, parameters: int, steps: int, axes: int) -> GameState:
+    """Return the state of a batch of games in which every number is 0."""
+    return GameState(
+        race=empty_state(games, memory),
+        step=np.zeros(games, np.int64),
+        policy=np.zeros((games, 2), np.int64),
+        theta=np.zeros((games, 2, parameters)),
+        own=np.zeros((games, 2, steps, axes)),
+        estimates=np.zeros((games, 2, steps, axes)),
+        leads=np.zeros((games, steps)),
+    )
+
+
+def take_games(state: GameState, indices: ArrayLike) -> GameState:
+    """Return copies of some games, in the order asked for (a game may be taken more than once)."""
+    chosen = np.asarray(indices)
+    return GameState(
+        take_races(state.race, chosen),
+        *(np.ascontiguousarray(array[chosen]) for array in state[1:]),
+    )
+
+
+def join_games(states: list[GameState]) -> GameState:
+    """Join batches of games into one."""
+    race = RaceState._make(np.concatenate(arrays) for arrays in zip(*(state.race for state in states), strict=True))
+    rest = zip(*(state[1:] for state in states), strict=True)
+    return GameState(race, *(np.concatenate(arrays) for arrays in rest))
+
+
+def put_games(state: GameState, indices: ArrayLike, values: GameState) -> None:
+    """Overwrite some games of a batch, in place, with the games of another."""
+    chosen = np.asarray(indices)
+    new = _flatten(values)
+    for name, array in _flatten(state).items():
+        array[chosen] = new[name]
+
+
+def save_game(state: GameState, path: str | Path) -> None:
+    """Write a state to an npz file; the file appears whole or not at all."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **_flatten(state))
+    write_atomically(Path(path), lambda file: file.write(buffer.getvalue()))
+
+
+def load_game(path: str | Path) -> GameState:
+    """Read a state that :func:`save_game` wrote.
+
+    Raises
+    ------
+    InputError
+        If the file is no game state, or its arrays do not fit each other.
+    """
+    try:
+        arrays = unpack_arrays(read_limited(path, MAX_BYTES, "a game state"))
+    except (OSError, InputError) as error:
+        raise InputError(f"{path} is not a saved game state: {error}") from None
+    expected = set(_flatten(empty_game(0, 0, 0, 0, 0)))
+    if set(arrays) != expected:
+        raise InputError(f"{path} holds {sorted(arrays)}; a game state holds {sorted(expected)}")
+    games = arrays["step"].size
+    # Sizes that the file may choose, read off one array each; the model then fixes the shapes of all others.
+    memory, parameters = arrays["race.memory"].shape[-1:], arrays["theta"].shape[-1:]
+    steps, axes = arrays["leads"].shape[-1:], arrays["own"].shape[-1:]
+    model = empty_game(games, *(size[0] if size else 0 for size in (memory, parameters, steps, axes)))
+    for name, like in _flatten(model).items():
+        if arrays[name].shape != like.shape or arrays[name].dtype != like.dtype:
+            raise InputError(
+                f"{path}: {name} has shape {arrays[name].shape} and type {arrays[name].dtype}; it must have "
+                f"{like.shape} and {like.dtype}"
+            )
+        if not np.isfinite(arrays[name]).all():
+            raise InputError(f"{path}: {name} holds NaN or infinity")
+    race = RaceState(**{name: arrays[f"race.{name}"] for name in RaceState._fields})
+    return GameState(race, **{name: arrays[name] for name in GameState._fields[1:]})
+
+
+def _flatten(state: GameState) -> dict[str, NDArray[Any]]:
+    race = {f"race.{name}": array for name, array in state.race._asdict().items()}
+    return {**race, **{name: getattr(state, name) for name in GameState._fields[1:]}}

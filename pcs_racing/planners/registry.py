@@ -1,0 +1,146 @@
+"""Names of planners, and policies spelled as text.
+
+The planners of this package are listed in :data:`SHIPPED`. Others get a name in one of two ways: a distribution
+declares it in the entry point group ``pcs_racing.planners``, or a program calls :func:`register_planner`. A planner is
+imported when somebody asks for its name, not before.
+"""
+
+import difflib
+from collections.abc import Iterable
+from functools import lru_cache
+from importlib.metadata import entry_points
+from pkgutil import resolve_name
+
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.planners.planner import Planner, Policy
+
+__all__ = ["ENTRY_POINTS", "get_planner", "parse_policy", "planner_names", "register_planner"]
+
+ENTRY_POINTS = "pcs_racing.planners"
+"""Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
+
+SHIPPED = {
+    "gap-follower": "pcs_racing.planners.gap_follower:GAP_FOLLOWER",
+    "lane-switcher": "pcs_racing.planners.lane_switcher:LANE_SWITCHER",
+    "lattice": "pcs_racing.planners.lattice:LATTICE",
+    "pure-pursuit": "pcs_racing.planners.pure_pursuit:PURE_PURSUIT",
+}
+"""The planners of this package: name and place."""
+
+_planners: dict[str, Planner] = {}
+_places: dict[str, str] = dict(SHIPPED)
+
+
+def register_planner(planner: Planner | str, *, name: str | None = None) -> None:
+    """Make a planner known by its name in this process; registering the same one again changes nothing.
+
+    Parameters
+    ----------
+    planner : Planner or str
+        The planner, or where it is (``"package.module:PLANNER"``), to be imported when it is first needed.
+    name : str, optional
+        Its name; needed for a place, as a planner brings its own.
+
+    Raises
+    ------
+    InputError
+        If the name is missing, can't be told from the rest of a policy's text, or belongs to another planner already.
+    """
+    if isinstance(planner, Planner):
+        name = planner.name
+    if not isinstance(name, str) or not name or any(sign in name for sign in ":=, \t\n"):
+        raise InputError(f"planner name {name!r} must be text without ':', '=', ',' and spaces")
+    if isinstance(planner, Planner):
+        taken = name in planner_names() and get_planner(name) is not planner
+        _planners.setdefault(name, planner)
+    else:
+        taken = _places.setdefault(name, planner) != planner
+    if taken:
+        raise InputError(f"there is a planner {name!r} already; give yours another name")
+
+
+def planner_names() -> list[str]:
+    """Return the names of all planners, sorted."""
+    return sorted({*_planners, *_declared()})
+
+
+def get_planner(name: str) -> Planner:
+    """Return the planner of a name.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none; the message lists the names that exist.
+    InputError
+        If what stands behind the name can't be imported or is no planner.
+    """
+    if name not in _planners:
+        if name not in _declared():
+            raise UnknownNameError(f"planner {name!r} is unknown; {_choices(name, planner_names())}")
+        place = _declared()[name]
+        try:
+            planner = resolve_name(place)
+        except Exception as error:  # whatever a third party's module raises when it is imported
+            raise InputError(f"planner {name!r} can't be loaded from {place}: {error}") from error
+        if not isinstance(planner, Planner):
+            raise InputError(f"planner {name!r}: {place} is of type {type(planner).__name__}; it must be a Planner")
+        _planners[name] = planner
+    return _planners[name]
+
+
+def parse_policy(text: str) -> Policy:
+    """Make a policy from its text: the name of a planner, which may be followed by a variant or by parameters.
+
+    Parameters
+    ----------
+    text : str
+        ``"lattice"``, ``"lattice:pace=0.8,side_margin=0.2"`` (the rest as in the default) or ``"lane-switcher:3"``. It
+        becomes the policy's name.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such planner, variant or parameter.
+    InputError
+        If a value is not a number or lies outside its bounds.
+    """
+    if not isinstance(text, str):
+        raise InputError(f"policy {text!r} must be text such as 'lattice:pace=0.8'")
+    name, separator, rest = "".join(text.split()).partition(":")
+    planner = get_planner(name)
+    if not separator:
+        return planner.policy(name=name)
+    if "=" not in rest:
+        return planner.policy(rest, name=f"{name}:{rest}")
+    values: dict[str, float] = {}
+    for setting in rest.split(","):
+        key, equals, value = setting.partition("=")
+        if not equals:
+            raise InputError(f"policy {text!r}: {setting!r} is not of the form parameter=value")
+        if key not in planner.parameter_names:
+            known = _choices(key, planner.parameter_names)
+            raise UnknownNameError(f"policy {text!r}: planner {name!r} has no parameter {key!r}; {known}")
+        if key in values:
+            raise InputError(f"policy {text!r} sets parameter {key!r} twice")
+        try:
+            values[key] = float(value)
+        except ValueError:
+            raise InputError(f"policy {text!r}: {key} is {value!r}; it must be a number") from None
+    return planner.policy(values, name=f"{name}:{rest}")
+
+
+def _declared() -> dict[str, str]:
+    """Where the planners are that have not been imported, by name."""
+    return {**_entry_points(), **_places}
+
+
+@lru_cache(maxsize=1)
+def _entry_points() -> dict[str, str]:
+    return {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+
+
+def _choices(name: str, known: Iterable[str]) -> str:
+    """The end of an error message: what was probably meant, and what there is."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names)}"

@@ -1,0 +1,1 @@
+"""Races of two cars: rules, start, state, kernel, batches, recording, replays."""

@@ -1,0 +1,324 @@
+"""How fast a circuit may be driven, and where two cars may start on it: found by driving, once for each race preset.
+
+Shipped circuits carry their calibration. Any other circuit is calibrated when a preset asks for it; the result is kept
+in the cache folder (see `pcs_racing.track.cache`) and depends on nothing but the circuit and the preset.
+"""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.elementary import exponential
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.config import CONTEST, PAPER, PRESETS, RaceConfig
+from pcs_racing.race.driving import default_threads, drive, kernel_settings, pad_parameters
+from pcs_racing.race.kernel import DT
+from pcs_racing.race.start_places import PLACE_EVERY, fit_places, places_of
+from pcs_racing.race.state import empty_state
+from pcs_racing.track.cache import CALIBRATION, cache_folder, cache_key, load_cached, store
+from pcs_racing.track.frenet import SPEED, X, Y
+from pcs_racing.track.track import Calibration, Track, calibration_from_values, calibration_values
+
+__all__ = [
+    "CalibrationReport",
+    "calibrate",
+    "calibration_of",
+    "hazard_scan",
+    "preset_of",
+    "start_layout",
+    "starts_for",
+]
+
+SCALES = tuple(np.round(np.arange(0.60, 1.301, 0.05), 2).tolist())
+HAZARD_WITHOUT_NOISE, BELOW_IT, WIDTH_WITHOUT_NOISE = 0.01, 0.09, 0.20
+HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.50, 0.32
+SPACING_STEP, SPACING_STEPS = 0.1, 4  # m; other distances across the track are tried in such steps up and down
+NARROWEST = {"side-by-side": 0.5, "staggered": 0.0, "rolling": 0.0}  # m between the cars' centres
+SIMULATED_PER_SECOND = (
+    9000.0  # s of racing that a core drives in a second, for the forecast alone (benchmarks/race_speed.py)
+)
+
+
+@dataclass(frozen=True)
+class CalibrationReport:
+    """A calibration, and the hazard scan that its speed range was read off.
+
+    Attributes
+    ----------
+    track : str
+        Name of the circuit.
+    preset : str
+        Name of the race configuration.
+    scales : tuple of float
+        Speed scales driven: up to the first whose hazard is too large.
+    hazard : tuple of float
+        Probability that a car alone crashes within 40 s at each of them, made non-decreasing.
+    calibration : Calibration
+        The speed range and the start places.
+    """
+
+    track: str
+    preset: str
+    scales: tuple[float, ...]
+    hazard: tuple[float, ...]
+    calibration: Calibration
+
+    def table(self) -> str:
+        """Return the scan as text, one line for each scale."""
+        low, high = self.calibration.speed_range
+        counts = (
+            f"{len(places_of(stretches))} that favour the {side}"
+            for side, stretches in self.calibration.start_places.items()
+        )
+        lines = [
+            f"{self.track}, {self.preset}: speed range {low:.2f} to {high:.2f}",
+            f"start places: {', '.join(counts)}; cars {self.calibration.start_spacing:g} m apart",
+            "scale  own crash per 40 s",
+        ]
+        lines += [f"{s:5.2f}  {h:6.1%}  {'#' * round(40 * h)}" for s, h in zip(self.scales, self.hazard, strict=True)]
+        return "\n".join(lines)
+
+
+def preset_of(config: RaceConfig) -> RaceConfig:
+    """The preset whose calibration serves a configuration: the one of its name, else one that is as noisy."""
+    return PRESETS.get(config.name) or (CONTEST if config.steering_noise > 0.0 else PAPER)
+
+
+def hazard_scan(
+    track: Track,
+    config: RaceConfig,
+    scales: Sequence[float] = SCALES,
+    *,
+    policy: Policy | None = None,
+    cars: int = 80,
+    seconds: float = 40.0,
+    seed: int = 0,
+    threads: int | None = None,
+    enough: float = 1.0,
+) -> NDArray[np.float64]:
+    """Probability that a car alone crashes within 40 s, at each speed scale.
+
+    Cars start on the race line at its speed, spread evenly around the circuit; each race holds two of them, half a
+    lap apart.
+
+    Parameters
+    ----------
+    track : Track
+    config : RaceConfig
+        Its steering noise is what makes the hazard smooth.
+    scales : sequence of float
+        Speed scales, ascending.
+    policy : Policy, optional
+        A lattice policy; its pace is overridden. The default driver if absent.
+    cars : int
+        Cars per scale, even.
+    seconds : float
+        How long they drive.
+    seed : int
+        Root of the noise.
+    threads : int, optional
+        Threads to use; they do not change the result.
+    enough : float
+        The scan ends after the first scale whose hazard is larger.
+
+    Returns
+    -------
+    ndarray, shape (at most len(scales),)
+
+    Raises
+    ------
+    InputError
+        If ``cars`` is odd or below 2.
+    """
+    if cars < 2 or cars % 2:
+        raise InputError(f"cars is {cars}; it must be an even number from 2")
+    driver = policy or LATTICE.policy()
+    races = cars // 2
+    theta = pad_parameters([driver], len(LATTICE.parameters))
+    theta = np.ascontiguousarray(np.broadcast_to(theta[:, None], (races, 2, theta.shape[1])))
+    hazards: list[float] = []
+    for scale in scales:
+        settings = kernel_settings(config, (scale, scale + 1e-6))._replace(
+            end_tick=round(100.0 * seconds), ittc_horizon=0.0
+        )
+        state = empty_state(races, LATTICE.memory_total)
+        state.seed[:] = race_seeds(seed, races)
+        for car in range(2):
+            s = np.mod((np.arange(races) / races + car) * 0.5 * track.length, track.length)
+            sample = (s / track.arrays.ds).astype(np.intp) % len(track.arrays.line)
+            pose = track.to_cartesian(np.stack([s, np.zeros(races)], axis=-1))
+            state.cars[:, car, X] = pose[:, 0]
+            state.cars[:, car, Y] = pose[:, 1]
+            state.cars[:, car, _vehicle.PSI] = np.mod(pose[:, 2], 2.0 * np.pi)
+            state.cars[:, car, _vehicle.V] = scale * track.arrays.line[sample, SPEED]
+            state.frenet[:, car, 0] = s
+            state.progress[:, car] = 0.5 * car * track.length
+        drive(track, settings, (LATTICE, LATTICE), (F1TENTH, F1TENTH), state, theta, settings.end_tick, threads=threads)
+        # A race ends for both cars at the first crash, so count crashes per time driven rather than per car.
+        driven = 2.0 * DT * float(state.tick.sum())
+        hazards.append(1.0 - float(exponential(-40.0 * float((state.crash == 1).sum()) / driven)))
+        if hazards[-1] > enough:
+            break
+    return np.array(hazards)
+
+
+def calibrate(
+    track: Track, config: RaceConfig, *, cars: int = 160, seed: int = 0, threads: int | None = None
+) -> CalibrationReport:
+    """Find the speed range of a circuit for a race configuration, and the places to start from.
+
+    Without steering noise (preset ``paper``) the hazard is a step, and racing needs room to it: pace 1 lies 0.09 below
+    the scale at which a car alone begins to crash, pace 0 another 0.20 below. With noise (``contest``) pace 1 is the
+    scale at which a car alone crashes in 50 % of 40 s, and pace 0 lies 0.32 below.
+
+    Start places are those from which pairs of drivers get away (`pcs_racing.race.start_places`). Where none is left
+    with the configuration's distance across the track, the nearest distance that works is taken.
+
+    Raises
+    ------
+    InputError
+        If even the slowest scale is beyond the hazard allowed (then the circuit is too tight for these cars), or two
+        cars can't start anywhere.
+    """
+    noisy = config.steering_noise > 0.0
+    allowed = HAZARD_WITH_NOISE if noisy else HAZARD_WITHOUT_NOISE
+    hazard = np.maximum.accumulate(hazard_scan(track, config, cars=cars, seed=seed, threads=threads, enough=allowed))
+    scales = np.array(SCALES[: len(hazard)])
+    if hazard[0] > allowed:
+        raise InputError(
+            f"track {track.name!r}: at speed scale {scales[0]:.2f} a car alone crashes in {hazard[0]:.0%} of 40 s; "
+            "widen the track or lower steering_noise"
+        )
+    high = _crossing(scales, hazard, allowed) - (0.0 if noisy else BELOW_IT)
+    low = high - (WIDTH_WITH_NOISE if noisy else WIDTH_WITHOUT_NOISE)
+    speed_range = (round(float(low), 2), round(float(high), 2))
+    settings = kernel_settings(config, speed_range)
+    fit = fit_places(track, config, settings, _spacings(config), threads=threads)
+    return CalibrationReport(
+        track.name,
+        config.name,
+        tuple(scales.tolist()),
+        tuple(np.round(hazard, 4).tolist()),
+        Calibration(speed_range, *fit),
+    )
+
+
+def calibration_of(track: Track, config: RaceConfig) -> Calibration:
+    """The calibration of a circuit for a race configuration: the circuit's own, a cached one, or a new one.
+
+    A configuration takes the calibration of the preset that it changes, or of one that is as noisy (:func:`preset_of`).
+
+    Raises
+    ------
+    InputError
+        If the circuit can't be calibrated, see :func:`calibrate`.
+    """
+    preset = preset_of(config)
+    own = track.calibration.get(preset.name)
+    if own is not None:
+        return own
+    memo = (track.content_hash, preset.name)
+    if memo not in _known:
+        _known[memo] = _cached(track, preset, "speeds and start places", lambda: calibrate(track, preset).calibration)
+    return _known[memo]
+
+
+def starts_for(track: Track, config: RaceConfig) -> Calibration:
+    """The calibration that says where a configuration starts.
+
+    It is the preset's if the configuration starts as its preset does; another kind of start is tried out by driving,
+    once, and kept in the cache.
+
+    Raises
+    ------
+    InputError
+        If two cars can't start so anywhere on the circuit.
+    """
+    calibration = calibration_of(track, config)
+    if start_layout(config) == start_layout(preset_of(config)):
+        return calibration
+    # Speeds decide who gets away: a track of the same content may bring others.
+    memo = (track.content_hash, calibration.speed_range, preset_of(config).name, *start_layout(config))
+    if memo not in _known:
+
+        def find() -> Calibration:
+            settings = kernel_settings(preset_of(config), calibration.speed_range)
+            return Calibration(calibration.speed_range, *fit_places(track, config, settings, [config.start_spacing]))
+
+        _known[memo] = _cached(track, config, f"places for a {config.start} start", find)
+    return _known[memo]
+
+
+_known: dict[tuple[object, ...], Calibration] = {}
+
+
+def start_layout(config: RaceConfig) -> tuple[object, ...]:
+    """Kind of start, gap, distance across the track and speed of a configuration."""
+    return config.start, config.start_gap, config.start_spacing, config.start_speed
+
+
+def _spacings(config: RaceConfig) -> list[float]:
+    """The usual distance across the track, then others, the nearest first, the wider one of two that are as near."""
+    steps = sorted(range(-SPACING_STEPS, SPACING_STEPS + 1), key=lambda step: (abs(step), -step))
+    spacings = [round(config.start_spacing + step * SPACING_STEP, 3) for step in steps]
+    return [spacing for spacing in spacings if spacing >= NARROWEST[config.start] or spacing == config.start_spacing]
+
+
+def _cached(track: Track, config: RaceConfig, what: str, find: Callable[[], Calibration]) -> Calibration:
+    """Take a calibration from the cache on disk, or make it, say so, and put it there."""
+    preset = preset_of(config)
+    rules = json.dumps([preset.name, preset.steering_noise, preset.noise_time, *start_layout(config)])
+    parts = {"track": track.content_hash.encode(), "own": repr(track.calibration).encode(), "rules": rules.encode()}
+    key = cache_key(parts, CALIBRATION)
+    found = load_cached(CALIBRATION, key)
+    if found is not None:
+        try:
+            return calibration_from_values(json.loads(str(found["values"])))
+        except (KeyError, ValueError, TypeError):
+            pass  # a damaged file is as good as none
+    folder = cache_folder()
+    kept = f"once; kept in {folder}" if folder is not None else "there is no folder to keep it in"
+    start = time.monotonic()
+    _say(f"finding {what} of track {track.name!r} for {preset.name!r} by driving, {_forecast(track, preset)} ({kept})")
+    calibration = find()
+    seconds = time.monotonic() - start
+    low, high = calibration.speed_range
+    moved = "" if calibration.start_spacing == config.start_spacing else f", not {config.start_spacing:g} m,"
+    apart = f"cars start {calibration.start_spacing:g} m{moved} apart"
+    _say(
+        f"track {track.name!r}: pace 0 to 1 is {low:.2f} to {high:.2f} of its speed profile; {apart} ({seconds:.1f} s)"
+    )
+    store(CALIBRATION, key, {"values": np.array(json.dumps(calibration_values(calibration)))})
+    return calibration
+
+
+def _forecast(track: Track, preset: RaceConfig) -> str:
+    """About how long it takes: the hazard scan, the first seconds at every place, whole races for the balance."""
+    noisy = preset.steering_noise > 0.0
+    simulated = 8 * 80 * 40.0 + (96 if noisy else 32) * 2.5 * track.length / PLACE_EVERY
+    simulated += 60 * 16 * 40.0 if preset.start == "side-by-side" else 0.0
+    return f"about {max(1, round(simulated / SIMULATED_PER_SECOND / default_threads()))} s"
+
+
+def _say(line: str) -> None:
+    print(f"pcs-racing: {line}", file=sys.stderr, flush=True)
+
+
+def _crossing(scales: NDArray[np.float64], hazard: NDArray[np.float64], level: float) -> float:
+    """Scale at which a hazard that begins below a level first exceeds it; the last scale if it never does."""
+    above = np.flatnonzero(hazard > level)
+    if len(above) == 0:
+        return float(scales[-1])
+    i = int(above[0])
+    share = (level - hazard[i - 1]) / (hazard[i] - hazard[i - 1])
+    return float(scales[i - 1] + share * (scales[i] - scales[i - 1]))

@@ -1,0 +1,177 @@
+"""Driving a batch of races on from a state, without knowing where they start or who wins them."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.compilation import announce_compilation
+from pcs_racing.base.elementary import exponential
+from pcs_racing.base.errors import InputError
+from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.planners.planner import COMMAND_SLOTS, VIEW_SIZE, Planner, Policy
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.kernel import CONTROL_EVERY, DT, WORK_SIZE, KernelSettings, advance_races, fill_view
+from pcs_racing.race.state import RaceState
+from pcs_racing.track.track import Track
+
+__all__ = ["default_threads", "drive", "kernel_settings", "pad_parameters", "vehicle_rows"]
+
+
+def default_threads() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def kernel_settings(config: RaceConfig, speed_range: tuple[float, float]) -> KernelSettings:
+    """The numbers of a race configuration that the compiled loop needs."""
+    return KernelSettings(
+        end_tick=config.ticks,
+        speed_low=speed_range[0],
+        speed_high=speed_range[1],
+        noise_sd=float(config.steering_noise),
+        noise_keep=float(exponential(-CONTROL_EVERY * DT / config.noise_time)),
+        ittc_horizon=float(config.ittc_horizon),
+    )
+
+
+def vehicle_rows(vehicles: tuple[VehicleParams, VehicleParams], races: int) -> NDArray[np.float64]:
+    """Parameters of both cars for every race, shape (races, 2, 16)."""
+    rows = np.stack([vehicle.as_row() for vehicle in vehicles])
+    return np.tile(rows, (races, 1, 1))  # writeable, or one race would compile the kernels a second time
+
+
+def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]:
+    """Stack the parameter vectors of policies, padded with zeros, shape (len(policies), size)."""
+    theta = np.zeros((len(policies), size))
+    for i, policy in enumerate(policies):
+        theta[i, : len(policy.parameters)] = policy.parameters
+    return theta
+
+
+def drive(
+    track: Track,
+    settings: KernelSettings,
+    planners: tuple[Planner, Planner],
+    vehicles: tuple[VehicleParams, VehicleParams],
+    state: RaceState,
+    theta: NDArray[np.float64],
+    ticks: int,
+    *,
+    threads: int | None = None,
+) -> None:
+    """Drive every race of a batch on by ``ticks`` steps of 0.01 s, in place; finished races stand still.
+
+    The result does not depend on the number of threads, nor on how a race is cut into calls.
+
+    Parameters
+    ----------
+    track : Track
+    settings : KernelSettings
+    planners : tuple of two Planner
+        Of car 0 and car 1.
+    vehicles : tuple of two VehicleParams
+        Car 0 and car 1.
+    state : RaceState
+        Overwritten.
+    theta : ndarray, shape (B, 2, P)
+        Parameter vectors of the two policies in each race, padded to the longer planner's.
+    ticks : int
+        An even number: drivers are asked every second step.
+    threads : int, optional
+        Threads to share the races; all cores by default, one where a driver is plain Python.
+
+    Raises
+    ------
+    InputError
+        If ``ticks`` is odd or negative, or ``theta`` does not fit the batch.
+    """
+    if ticks < 0 or ticks % CONTROL_EVERY:
+        raise InputError(f"ticks is {ticks}; it must be an even number from 0")
+    if planners[0].drive is None and planners[1].drive is None:
+        _drive_compiled(track, settings, planners, vehicles, state, theta, ticks, threads)
+        return
+    for _ in range(ticks // CONTROL_EVERY):
+        _ask_python_drivers(track, settings, planners, vehicles, state, theta)
+        _drive_compiled(track, settings, planners, vehicles, state, theta, CONTROL_EVERY, 1)
+
+
+def _drive_compiled(
+    track: Track,
+    settings: KernelSettings,
+    planners: tuple[Planner, Planner],
+    vehicles: tuple[VehicleParams, VehicleParams],
+    state: RaceState,
+    theta: NDArray[np.float64],
+    ticks: int,
+    threads: int | None,
+) -> None:
+    races = state.races
+    wanted = (races, 2, max(1, *(len(planner.parameters) for planner in planners)))
+    if theta.shape != wanted or theta.dtype != np.float64 or not theta.flags.c_contiguous:
+        raise InputError(
+            f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64 of shape {wanted}"
+        )
+    with announce_compilation(advance_races, "the planners and the race kernel", 30):
+        plan0, control0 = planners[0].pointers()
+        plan1, control1 = planners[1].pointers()
+    cars = vehicle_rows(vehicles, races)
+    size = max(1, *(planner.scratch_size for planner in planners))
+
+    def part(first: int, last: int) -> None:
+        advance_races(
+            track.arrays,
+            state,
+            theta,
+            cars,
+            plan0,
+            control0,
+            plan1,
+            control1,
+            settings,
+            ticks,
+            first,
+            last,
+            np.empty(size),
+            np.empty(WORK_SIZE),
+        )
+
+    workers = min(threads or default_threads(), races)
+    if workers <= 1:
+        part(0, races)
+        return
+    part(0, 0)  # compiles before the threads need it
+    edges = np.linspace(0, races, min(races, 4 * workers) + 1).astype(int)
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(part, edges[:-1], edges[1:]))
+
+
+def _ask_python_drivers(
+    track: Track,
+    settings: KernelSettings,
+    planners: tuple[Planner, Planner],
+    vehicles: tuple[VehicleParams, VehicleParams],
+    state: RaceState,
+    theta: NDArray[np.float64],
+) -> None:
+    cars = vehicle_rows(vehicles, 1)[0]
+    view = np.zeros(VIEW_SIZE)
+    for race in range(state.races):
+        if state.tick[race] % CONTROL_EVERY or state.tick[race] >= settings.end_tick or state.crash[race].any():
+            continue
+        for car, planner in enumerate(planners):
+            if planner.drive is None:
+                continue
+            fill_view(track.arrays, state, race, car, cars, settings, view)
+            memory = state.memory[race, car]
+            own = memory[COMMAND_SLOTS : COMMAND_SLOTS + planner.memory_size]
+            answer = planner.drive(track, theta[race, car, : len(planner.parameters)], view.copy(), own)
+            command = np.asarray(answer, dtype=np.float64)
+            if command.shape != (2,) or not np.isfinite(command).all():
+                raise InputError(
+                    f"race {race}, car {car}: planner {planner.name!r} returned {command!r}; it must return two finite "
+                    "numbers, steering angle (rad) and speed (m/s)"
+                )
+            memory[:COMMAND_SLOTS] = command

@@ -1,0 +1,271 @@
+"""Recording a race: the compiled loop of :func:`pcs_racing.run_races`, stopped often enough to watch.
+
+A recorded race is the race: it ends in exactly the state that ``run_races``, or a game, gives for it.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.elementary import lengths
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seed
+from pcs_racing.car.vehicle import F1TENTH, VehicleParams
+from pcs_racing.planners.planner import COMMAND_SLOTS, PATH_SPEED, PATH_Y, VIEW_SIZE, Policy
+from pcs_racing.race.config import PAPER, RaceConfig
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.kernel import CONTROL_EVERY, DT, PLAN_EVERY, fill_view
+from pcs_racing.race.races import RaceResult, RaceSetup, advance, start_races, starts_of
+from pcs_racing.race.replay import Replay, ReplayEvent
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import ITTC, ITTC_SAMPLES, WALL_CRASH, RaceState
+from pcs_racing.track import frenet as _frenet
+from pcs_racing.track.track import Track
+
+__all__ = ["LAST_INDEX", "record_drive", "record_race", "tell_apart"]
+
+LAST_INDEX = 2**32 - 1
+"""Largest number of a race: it is one 32-bit word of the key of the race's noise."""
+
+FRAME_EVERY = 4  # steps: 25 frames a second; the loop can be stopped after every second step
+Floats = NDArray[np.float64]
+
+
+def record_race(
+    track: Track,
+    ego: Policy,
+    opponent: Policy,
+    config: RaceConfig = PAPER,
+    *,
+    seed: int = 0,
+    index: int = 0,
+    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH),
+    candidates: bool = True,
+) -> Replay:
+    """Drive one race and keep what is needed to watch it.
+
+    Parameters
+    ----------
+    track : Track
+    ego, opponent : Policy
+        Drivers of car 0 and car 1.
+    config : RaceConfig
+        The rules.
+    seed, index : int
+        The race number ``index`` (0 to :data:`LAST_INDEX`) of ``run_races(..., seed=seed)``: same start, same noise,
+        same end to the last bit. No race before it is drawn.
+    vehicles : tuple of two VehicleParams
+        The cars.
+    candidates : bool
+        Whether to keep the paths that each planner chose from (if it can tell).
+
+    Returns
+    -------
+    Replay
+        With 25 frames a second; it ends with the race, which may be a crash.
+
+    Raises
+    ------
+    InputError
+        If the index is outside its range, or the start is impossible.
+    """
+    if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index <= LAST_INDEX:
+        raise InputError(f"index is {index!r}; it must be a whole number from 0 to {LAST_INDEX}")
+    setup = RaceSetup(track, config, (ego.planner, opponent.planner), vehicles)
+    start = starts_of(track, config, [int(index)], seed)
+    theta = pad_parameters([ego, opponent], setup.theta_size)[None]
+    noise = race_seed(seed, int(index))
+    return record_drive(setup, start, noise, theta, names=(ego.name, opponent.name), candidates=candidates)
+
+
+def record_drive(
+    setup: RaceSetup,
+    start: Starts,
+    noise: np.uint64,
+    theta: Floats,
+    *,
+    names: tuple[str, str],
+    step_ticks: int | None = None,
+    candidates: bool = True,
+) -> Replay:
+    """Drive one race, whose policies may change on the way, and keep what is needed to watch it.
+
+    Parameters
+    ----------
+    setup : RaceSetup
+    start : Starts
+        Of one race.
+    noise : uint64
+        Key of its noise: what ``RaceState.seed`` holds.
+    theta : ndarray, shape (S, 2, P)
+        Parameters of both cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end.
+    names : tuple of two str
+        What the replay calls the cars; two equal names get the number of the car (:func:`tell_apart`).
+    step_ticks : int, optional
+        Length of a step in ticks of 0.01 s; a multiple of 10, as plans are made. Not needed for a single step.
+    candidates : bool
+        Whether to keep the paths that each planner chose from (if it can tell).
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    InputError
+        If there is more than one race, the steps have no length, or the start is impossible.
+    """
+    if len(start) != 1:
+        raise InputError(f"there are {len(start)} starts; a recording is of one race")
+    if len(theta) > 1 and (step_ticks is None or step_ticks < PLAN_EVERY or step_ticks % PLAN_EVERY):
+        raise InputError(f"step_ticks is {step_ticks!r}; it must be a multiple of {PLAN_EVERY} from {PLAN_EVERY}")
+    names = tell_apart(names)
+    state = start_races(setup, start, np.array([noise], np.uint64))
+    log = _drive(setup, state, theta, step_ticks or setup.config.ticks, candidates)
+    track = setup.track
+    line = track.line
+    return Replay(
+        title=f"{names[0]} against {names[1]}",
+        track_name=track.name,
+        car_names=names,
+        walls=track.arrays.walls,
+        line=line[:, [_frenet.X, _frenet.Y]],
+        line_speed=line[:, _frenet.SPEED],
+        frame_dt=FRAME_EVERY * DT,
+        plan_dt=PLAN_EVERY * DT,
+        half_sizes=np.array([[0.5 * car.length, 0.5 * car.width] for car in setup.vehicles]),
+        outcome=_outcome(RaceResult(setup.config, state, start), names),
+        cars=np.array(log.cars),
+        progress=np.array(log.progress),
+        ittc=np.array(log.ittc),
+        events=tuple(log.events),
+        **_plans(log),
+    )
+
+
+def tell_apart(names: tuple[str, str]) -> tuple[str, str]:
+    """Return what two cars are called: equal names get the number of the car, as in ``"lattice (car 0)"``."""
+    first, second = names
+    return names if first != second else (f"{first} (car 0)", f"{second} (car 1)")
+
+
+@dataclass(frozen=True)
+class _Log:
+    """What piles up while a race is driven."""
+
+    cars: list[Floats] = field(default_factory=list)
+    progress: list[Floats] = field(default_factory=list)
+    ittc: list[Floats] = field(default_factory=list)
+    paths: list[Floats] = field(default_factory=list)
+    choices: list[list[tuple[Floats, Floats] | None]] = field(default_factory=list)
+    events: list[ReplayEvent] = field(default_factory=list)
+
+
+def _drive(setup: RaceSetup, state: RaceState, steps: Floats, step_ticks: int, candidates: bool) -> _Log:
+    """Drive a race to its end, in place, and write down what can be seen on the way."""
+    log = _Log()
+    ittc = None
+    while True:
+        tick = int(state.tick[0])
+        over = tick >= setup.config.ticks or bool(state.crashed[0])
+        if over or tick % FRAME_EVERY == 0:
+            log.cars.append(state.cars[0].copy())
+            log.progress.append(state.progress[0].copy())
+            log.ittc.append(np.zeros(2) if ittc is None else ittc)
+        if over:
+            return log
+        step = min(tick // step_ticks, len(steps) - 1)
+        theta = np.ascontiguousarray(steps[step : step + 1])
+        plans = tick % PLAN_EVERY == 0
+        if plans and candidates:
+            # Asked before the step: afterwards the planner's memory already holds this plan.
+            log.choices.append([_choices(setup, state, theta, car) for car in range(2)])
+        sums, overtakes = state.sums[0].copy(), state.overtakes[0].copy()
+        advance(setup, state, theta, CONTROL_EVERY, threads=1)
+        if plans:
+            log.paths.append(_followed(state.path[0]))
+        added = state.sums[0] - sums
+        if added[0, ITTC_SAMPLES] > 0.0:
+            first = ittc is None
+            ittc = added[:, ITTC] / added[:, ITTC_SAMPLES]
+            if first:  # frames before the first sample show it too
+                log.ittc[:] = [ittc] * len(log.ittc)
+        log.events.extend(_happened(state, overtakes))
+
+
+def _choices(setup: RaceSetup, state: RaceState, theta: Floats, car: int) -> tuple[Floats, Floats] | None:
+    """Paths that a driver is about to choose from, and their costs."""
+    planner = setup.planners[car]
+    if planner.candidates is None:
+        return None
+    view = np.zeros(VIEW_SIZE)
+    vehicles = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
+    fill_view(setup.track.arrays, state, 0, car, vehicles, setup.settings, view)
+    begin = COMMAND_SLOTS if planner.drive is not None else 0
+    memory = state.memory[0, car, begin : begin + planner.memory_size].copy()
+    points, costs = planner.candidates(
+        setup.track.arrays, theta[0, car, : len(planner.parameters)].copy(), view, memory
+    )
+    # Several speeds on one path look alike: the cheapest stands for them.
+    _, first, place = np.unique(points.reshape(len(points), -1), axis=0, return_index=True, return_inverse=True)
+    cheapest = np.full(len(first), np.inf)
+    np.minimum.at(cheapest, place.ravel(), costs)
+    return points[first], cheapest
+
+
+def _plans(log: _Log) -> dict[str, Any]:
+    """Plans and candidates as arrays; what no driver told is left out."""
+    paths = np.array(log.paths)
+    if np.isnan(paths).all():
+        return {}
+    known = [choice for pair in log.choices for choice in pair if choice is not None]
+    if not known:
+        return {"paths": paths}
+    shape = (len(log.choices), 2, max(len(costs) for _, costs in known))
+    places = np.full((*shape, max(points.shape[1] for points, _ in known), 2), np.nan)
+    prices = np.full(shape, np.inf)
+    for row, pair in enumerate(log.choices):
+        for car, choice in enumerate(pair):
+            if choice is not None:
+                points, costs = choice
+                places[row, car, : len(costs), : points.shape[1]] = points
+                prices[row, car, : len(costs)] = costs
+    return {"paths": paths, "candidates": places, "costs": prices}
+
+
+def _followed(path: Floats) -> Floats:
+    """The plans of both cars as points x, y, speed, time; NaN for a driver that plans nothing."""
+    out = np.array(path)
+    step = lengths(np.diff(path[..., : PATH_Y + 1], axis=1))
+    speed = np.maximum(0.5 * (path[:, 1:, PATH_SPEED] + path[:, :-1, PATH_SPEED]), 0.1)
+    out[:, 0, 3] = 0.0
+    out[:, 1:, 3] = np.cumsum(step / speed, axis=1)
+    out[~path.any(axis=(1, 2))] = np.nan
+    return out
+
+
+def _happened(state: RaceState, overtakes_before: NDArray[np.int64]) -> list[ReplayEvent]:
+    """Events of the last control period."""
+    time = float(state.tick[0]) * DT
+    events = [
+        ReplayEvent(time, car, "overtake", "overtakes")
+        for car in range(2)
+        if state.overtakes[0, car] > overtakes_before[car]
+    ]
+    for car in range(2):
+        if state.fault[0, car]:
+            into = "the wall" if state.crash[0, car] == WALL_CRASH else "the other car"
+            events.append(ReplayEvent(time, car, "crash", f"crashes into {into}"))
+    return events
+
+
+def _outcome(result: RaceResult, names: tuple[str, str]) -> str:
+    """How a race ended, in words."""
+    winner, lead, time = int(result.winner[0]), float(result.lead[0]), float(result.time[0])
+    prize = f"{names[winner]} wins" if winner >= 0 else "nobody wins"
+    if result.crashed[0]:
+        guilty = " and ".join(names[car] for car in range(2) if result.own_crash[0, car])
+        return f"crash after {time:.1f} s, fault of {guilty or 'nobody'}: {prize}"
+    return f"{prize} by {abs(lead):.1f} m after {time:.0f} s" if winner >= 0 else f"a tie after {time:.0f} s"

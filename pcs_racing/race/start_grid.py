@@ -1,0 +1,107 @@
+"""Putting both cars of every race on the grid."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.driving import vehicle_rows
+from pcs_racing.race.kernel import place_cars
+from pcs_racing.race.state import RaceState, empty_state
+from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
+from pcs_racing.track.track import Track
+
+__all__ = ["Starts", "place_on_grid"]
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Where the cars of a batch of races start.
+
+    Attributes
+    ----------
+    s : ndarray, shape (B,)
+        Arc length of the start line, m.
+    side : ndarray, shape (B,), int64
+        0 when car 0 starts on the left (side by side) or in front (staggered, rolling), 1 when car 1 does.
+    """
+
+    s: NDArray[np.float64]
+    side: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.s)
+
+    def take(self, indices: ArrayLike) -> "Starts":
+        """Return some of them, in the order asked for."""
+        chosen = np.asarray(indices)
+        return Starts(self.s[chosen], self.side[chosen])
+
+
+def place_on_grid(
+    track: Track,
+    config: RaceConfig,
+    spacing: float,
+    slowest: float,
+    vehicles: tuple[VehicleParams, VehicleParams],
+    starts: Starts,
+    memory_size: int,
+) -> RaceState:
+    """Both cars of every race at their start; a race whose cars do not fit there is marked as crashed.
+
+    Side by side, the two cars are centred between the walls; staggered and rolling, the rear car stands ``start_gap``
+    behind and both are ``spacing`` apart across the track. Progress is counted from the front car's line.
+
+    Parameters
+    ----------
+    track : Track
+    config : RaceConfig
+        Kind of start, gap and speed.
+    spacing : float
+        Distance between the cars' centres across the track, m.
+    slowest : float
+        Speed scale of pace 0: no car starts faster than the race line at that scale.
+    vehicles : tuple of two VehicleParams
+    starts : Starts
+    memory_size : int
+        Numbers of memory for each driver.
+
+    Raises
+    ------
+    InputError
+        If a start line lies off the track, or a side is neither 0 nor 1; the race's index is named.
+    """
+    arrays = track.arrays
+    outside = ~((starts.s >= 0.0) & (starts.s < arrays.length))
+    if outside.any():
+        i = int(np.flatnonzero(outside)[0])
+        raise InputError(
+            f"race {i}: the start line {starts.s[i]} m is not on track {track.name!r}; it must lie in "
+            f"[0, {arrays.length:.2f})"
+        )
+    if not np.isin(starts.side, (0, 1)).all():
+        raise InputError(f"start sides must be 0 or 1; found {starts.side[~np.isin(starts.side, (0, 1))][0]}")
+    races = len(starts)
+    state = empty_state(races, memory_size)
+    rows = np.arange(races)
+    for place in range(2):  # 0: left or front, 1: right or rear
+        car = np.where(starts.side == 0, place, 1 - place)
+        behind = 0.0 if config.start == "side-by-side" else place * config.start_gap
+        s = np.mod(starts.s - behind, arrays.length)
+        sample = arrays.line[(s / arrays.ds).astype(np.intp) % len(arrays.line)]
+        middle = 0.5 * (sample[:, LEFT] - sample[:, RIGHT])
+        d = middle + (0.5 if place == 0 else -0.5) * spacing
+        pose = track.to_cartesian(np.stack([s, d], axis=-1))
+        profile = slowest * sample[:, SPEED]
+        speed = profile if config.start == "rolling" else np.minimum(config.start_speed, profile)
+        state.cars[rows, car, X] = pose[:, 0]
+        state.cars[rows, car, Y] = pose[:, 1]
+        state.cars[rows, car, _vehicle.V] = speed
+        state.cars[rows, car, _vehicle.PSI] = np.mod(pose[:, 2], 2.0 * np.pi)
+        state.progress[rows, car] = -behind
+    place_cars(arrays, state, vehicle_rows(vehicles, races))
+    return state

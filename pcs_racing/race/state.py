@@ -1,0 +1,167 @@
+"""The state of a batch of races as a plain value: copy it, pick races from it, save it, restore it."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.reading import read_limited, unpack_arrays
+from pcs_racing.planners.planner import PATH_COLUMNS, PATH_POINTS
+
+__all__ = ["SUMS", "RaceState", "concatenate", "empty_state", "load_state", "save_state", "take"]
+
+SUMS: dict[str, str] = {
+    "ITTC": "sum of the minimum time to collision over its samples, s",
+    "ITTC_SAMPLES": "number of those samples (20 per second)",
+    "STEERING": "total movement of the steering, rad",
+    "BLOCKING": "time spent ahead of the opponent, within 3 m, and in its way, s",
+    "LATERAL": "integral of the squared lateral acceleration, m^2/s^3",
+    "TIME": "time driven, s",
+}
+"""What is summed up for each car while it drives, by name; characteristics are made of differences of these."""
+
+MAX_BYTES = 1_000_000_000  # of a file
+
+ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME = range(len(SUMS))
+
+NO_CRASH, WALL_CRASH, CAR_CRASH = range(3)
+
+
+class RaceState(NamedTuple):
+    """A batch of B two-car races at one moment: plain arrays, race axis first.
+
+    Nothing else is needed to go on: two races with equal states, policies and rules continue identically to the last
+    bit.
+
+    Attributes
+    ----------
+    tick : ndarray, shape (B,), int64
+        Simulation steps of 0.01 s driven so far.
+    seed : ndarray, shape (B,), uint64
+        Key of each race's own noise; the noise is a function of (seed, car, tick), there is no stream to carry.
+    cars : ndarray, shape (B, 2, 7)
+        Vehicle states (:mod:`pcs_racing.car.vehicle`).
+    frenet : ndarray, shape (B, 2, 2)
+        Arc length in [0, length) and distance from the race line, m.
+    progress : ndarray, shape (B, 2)
+        Cumulative arc length since the start line, m; a lap adds the length of the track.
+    command : ndarray, shape (B, 2, 2)
+        Target steering angle (rad) and speed (m/s) in force, the noise included.
+    disturbance : ndarray, shape (B, 2)
+        AR(1) steering disturbance, rad.
+    path : ndarray, shape (B, 2, 12, 4)
+        Path that each driver follows: x, y (m), speed (m/s), curvature (1/m).
+    memory : ndarray, shape (B, 2, M)
+        What the planners remember.
+    sums : ndarray, shape (B, 2, 6)
+        Running sums (:data:`SUMS`).
+    crash : ndarray, shape (B, 2), int8
+        0 none, 1 into a wall, 2 with the other car; latched, and the race stands still from then on.
+    fault : ndarray, shape (B, 2), int8
+        1 for a car that is to blame for the crash.
+    leader : ndarray, shape (B,), int8
+        Car that last led by more than a car's length (-1 none yet).
+    overtakes : ndarray, shape (B, 2), int64
+        How often each car passed the other.
+    """
+
+    tick: NDArray[np.int64]
+    seed: NDArray[np.uint64]
+    cars: NDArray[np.float64]
+    frenet: NDArray[np.float64]
+    progress: NDArray[np.float64]
+    command: NDArray[np.float64]
+    disturbance: NDArray[np.float64]
+    path: NDArray[np.float64]
+    memory: NDArray[np.float64]
+    sums: NDArray[np.float64]
+    crash: NDArray[np.int8]
+    fault: NDArray[np.int8]
+    leader: NDArray[np.int8]
+    overtakes: NDArray[np.int64]
+
+    @property
+    def races(self) -> int:
+        """Number of races in the batch."""
+        return len(self.tick)
+
+    @property
+    def lead(self) -> NDArray[np.float64]:
+        """Progress of car 0 minus that of car 1, m, shape (B,)."""
+        return self.progress[:, 0] - self.progress[:, 1]
+
+    @property
+    def crashed(self) -> NDArray[np.bool_]:
+        """Whether a race ended in a crash, shape (B,)."""
+        return (self.crash != NO_CRASH).any(axis=1)
+
+    def copy(self) -> "RaceState":
+        """Return an independent copy."""
+        return RaceState._make(array.copy() for array in self)
+
+
+def empty_state(races: int, memory_size: int) -> RaceState:
+    """Return the state of a batch of races in which every number is 0 and nobody leads."""
+    return RaceState(
+        tick=np.zeros(races, np.int64),
+        seed=np.zeros(races, np.uint64),
+        cars=np.zeros((races, 2, 7)),
+        frenet=np.zeros((races, 2, 2)),
+        progress=np.zeros((races, 2)),
+        command=np.zeros((races, 2, 2)),
+        disturbance=np.zeros((races, 2)),
+        path=np.zeros((races, 2, PATH_POINTS, PATH_COLUMNS)),
+        memory=np.zeros((races, 2, memory_size)),
+        sums=np.zeros((races, 2, len(SUMS))),
+        crash=np.zeros((races, 2), np.int8),
+        fault=np.zeros((races, 2), np.int8),
+        leader=np.full(races, -1, np.int8),
+        overtakes=np.zeros((races, 2), np.int64),
+    )
+
+
+def take(state: RaceState, indices: ArrayLike) -> RaceState:
+    """Return copies of some races, in the order asked for (a race may be taken more than once)."""
+    chosen = np.asarray(indices)
+    return RaceState._make(np.ascontiguousarray(array[chosen]) for array in state)
+
+
+def concatenate(states: list[RaceState]) -> RaceState:
+    """Join batches of races into one."""
+    return RaceState._make(np.concatenate(arrays) for arrays in zip(*states, strict=True))
+
+
+def save_state(state: RaceState, path: str | Path) -> None:
+    """Write a state to an npz file; the file appears whole or not at all."""
+    write_atomically(Path(path), lambda file: np.savez_compressed(file, allow_pickle=False, **state._asdict()))
+
+
+def load_state(path: str | Path) -> RaceState:
+    """Read a state that :func:`save_state` wrote.
+
+    Raises
+    ------
+    InputError
+        If the file is no race state, or its arrays do not fit each other.
+    """
+    try:
+        arrays = unpack_arrays(read_limited(path, MAX_BYTES, "a race state"))
+    except (OSError, InputError) as error:
+        raise InputError(f"{path} is not a saved race state: {error}") from None
+    if set(arrays) != set(RaceState._fields):
+        raise InputError(f"{path} holds {sorted(arrays)}; a race state holds {sorted(RaceState._fields)}")
+    memory = arrays["memory"]
+    races = len(arrays["tick"]) if arrays["tick"].ndim else 0
+    model = empty_state(races, memory.shape[2] if memory.ndim == 3 else 0)
+    for name, expected in model._asdict().items():
+        if arrays[name].shape != expected.shape or arrays[name].dtype != expected.dtype:
+            raise InputError(
+                f"{path}: {name} has shape {arrays[name].shape} and type {arrays[name].dtype}; it must have "
+                f"{expected.shape} and {expected.dtype}"
+            )
+        if not np.isfinite(arrays[name]).all():
+            raise InputError(f"{path}: {name} holds NaN or infinity")
+    return RaceState(**arrays)

@@ -1,0 +1,1 @@
+"""Circuits: the track value, Frenet coordinates, reading maps, and how a track is built."""

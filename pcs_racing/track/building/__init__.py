@@ -1,0 +1,1 @@
+"""From a picture of the walls to a track: centre line, race line, splines, speed, walls."""

@@ -1,0 +1,332 @@
+"""From a grid and a race line to the arrays that compiled kernels race on, with everything checked first."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import lengths
+from pcs_racing.base.errors import MapError
+from pcs_racing.track.building.splines import LineSamples, clean_closed, sample_closed
+from pcs_racing.track.building.walls import seen_lists, simplify, trace_outlines
+from pcs_racing.track.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
+from pcs_racing.track.grid import cast, distance_to_walls, flood, lookup_grid, way_out
+
+__all__ = ["build_arrays", "check_centerline", "check_grid", "check_line", "drivable_region"]
+
+Floats = NDArray[np.float64]
+Grid = NDArray[np.bool_]
+
+LINE_SPACING = 0.1  # of the samples of the race line, m
+MAX_LENGTH = 10_000.0  # m: far beyond any circuit for 1:10 cars, and it bounds the memory
+MAX_CURVATURE = 4.0  # 1/m: a car turns at 1.3 at most, so a sharper line has a kink
+MARGIN = 3  # cells kept around the drivable region
+SIMPLIFY = 0.027  # largest deviation of a wall from the middles of its cell faces, m, ...
+SIMPLIFY_CELLS = 0.5  # ... but at least this many cells, or every step of a slanted wall would be kept
+INSET = 0.25  # see walls.simplify
+SEEN_STRETCH = 0.8  # m
+SEEN_ACROSS = 6  # viewpoints across the track
+SEEN_RAYS = 120  # from each viewpoint, before gaps are halved ...
+SEEN_DEPTH = 6  # ... this often
+LOOKUP_CELL = 0.25  # m
+LEAK = 1.4  # a region larger than this many times length x mean width is more than the track
+
+
+def check_grid(
+    occupied: ArrayLike, resolution: float, origin: ArrayLike, what: str
+) -> tuple[Grid, float, tuple[float, float]]:
+    """Occupancy grid, side of a cell and lower left corner in the right types, or one clear error.
+
+    Raises
+    ------
+    MapError
+        If the grid is not a boolean array of at least 8 x 8 cells, the resolution not in (0, 1] m, or the origin not
+        two finite numbers.
+    """
+    grid = np.ascontiguousarray(occupied)
+    if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 8:
+        raise MapError(f"{what}: the grid must be a boolean array of at least 8 x 8, got {grid.dtype} {grid.shape}")
+    if not (math.isfinite(resolution) and 0.0 < resolution <= 1.0):
+        raise MapError(f"{what}: resolution must be in (0, 1] metres per cell, got {resolution}")
+    corner = np.asarray(origin, dtype=np.float64).ravel()
+    if corner.shape != (2,) or not (np.abs(corner) <= 1e6).all():
+        raise MapError(f"{what}: origin must be two coordinates in metres, got {origin!r}")
+    return grid, float(resolution), (float(corner[0]), float(corner[1]))
+
+
+def check_line(points: ArrayLike, what: str) -> Floats:
+    """Points of a closed line, cleaned of repeated ones.
+
+    Parameters
+    ----------
+    points : array_like, shape (K, 2)
+        In m.
+    what : str
+        How to call the line in errors.
+
+    Returns
+    -------
+    ndarray, shape (L, 2)
+
+    Raises
+    ------
+    MapError
+        If the line has fewer than 10 different points, holds NaN or infinity, is open or crosses itself.
+    """
+    xy = np.array(points, dtype=np.float64)
+    if xy.ndim != 2 or xy.shape[1] != 2:
+        raise MapError(f"{what} must be an array of shape (K, 2), got {xy.shape}")
+    bad = ~(np.abs(xy) <= 1e6).all(axis=1)
+    if bad.any():
+        raise MapError(f"{what} holds the impossible point {_at(xy[bad][0])}: coordinates must be finite, in metres")
+    xy = clean_closed(xy)
+    if len(xy) < 10:
+        raise MapError(f"{what} has {len(xy)} different points: at least 10 are needed")
+    step = lengths(np.roll(xy, -1, axis=0) - xy)
+    if step[-1] > max(3.0 * step[:-1].max(), 1.0):
+        raise MapError(
+            f"{what} is open: from its last point {_at(xy[-1])} to its first {_at(xy[0])} it is {step[-1]:.2f} m, more "
+            f"than three of its longest steps; it must lead all the way round"
+        )
+    if step.sum() > MAX_LENGTH:
+        raise MapError(
+            f"{what} is {step.sum():.0f} m long: at most {MAX_LENGTH:.0f} m are supported (is it in metres?)"
+        )
+    samples = sample_closed(xy, 2.0 * LINE_SPACING)
+    crossing = _first_crossing(samples.xy, samples.length / len(samples.xy))
+    if crossing >= 0:
+        raise MapError(f"{what} crosses itself near {_at(samples.xy[crossing])}: it must be a simple closed line")
+    return xy
+
+
+def check_centerline(centerline: ArrayLike, what: str) -> Floats:
+    """Centre line with widths, or one clear error; see `check_line`."""
+    rows = np.array(centerline, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 4:
+        raise MapError(f"{what} must have 4 columns (x, y, width to the right, to the left), got shape {rows.shape}")
+    check_line(rows[:, :2], what)
+    bad = ~((rows[:, 2:] > 0.0) & (rows[:, 2:] < MAX_LENGTH)).all(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise MapError(
+            f"{what}: the track is {rows[row, 2]} m wide to the right and {rows[row, 3]} m to the left of point "
+            f"{_at(rows[row])}: both must be positive"
+        )
+    return rows
+
+
+def drivable_region(
+    occupied: Grid, resolution: float, origin: tuple[float, float], samples: LineSamples, what: str
+) -> tuple[Grid, int, int]:
+    """What can be reached from a line without crossing walls, cropped to its box and a margin.
+
+    Parameters
+    ----------
+    occupied : ndarray of bool, shape (H, W)
+    resolution : float
+    origin : tuple of float
+    samples : LineSamples
+        The race line.
+    what : str
+        How to call the track in errors.
+
+    Returns
+    -------
+    drivable : ndarray of bool
+        Its outermost rows and columns are False.
+    row, col : int
+        Row and column of the grid at which the crop begins (negative where the margin sticks out).
+
+    Raises
+    ------
+    MapError
+        If the line leaves the map, runs through a wall, or the region is more than the track.
+    """
+    rows, cols = _cells(samples.xy, occupied, resolution, origin, f"{what}: the race line")
+    reached, (bottom, top, left, right) = flood(occupied, rows, cols)
+    height, width = occupied.shape
+    open_to_border = bottom == 0 or left == 0 or top == height - 1 or right == width - 1
+    m = MARGIN
+    drivable = np.zeros((top - bottom + 1 + 2 * m, right - left + 1 + 2 * m), dtype=np.bool_)
+    drivable[m:-m, m:-m] = reached[bottom : top + 1, left : right + 1]
+    across = _free_widths(drivable, *_in_cells(samples, resolution, origin, bottom - m, left - m)).sum(axis=1)
+    usual = float(across.mean()) * samples.length / resolution
+    area = int(np.count_nonzero(reached))
+    if open_to_border or area > LEAK * usual:
+        way = way_out(occupied, rows, cols)
+        room = distance_to_walls(np.pad(~occupied, 1), 1.0)[1:-1, 1:-1]
+        # Along the way out the gap is where the walls are nearest; the border itself is none.
+        free = np.where((way % (np.array(occupied.shape) - 1) == 0).any(axis=1), np.inf, room[way[:, 0], way[:, 1]])
+        i, j = way[int(np.argmin(free))]
+        gap = np.array([origin[0] + (j + 0.5) * resolution, origin[1] + (i + 0.5) * resolution])
+        raise MapError(
+            f"{what}: the walls have a gap, probably near {_at(gap)}: from the race line one gets "
+            + (
+                "to the border of the picture"
+                if open_to_border
+                else f"to {area * resolution**2:.0f} m^2, {area / usual:.1f} times the track"
+            )
+            + "; close the walls in the picture"
+        )
+    return drivable, bottom - m, left - m
+
+
+def build_arrays(
+    occupied: Grid, resolution: float, origin: tuple[float, float], raceline: Floats, what: str
+) -> tuple[TrackArrays, Grid]:
+    """Build what compiled kernels need of a track.
+
+    Parameters
+    ----------
+    occupied, resolution, origin
+        What `check_grid` returned.
+    raceline : ndarray, shape (K, 2)
+        What `check_line` returned.
+    what : str
+        How to call the track in errors.
+
+    Returns
+    -------
+    arrays : TrackArrays
+    drivable : ndarray of bool, shape of ``arrays.distance``
+        The drivable region.
+
+    Raises
+    ------
+    MapError
+        If the race line and the grid don't fit together.
+    """
+    from pcs_racing.track.building.speed import speed_profile
+
+    samples = sample_closed(raceline, LINE_SPACING)
+    sharpest = int(np.argmax(np.abs(samples.kappa)))
+    if abs(samples.kappa[sharpest]) > MAX_CURVATURE:
+        raise MapError(
+            f"{what}: the race line has a kink at {_at(samples.xy[sharpest])}, its radius there is "
+            f"{1.0 / abs(samples.kappa[sharpest]):.2f} m; it must be at least {1.0 / MAX_CURVATURE} m everywhere"
+        )
+    drivable, row, col = drivable_region(occupied, resolution, origin, samples, what)
+    corner = np.array([origin[0] + col * resolution, origin[1] + row * resolution])
+    x, y, tangent = _in_cells(samples, resolution, origin, row, col)
+    ds = samples.length / len(x)
+    line = np.empty((len(x), len(LINE_COLUMNS)))
+    line[:, [X, Y]] = samples.xy
+    line[:, [COS, SIN]] = samples.tangent
+    line[:, PSI] = samples.psi
+    line[:, KAPPA] = samples.kappa
+    line[:, SPEED] = speed_profile(samples.kappa, ds)
+    line[:, [RIGHT, LEFT]] = _free_widths(drivable, x, y, tangent) * resolution
+
+    outlines = trace_outlines(drivable)
+    segments, owner, start = simplify(outlines, max(SIMPLIFY_CELLS, SIMPLIFY / resolution), INSET)
+    stretches = max(round(samples.length / SEEN_STRETCH), 1)
+    sections = (_viewpoints(line, stretches) - corner) / resolution
+    seen_start, seen, seen_distance = seen_lists(
+        drivable, outlines, segments, owner, start, sections, SEEN_RAYS, SEEN_DEPTH
+    )
+    block = max(round(LOOKUP_CELL / resolution), 1)
+    arrays = TrackArrays(
+        length=samples.length,
+        ds=ds,
+        line=line,
+        distance=distance_to_walls(drivable, resolution),
+        origin_x=float(corner[0]),
+        origin_y=float(corner[1]),
+        cell=resolution,
+        walls=segments * resolution + np.tile(corner, 2),
+        seen_start=seen_start,
+        seen=seen,
+        seen_distance=np.nextafter((seen_distance * resolution).astype(np.float32), np.float32(-1.0)),
+        seen_middle=sections[1::2].mean(axis=1) * resolution + corner,
+        seen_stretch=samples.length / stretches,
+        lookup=lookup_grid(drivable, x, y, block),
+        lookup_cell=block * resolution,
+    )
+    return arrays, drivable
+
+
+def _at(point: NDArray[Any]) -> str:
+    return f"({point[0]:.2f}, {point[1]:.2f})"
+
+
+def _cells(
+    xy: Floats, occupied: Grid, resolution: float, origin: tuple[float, float], what: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the free cells in which points lie."""
+    cols, rows = np.floor((xy - np.asarray(origin)) / resolution).astype(np.int64).T.copy()
+    height, width = occupied.shape
+    outside = (rows < 0) | (cols < 0) | (rows >= height) | (cols >= width)
+    if outside.any():
+        raise MapError(
+            f"{what} leaves the map at {_at(xy[outside][0])}: do resolution, origin and the line fit together?"
+        )
+    hit = occupied[rows, cols]
+    if hit.any():
+        raise MapError(f"{what} runs through a wall at {_at(xy[hit][0])}: it must stay between the walls")
+    return rows, cols
+
+
+def _in_cells(
+    samples: LineSamples, resolution: float, origin: tuple[float, float], row: int, col: int
+) -> tuple[Floats, Floats, Floats]:
+    """Line samples in cells from the corner of a crop, and their tangents."""
+    x = (samples.xy[:, 0] - origin[0]) / resolution - col
+    y = (samples.xy[:, 1] - origin[1]) / resolution - row
+    return x, y, samples.tangent
+
+
+def _viewpoints(line: Floats, stretches: int) -> Floats:
+    """Points across the track where each stretch begins and in its middle, shape (2 * stretches, SEEN_ACROSS, 2)."""
+    index = np.round(np.arange(2 * stretches) * (len(line) / (2 * stretches))).astype(int) % len(line)
+    at = line[index][:, None, :]
+    across = np.linspace(-0.98, 0.98, SEEN_ACROSS)
+    d = across * np.where(across < 0.0, at[..., RIGHT], at[..., LEFT])
+    return np.stack([at[..., X] - d * at[..., SIN], at[..., Y] + d * at[..., COS]], axis=2)
+
+
+@compiled
+def _free_widths(drivable, x, y, tangent):  # type: ignore[no-untyped-def]
+    """Free width in cells to the right and to the left of each line sample, along the line's normal."""
+    out = np.empty((x.shape[0], 2))
+    for k in range(x.shape[0]):
+        c, s = tangent[k]
+        out[k, 0] = cast(drivable, x[k], y[k], s, -c, np.inf)[0]
+        out[k, 1] = cast(drivable, x[k], y[k], -s, c, np.inf)[0]
+    return out
+
+
+@compiled
+def _first_crossing(xy, step):  # type: ignore[no-untyped-def]
+    """First segment of a closed polyline with steps of equal length that crosses another one, or -1.
+
+    A line can't come back faster than it goes, so after a pair of far segments all those that can't yet be near are
+    left out: close to linear time on a circuit.
+    """
+    n = xy.shape[0]
+    for i in range(n - 2):
+        ax, ay = xy[i]
+        bx, by = xy[i + 1]
+        j = i + 2
+        last = n if i > 0 else n - 1
+        while j < last:
+            cx, cy = xy[j]
+            far = int(np.sqrt((cx - ax) * (cx - ax) + (cy - ay) * (cy - ay)) / step)
+            if far > 3:
+                j += far - 2
+                continue
+            dx, dy = xy[(j + 1) % n]
+            j += 1
+            # On a straight the sides below are rounding errors; boxes that don't overlap settle it.
+            if max(cx, dx) < min(ax, bx) or min(cx, dx) > max(ax, bx):
+                continue
+            if max(cy, dy) < min(ay, by) or min(cy, dy) > max(ay, by):
+                continue
+            c_side = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+            d_side = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
+            a_side = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
+            b_side = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
+            if c_side * d_side <= 0.0 and a_side * b_side <= 0.0:
+                return i
+    return -1

@@ -1,0 +1,205 @@
+"""The centre line of the ring-shaped free region of an occupancy grid."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from pcs_racing.base.elementary import arctangent2, headings, lengths, sine_cosine
+from pcs_racing.base.errors import MapError
+from pcs_racing.base.optional import require
+from pcs_racing.track.building.clearance import checked_grid
+from pcs_racing.track.building.curves import curve_length, resample, signed_area, smooth
+from pcs_racing.track.grid import distance_to_walls
+
+__all__ = ["centerline_from_grid"]
+
+SPACING = 0.3  # of the result, m
+SMOOTHING = 1.0  # waves of this length are halved, m: far above a cell, below the tightest hairpin
+RIM = 3  # cells of wall around the track, so that the rim itself never counts as the nearer wall
+SPECK = 0.5  # holes of less area are dirt or obstacles on the track, m^2
+ROUNDING = 1e-23  # squared turns along that stretch that may be rounding errors, rad^2
+START_STRAIGHT = 8.0  # the start line lies where this stretch of line is straightest, m
+
+
+def centerline_from_grid(
+    occupied: np.ndarray,
+    resolution: float,
+    origin: np.ndarray | tuple[float, float],
+    *,
+    seed_point: Sequence[float] | np.ndarray | None = None,
+    direction: str | float | None = None,
+) -> np.ndarray:
+    """Closed line midway between the inner and the outer wall of a circuit.
+
+    The circuit is a free region around exactly one hole. Its centre line is the set of points that are as far from the
+    hole as from the outer wall: the contour at zero of the difference of two exact distance fields. Other than a
+    skeleton of the region, it is a single closed curve without branches by construction, and finer than a cell.
+
+    Parameters
+    ----------
+    occupied : array_like, shape (H, W), bool
+        True where a wall is; row 0 is the bottom.
+    resolution : float
+        Side of a cell in m.
+    origin : array_like, shape (2,)
+        Lower left corner of cell [0, 0] in m.
+    seed_point : array_like, shape (2,), optional
+        A point on the track, in m; the line begins beside it. Without one the track is the free region that surrounds
+        exactly one hole and does not touch the border of the map, and the line begins on its longest straight.
+    direction : {"counterclockwise", "clockwise"} or float, optional
+        Driving direction, or the heading in rad at the beginning of the line. Default: counterclockwise.
+
+    Returns
+    -------
+    ndarray, shape (M, 4)
+        x, y and the widths to the right and to the left wall, all in m, evenly spaced about 0.3 m apart; the last point
+        lies one step before the first. A width is the distance to the nearest point of the wall on that side.
+
+    Raises
+    ------
+    MapError
+        If the seed point is off the map or in a wall, if there is no closed loop, or if there are several.
+    """
+    require("scipy", "skimage")
+    from scipy import ndimage
+
+    grid, resolution, corner = checked_grid(occupied, resolution, origin)
+    if not (direction is None or direction in ("counterclockwise", "clockwise") or _is_number(direction)):
+        raise MapError(f"direction is {direction!r}: it must be 'counterclockwise', 'clockwise' or a heading in rad")
+    seed = None if seed_point is None else _checked_seed(seed_point, grid, resolution, corner)
+    region, hole, row, col = _ring(grid, resolution, corner, seed)
+    corner = corner + resolution * np.array([col, row])
+    # Distance from every cell to the inner and to the outer wall.
+    to_hole = distance_to_walls(~hole & _inside_rim(hole), resolution)
+    to_outside = distance_to_walls(region | hole, resolution)
+    line = _zero_contour(to_outside - to_hole) * resolution + corner
+    line = resample(smooth(resample(line, 0.1), SMOOTHING), SPACING)
+    first = straightest(line) if seed is None else int(np.argmin(lengths(line - seed)))
+    line = directed(np.roll(line, -first, axis=0), direction)
+    cells = ((line - corner) / resolution - 0.5).T[::-1]
+    inner, outer = (ndimage.map_coordinates(field, cells, order=1) for field in (to_hole, to_outside))
+    left, right = (inner, outer) if signed_area(line) > 0.0 else (outer, inner)
+    return np.column_stack([line, right, left])
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _checked_seed(
+    seed_point: Sequence[float] | np.ndarray, grid: np.ndarray, resolution: float, corner: np.ndarray
+) -> np.ndarray:
+    seed = np.asarray(seed_point, dtype=np.float64)
+    if seed.shape != (2,) or not np.isfinite(seed).all():
+        raise MapError(f"seed point {seed_point!r} is not a point: two finite coordinates in metres are needed")
+    col, row = np.floor((seed - corner) / resolution).astype(int)
+    name = f"seed point ({seed[0]:g}, {seed[1]:g})"
+    height, width = grid.shape
+    if not (0 <= row < height and 0 <= col < width):
+        low, high = corner, corner + resolution * np.array([width, height])
+        raise MapError(
+            f"{name} is off the map, which reaches from ({low[0]:.2f}, {low[1]:.2f}) to ({high[0]:.2f}, {high[1]:.2f})"
+        )
+    if grid[row, col]:
+        raise MapError(f"{name} lies in a wall: give a point on the track")
+    return seed
+
+
+def _ring(
+    grid: np.ndarray, resolution: float, corner: np.ndarray, seed: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, int, int]:
+    """The track as a free region around one hole, and that hole, both cut out with a rim; row and column of the cut."""
+    from scipy import ndimage
+
+    labels, _ = ndimage.label(~grid)
+    boxes = ndimage.find_objects(labels)
+    if seed is not None:
+        col, row = np.floor((seed - corner) / resolution).astype(int)
+        candidates = [int(labels[row, col])]
+    else:
+        edge = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+        candidates = [k + 1 for k in range(len(boxes)) if k + 1 not in edge]
+    rings = []
+    for k in candidates:
+        rows, cols = boxes[k - 1]
+        if min(rows.stop - rows.start, cols.stop - cols.start) * resolution < 1.0:
+            continue
+        region = np.pad(labels[rows, cols] == k, RIM)
+        # The region is connected by sides, so what surrounds it is connected by corners too.
+        holes, count = ndimage.label(~region, structure=np.ones((3, 3)))
+        sizes = np.bincount(holes.ravel(), minlength=count + 1) * resolution**2
+        sizes[[0, holes[0, 0]]] = 0.0
+        large = np.flatnonzero(sizes >= SPECK)
+        where = (int(rows.start) - RIM, int(cols.start) - RIM)
+        region |= (holes != holes[0, 0]) & ~np.isin(holes, large)
+        if len(large) == 1:
+            rings.append((float(sizes[large[0]]), region, holes == large[0], *where))
+        elif seed is not None:
+            problem = (
+                f"surrounds {len(large)} islands, so there are several loops" if len(large) else "has no closed loop"
+            )
+            raise MapError(
+                f"the free region at seed point ({seed[0]:g}, {seed[1]:g}) {problem}: the track must be a ring between "
+                f"an inner and an outer wall"
+            )
+    rings.sort(key=lambda ring: -ring[0])
+    if not rings:
+        raise MapError(
+            "no closed loop found: no free region lies between one inner and one outer wall (a gap in a wall lets it "
+            "run out); name the track with a seed point if there is one"
+        )
+    if len(rings) > 1 and rings[1][0] > 0.1 * rings[0][0]:
+        points = []
+        for _, region, _, row, col in rings:
+            i, j = np.argwhere(region)[0]
+            x, y = corner + resolution * (np.array([j + col, i + row]) + 0.5)
+            points.append(f"({x:.2f}, {y:.2f})")
+        raise MapError(f"{len(rings)} regions could be the track: choose one by a seed point, as {' or '.join(points)}")
+    _, region, hole, row, col = rings[0]
+    return region, hole, row, col
+
+
+def _inside_rim(like: np.ndarray) -> np.ndarray:
+    inside = np.zeros(like.shape, dtype=np.bool_)
+    inside[1:-1, 1:-1] = True
+    return inside
+
+
+def _zero_contour(values: np.ndarray) -> np.ndarray:
+    """Points (x, y) in cells from the grid's lower left corner where the values, taken at cell centres, change sign."""
+    from skimage.measure import find_contours
+
+    closed = [contour for contour in find_contours(values, 0.0) if np.array_equal(contour[0], contour[-1])]
+    # The contour is one closed curve; should rounding tear off a crumb, the curve is the longest.
+    return max(closed, key=len)[:-1, ::-1] + 0.5
+
+
+def straightest(line: np.ndarray) -> int:
+    """Index of the point in the middle of the straightest stretch."""
+    ahead = np.roll(line, -1, axis=0) - line
+    angle = headings(ahead)
+    turn = np.mod(np.diff(angle, prepend=angle[-1]) + np.pi, 2.0 * np.pi) - np.pi
+    half = max(int(0.5 * START_STRAIGHT * len(line) / curve_length(line)), 1)
+    window = np.arange(-half, half + 1)
+    blame = (turn**2)[(np.arange(len(line))[:, None] + window) % len(line)].sum(axis=1)
+    # On a long straight without a bend all points are alike but for rounding errors: then one in their middle.
+    best = np.flatnonzero(blame <= blame.min() + ROUNDING)
+    return int(best[len(best) // 2])
+
+
+def directed(line: np.ndarray, direction: str | float | None) -> np.ndarray:
+    """The line, reversed about its first point if it runs against the direction."""
+    if direction is None or isinstance(direction, str):
+        against = (signed_area(line) < 0.0) != (direction == "clockwise")
+    else:
+        ahead = line[1] - line[-1]
+        psi = float(arctangent2(ahead[1], ahead[0]))
+        _, along = sine_cosine(psi - float(direction))
+        if abs(along) < 0.2:
+            raise MapError(
+                f"heading {direction:g} rad lies across the track, which runs at {psi:.2f} or {psi + math.pi:.2f} rad "
+                f"at its start ({line[0, 0]:.2f}, {line[0, 1]:.2f})"
+            )
+        against = along < 0.0
+    return np.roll(line[::-1], 1, axis=0) if against else line

@@ -1,0 +1,187 @@
+"""Room between the walls of a grid: exact distances, and how far a line may move; row 0 of a grid is its bottom."""
+
+import numpy as np
+from numba import njit
+
+from pcs_racing.base.errors import MapError
+
+__all__ = ["checked_grid", "corridor", "room_at", "wall_clearance"]
+
+
+def checked_grid(
+    occupied: np.ndarray, resolution: float, origin: np.ndarray | tuple[float, float]
+) -> tuple[np.ndarray, float, np.ndarray]:
+    """Occupancy grid, cell size and origin as arrays of the right kind, or one clear error.
+
+    Parameters
+    ----------
+    occupied : array_like, shape (H, W), bool
+        True where a wall is; row 0 is the bottom of the picture.
+    resolution : float
+        Side of a cell in m.
+    origin : array_like, shape (2,) or longer
+        Lower left corner of cell [0, 0] in m; further elements (the yaw of ROS maps) are ignored.
+
+    Raises
+    ------
+    MapError
+        If the grid isn't a two-dimensional boolean array, or the resolution or the origin is impossible.
+    """
+    grid = np.ascontiguousarray(occupied)
+    if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 3:
+        raise MapError(f"the grid is a {grid.dtype} array of shape {grid.shape}: a boolean (H, W) array is needed")
+    if not (np.isfinite(resolution) and resolution > 0.0):
+        raise MapError(f"resolution is {resolution!r}: it must be a positive number of metres per cell")
+    corner = np.asarray(origin, dtype=np.float64)[:2]
+    if corner.shape != (2,) or not np.isfinite(corner).all():
+        raise MapError(f"origin is {origin!r}: it must begin with two finite coordinates in metres")
+    return grid, float(resolution), corner
+
+
+@njit(cache=True, nogil=True)
+def wall_clearance(points, occupied, resolution, origin, reach):  # type: ignore[no-untyped-def]
+    """Exact distance from points to the nearest wall cell, taken as the full square that it covers.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 2), float64
+        In m.
+    occupied : ndarray, shape (H, W), bool
+    resolution : float
+        Side of a cell in m.
+    origin : ndarray, shape (2,), float64
+        Lower left corner of cell [0, 0] in m.
+    reach : float
+        Distances beyond this one are not told apart, m.
+
+    Returns
+    -------
+    ndarray, shape (N,), float64
+        In m, at most ``reach``; 0 in a wall. Everything outside the grid is wall.
+    """
+    rows, cols = occupied.shape
+    out = np.empty(points.shape[0])
+    rings = int(np.ceil(reach / resolution)) + 1
+    for n in range(points.shape[0]):
+        x = (points[n, 0] - origin[0]) / resolution
+        y = (points[n, 1] - origin[1]) / resolution
+        col = int(np.floor(x))
+        row = int(np.floor(y))
+        best = (reach / resolution) ** 2
+        for ring in range(rings + 1):
+            # Cells of this ring are at least ring - 1 cells away.
+            if ring >= 1 and (ring - 1) ** 2 >= best:
+                break
+            for i in range(row - ring, row + ring + 1):
+                on_edge = i == row - ring or i == row + ring
+                stride = 1 if on_edge or ring == 0 else 2 * ring
+                for j in range(col - ring, col + ring + 1, stride):
+                    if 0 <= i < rows and 0 <= j < cols and not occupied[i, j]:
+                        continue
+                    dx = max(j - x, 0.0, x - j - 1.0)
+                    dy = max(i - y, 0.0, y - i - 1.0)
+                    best = min(best, dx * dx + dy * dy)
+        out[n] = np.sqrt(best) * resolution
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _look_up(room, u, v):  # type: ignore[no-untyped-def]
+    """Bilinear value of the field at column u and row v, counted from cell centres; 0 outside."""
+    rows, cols = room.shape
+    if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
+        return 0.0
+    j = int(u)
+    i = int(v)
+    fu = u - j
+    fv = v - i
+    low = room[i, j] * (1.0 - fu) + room[i, j + 1] * fu
+    high = room[i + 1, j] * (1.0 - fu) + room[i + 1, j + 1] * fu
+    return low * (1.0 - fv) + high * fv
+
+
+@njit(cache=True, nogil=True)
+def room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
+    """Bilinear value of a distance field at points (N, 2); 0 outside it."""
+    out = np.empty(line.shape[0])
+    for k in range(line.shape[0]):
+        u = (line[k, 0] - corner[0]) / resolution - 0.5
+        v = (line[k, 1] - corner[1]) / resolution - 0.5
+        out[k] = _look_up(room, u, v)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def corridor(line, normal, room, resolution, corner, need, reach):  # type: ignore[no-untyped-def]
+    """How far points may move along their normals and keep a distance from the walls.
+
+    A point that lacks room itself must move to the nearest place that has it, on this side of the next wall.
+
+    Parameters
+    ----------
+    line, normal : ndarray, shape (N, 2), float64
+        Points in m, and unit vectors to the left.
+    room : ndarray, shape (H, W)
+        Distance to the nearest wall at the centre of each cell, m.
+    resolution : float
+        Side of a cell in m.
+    corner : ndarray, shape (2,)
+        Lower left corner of cell [0, 0] in m.
+    need : float
+        The distance to keep, m.
+    reach : float
+        Look no farther than this, m.
+
+    Returns
+    -------
+    low, high : ndarray, shape (N,)
+        Bounds of the move to the left in m (negative: to the right); 1 and -1 where there is no room.
+    """
+    n = line.shape[0]
+    low = np.empty(n)
+    high = np.empty(n)
+    step = 0.01
+    for k in range(n):
+        u = (line[k, 0] - corner[0]) / resolution - 0.5
+        v = (line[k, 1] - corner[1]) / resolution - 0.5
+        du = normal[k, 0] / resolution
+        dv = normal[k, 1] / resolution
+        base = 0.0
+        found = _look_up(room, u, v) >= need
+        free_left = True
+        free_right = True
+        m = 0
+        while not found and m * step < reach and (free_left or free_right):
+            m += 1
+            if free_left:
+                r = _look_up(room, u + m * step * du, v + m * step * dv)
+                free_left = r > 0.0
+                if r >= need:
+                    base = m * step
+                    found = True
+            if free_right and not found:
+                r = _look_up(room, u - m * step * du, v - m * step * dv)
+                free_right = r > 0.0
+                if r >= need:
+                    base = -m * step
+                    found = True
+        if not found:
+            low[k] = 1.0
+            high[k] = -1.0
+            continue
+        for side in (1.0, -1.0):
+            a = 0.0
+            r = _look_up(room, u + base * du, v + base * dv)
+            while a < reach:
+                # No wall is nearer than r, so room can't run out within r - need.
+                ahead = max(step, 0.9 * (r - need))
+                x = base + side * (a + ahead)
+                r = _look_up(room, u + x * du, v + x * dv)
+                if r < need:
+                    break
+                a += ahead
+            if side > 0.0:
+                high[k] = base + a
+            else:
+                low[k] = base - a
+    return low, high

@@ -1,0 +1,135 @@
+"""Closed plane curves as arrays of points, the last of which lies one step before the first."""
+
+import numpy as np
+from numba import njit
+
+from pcs_racing.base.elementary import lengths
+from pcs_racing.base.errors import MapError
+from pcs_racing.track.building.fourier import transform
+from pcs_racing.track.building.splines import sample_closed
+
+__all__ = ["checked_curve", "curve_length", "first_crossing", "resample", "signed_area", "smooth"]
+
+
+def checked_curve(points: np.ndarray, what: str) -> np.ndarray:
+    """Points of a closed curve as an (N, 2) array, without repeated neighbours and without a repeated first point.
+
+    Parameters
+    ----------
+    points : array_like, shape (N, 2) or wider
+        Further columns are ignored.
+    what : str
+        Name of the curve in error messages, for instance "centre line".
+
+    Raises
+    ------
+    MapError
+        If there are fewer than four different points, if one is not finite, or if the gap between the last and the
+        first shows that the curve is open (more than ten times the median step and a tenth of the length).
+    """
+    xy = np.asarray(points, dtype=np.float64)
+    if xy.ndim != 2 or xy.shape[1] < 2:
+        raise MapError(f"the {what} has shape {xy.shape}: rows that begin with x and y are needed")
+    xy = xy[:, :2]
+    if not np.isfinite(xy).all():
+        raise MapError(
+            f"the {what} holds a coordinate that is not finite, in row {int(np.argwhere(~np.isfinite(xy))[0, 0])}"
+        )
+    xy = xy[lengths(xy - np.roll(xy, 1, axis=0)) > 1e-9]
+    if len(xy) < 4:
+        raise MapError(f"the {what} has {len(xy)} different points: a closed curve needs at least 4")
+    steps = lengths(np.roll(xy, -1, axis=0) - xy)
+    if steps[-1] > 10.0 * np.median(steps) and steps[-1] > 0.1 * steps.sum():
+        raise MapError(f"the {what} is open: its last point lies {steps[-1]:.2f} m from its first")
+    return xy
+
+
+def curve_length(xy: np.ndarray) -> float:
+    """Length in m of a closed polyline, shape (N, 2)."""
+    return float(lengths(np.roll(xy, -1, axis=0) - xy).sum())
+
+
+def signed_area(xy: np.ndarray) -> float:
+    """Area in m^2 inside a closed polyline, shape (N, 2); positive if it runs counterclockwise."""
+    x, y = xy.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def resample(xy: np.ndarray, step: float) -> np.ndarray:
+    """Evenly spaced points on the periodic cubic spline through a closed curve.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2)
+        In m.
+    step : float
+        Wanted distance of neighbours along the curve in m; the nearest one that divides the length is used.
+
+    Returns
+    -------
+    ndarray, shape (M, 2)
+        The first point is kept.
+    """
+    return sample_closed(xy, step).xy
+
+
+def smooth(xy: np.ndarray, wavelength: float) -> np.ndarray:
+    """Closed curve without its short waves.
+
+    The points y that minimise ``sum |y - x|^2 + c sum |y''|^2`` around the loop, which Fourier modes solve one by one:
+    a wave is multiplied by ``1 / (1 + (wavelength / its own length)^4)``.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2)
+        Evenly spaced points, m.
+    wavelength : float
+        Waves of this length are halved, m; 0 keeps everything.
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+    """
+    n = len(xy)
+    waves = np.minimum(np.arange(n), n - np.arange(n))  # around the loop
+    ratio = (wavelength / curve_length(xy) * waves) ** 2
+    share = 1.0 / (n * (1.0 + ratio * ratio))
+    real, imaginary = transform(xy[:, 0], xy[:, 1])
+    # The inverse transform is the transform with its two parts exchanged.
+    y, x = transform(imaginary * share, real * share)
+    return np.column_stack([x, y])
+
+
+@njit(cache=True, nogil=True)
+def first_crossing(xy):  # type: ignore[no-untyped-def]
+    """First pair of segments of a closed polyline that cross each other.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2), float64
+
+    Returns
+    -------
+    i, j : int
+        The segments from points i and j to the next ones cross; (-1, -1) if the polyline is simple.
+    """
+    n = xy.shape[0]
+    for i in range(n):
+        ax, ay = xy[i]
+        bx, by = xy[(i + 1) % n]
+        low_x, high_x = min(ax, bx), max(ax, bx)
+        low_y, high_y = min(ay, by), max(ay, by)
+        for j in range(i + 2, n):
+            if i == 0 and j == n - 1:
+                continue
+            cx, cy = xy[j]
+            dx, dy = xy[(j + 1) % n]
+            if max(cx, dx) < low_x or min(cx, dx) > high_x or max(cy, dy) < low_y or min(cy, dy) > high_y:
+                continue
+            c_side = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+            d_side = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
+            a_side = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
+            b_side = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
+            if c_side * d_side <= 0.0 and a_side * b_side <= 0.0:
+                return i, j
+    return -1, -1

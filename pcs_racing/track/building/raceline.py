@@ -1,0 +1,260 @@
+"""The race line of a circuit: a closed line of little curvature and length that keeps clear of the walls."""
+
+import math
+
+import numpy as np
+
+from pcs_racing.base.elementary import headings, lengths
+from pcs_racing.base.errors import InputError, MapError
+from pcs_racing.base.optional import require
+from pcs_racing.track.building.clearance import checked_grid, corridor, room_at, wall_clearance
+from pcs_racing.track.building.curves import checked_curve, curve_length, first_crossing, resample, smooth
+from pcs_racing.track.building.speed import ACCELERATION, BRAKING, LATERAL, TOP_SPEED, speed_profile
+from pcs_racing.track.building.splines import sample_closed
+from pcs_racing.track.grid import distance_to_walls
+
+__all__ = ["CLEARANCE", "minimum_curvature_raceline", "raceline_rows"]
+
+CLEARANCE = 0.305
+"""Default distance in m between line and wall: half the width of a car (0.155 m) and 0.15 m of air."""
+
+STEP = 0.25  # spacing of the points that the program moves, m
+REACH = 3.0  # how far along its normal a point may see, m
+TRUST = 0.5  # how far a point may move in one round, m: the program is linearised
+RESERVE = 5e-4  # m
+SETTLED = 0.05  # moves below this are the walls' pixels, m
+CHATTER = 0.1  # weight of the squared change of curvature along the line, m^2
+
+
+def minimum_curvature_raceline(
+    centerline: np.ndarray,
+    occupied: np.ndarray,
+    resolution: float,
+    origin: np.ndarray | tuple[float, float],
+    *,
+    clearance: float = CLEARANCE,
+    spacing: float = 0.2,
+    length_weight: float = 0.08,
+    rounds: int = 20,
+) -> np.ndarray:
+    """Closed line of least squared curvature on a circuit, at least ``clearance`` away from every wall.
+
+    Iterated linearised minimum curvature (Heilmeier et al. 2020, "Minimum curvature trajectory planning and control for
+    an autonomous race car"): each point of a reference line moves along its normal by a distance that a quadratic
+    program chooses, and the result is the next reference. Unlike there, the room to both sides is measured on the grid
+    in every round, so that normals which cross in a hairpin do no harm. A small weight on the length (Braghin et al.
+    2008, "Race driver model") keeps the line from drifting to the outside of long bends, where it would be rounder but
+    slower.
+
+    Parameters
+    ----------
+    centerline : array_like, shape (M, 2) or wider
+        Any closed line around the circuit, x and y in m in its first columns, in driving direction.
+    occupied : array_like, shape (H, W), bool
+        True where a wall is; row 0 is the bottom.
+    resolution : float
+        Side of a cell in m.
+    origin : array_like, shape (2,)
+        Lower left corner of cell [0, 0] in m.
+    clearance : float
+        Distance in m that the line keeps from the nearest wall cell, measured to the edge of that cell.
+    spacing : float
+        Largest distance of neighbouring points of the result in m.
+    length_weight : float
+        Weight of the length against the integral of the squared curvature, in 1/m^2, at least 0. Bends wider than about
+        ``length_weight ** -0.5`` metres are shortened rather than rounded.
+    rounds : int
+        Most quadratic programs to solve.
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+        Evenly spaced points in m, in the direction of ``centerline`` and beginning beside its first point; the last one
+        lies one step before the first.
+
+    Raises
+    ------
+    InputError
+        If a parameter is impossible.
+    MapError
+        If the line can't keep that clearance somewhere; the message says where.
+    """
+    require("scipy", "clarabel")
+    grid, resolution, corner = checked_grid(occupied, resolution, origin)
+    for name, value, least in (("clearance", clearance, 0.0), ("spacing", spacing, 1e-3), ("rounds", rounds, 1)):
+        if not (math.isfinite(value) and value >= least):
+            raise InputError(f"{name} is {value!r}: it must be a number of at least {least}")
+    if not (math.isfinite(length_weight) and length_weight >= 0.0):
+        raise InputError(f"length_weight is {length_weight!r}: it must be a number of at least 0")
+    start = checked_curve(centerline, "centre line")
+    grid, corner = _crop(grid, resolution, corner, start)
+    room = distance_to_walls(~grid, resolution)
+
+    line = _reference(start, room, resolution, corner, clearance)
+    # Between the points that it moves, and against the field, the line loses a little: what it lost is asked for anew.
+    slack, trust = 0.005, TRUST
+    shortfall = math.inf
+    for _ in range(rounds):
+        line, moved = _improve(line, room, resolution, corner, clearance + slack, length_weight, trust)
+        trust = max(0.8 * trust, 0.02)
+        if moved > SETTLED:
+            continue
+        result = resample(line, spacing)
+        fine = resample(result, 0.25 * resolution)
+        free = wall_clearance(fine, grid, resolution, corner, clearance + 0.1)
+        # Between two fine points the wall can be nearer by about (spacing / 2)^2 / (2 clearance): less than RESERVE.
+        shortfall = clearance + RESERVE - float(free.min())
+        if shortfall <= 0.0:
+            if first_crossing(result)[0] >= 0:
+                x, y = result[first_crossing(result)[0]]
+                raise MapError(f"the race line crosses itself near ({x:.2f}, {y:.2f}): is the centre line simple?")
+            return result
+        slack += shortfall + 0.001
+    if math.isinf(shortfall):
+        raise MapError(f"no race line was found in {rounds} rounds: the centre line may not follow the circuit")
+    x, y = fine[int(np.argmin(free))]
+    raise MapError(
+        f"no line keeps {clearance:.3f} m from the walls near ({x:.2f}, {y:.2f}): {free.min():.3f} m is the best found "
+        f"in {rounds} rounds"
+    )
+
+
+def raceline_rows(
+    xy: np.ndarray,
+    *,
+    spacing: float = 0.2,
+    lateral: float = LATERAL,
+    braking: float = BRAKING,
+    acceleration: float = ACCELERATION,
+    top_speed: float = TOP_SPEED,
+) -> np.ndarray:
+    """Rows of a ``NAME_raceline.csv``: the line with its heading, curvature and speed profile.
+
+    Parameters
+    ----------
+    xy : array_like, shape (N, 2)
+        Points of a closed line in m, the last one a step before the first.
+    spacing : float
+        Wanted distance of the rows along the line in m.
+    lateral, braking, acceleration, top_speed : float
+        Limits of the speed profile (m/s^2 and m/s), see ``speed_profile``.
+
+    Returns
+    -------
+    ndarray, shape (N + 1, 7)
+        The columns of a race line file: arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to
+        the left), speed (m/s) and acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats
+        the first one, at s = length.
+
+    Raises
+    ------
+    MapError
+        If the line is open or not finite.
+    """
+    line = sample_closed(checked_curve(xy, "race line"), spacing)
+    ds = line.length / len(line.xy)
+    v = speed_profile(line.kappa, ds, lateral=lateral, braking=braking, acceleration=acceleration, top_speed=top_speed)
+    ax = (np.roll(v, -1) ** 2 - v**2) / (2.0 * ds)
+    psi = np.mod(line.psi + np.pi, 2.0 * np.pi) - np.pi
+    rows = np.column_stack([np.arange(len(v)) * ds, line.xy, psi, line.kappa, v, ax])
+    last = rows[0].copy()
+    last[0] = line.length
+    return np.vstack([rows, last])
+
+
+def _crop(grid: np.ndarray, resolution: float, corner: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Part of the grid around a line, ``REACH`` to every side, or an error if the line leaves the grid."""
+    height, width = grid.shape
+    cells = np.floor((line - corner) / resolution).astype(int)  # column, row
+    outside = ((cells < 0) | (cells >= (width, height))).any(axis=1)
+    if outside.any():
+        x, y = line[int(np.argmax(outside))]
+        raise MapError(f"the centre line leaves the map at ({x:.2f}, {y:.2f})")
+    more = math.ceil(REACH / resolution)
+    col, row = np.maximum(cells.min(axis=0) - more, 0)
+    last_col, last_row = cells.max(axis=0) + more + 1
+    # A rim of walls, one cell wide, closes the part: outside the map there is no track.
+    part = np.pad(grid[row:last_row, col:last_col], 1, constant_values=True)
+    return part, corner + resolution * (np.array([col, row]) - 1)
+
+
+def _reference(
+    start: np.ndarray, room: np.ndarray, resolution: float, corner: np.ndarray, clearance: float
+) -> np.ndarray:
+    """First reference: the centre line, as smooth as it can be without coming near a wall."""
+    even = resample(start, STEP)
+    for wavelength in (4.0, 2.0, 1.0):
+        line = smooth(even, wavelength)
+        if room_at(line, room, resolution, corner).min() >= 0.5 * clearance:
+            return line
+    return even
+
+
+def _improve(
+    line: np.ndarray,
+    room: np.ndarray,
+    resolution: float,
+    corner: np.ndarray,
+    need: float,
+    length_weight: float,
+    trust: float,
+) -> tuple[np.ndarray, float]:
+    """One round: the moved line, and the longest move in m."""
+    line = resample(line, STEP)
+    ahead = np.roll(line, -1, axis=0) - line
+    step = curve_length(line) / len(line)
+    # Three-point curvature: unlike a spline's it answers to a move just as the program's second differences do, so that
+    # rounds don't overshoot in the shortest waves.
+    angle = headings(ahead)
+    kappa = np.mod(angle - np.roll(angle, 1) + np.pi, 2.0 * np.pi) - np.pi
+    kappa /= step
+    along = ahead + np.roll(ahead, 1, axis=0)
+    along /= lengths(along)[:, None]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    low, high = corridor(line, normal, room, resolution, corner, need, REACH)
+    if (low > high).any():
+        x, y = line[int(np.argmax(low > high))]
+        raise MapError(
+            f"the circuit is too narrow near ({x:.2f}, {y:.2f}): a line must have {need:.3f} m to both sides, half the "
+            f"width of a car and some air"
+        )
+    # Towards the centre of its curvature a point stops short of that centre, where neighbours would meet.
+    limit = np.minimum(trust, 0.8 / np.maximum(np.abs(kappa), 1e-9))
+    high = np.maximum(np.minimum(high, np.where(kappa > 0.0, limit, trust)), low)
+    low = np.minimum(np.maximum(low, -np.where(kappa < 0.0, limit, trust)), high)
+    move = _solve(kappa, step, low, high, length_weight)
+    return line + move[:, None] * normal, float(np.abs(move).max())
+
+
+def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray, length_weight: float) -> np.ndarray:
+    """Moves a along the left normals, low <= a <= high, that minimise a quadratic model of the line's cost.
+
+    To first order a move changes the curvature to ``kappa + kappa^2 a + a''`` and the length element to ``1 - kappa a``
+    (plus ``a'^2 / 2``). The cost is the integral of kappa^2, of CHATTER times the squared change of kappa, and of
+    ``length_weight``.
+    """
+    import clarabel
+    from scipy import sparse
+
+    n = len(kappa)
+    one = sparse.identity(n, format="csc")
+    shift = sparse.csc_matrix((np.ones(n), (np.arange(n), (np.arange(n) + 1) % n)), shape=(n, n))
+    slope = (shift - one) / step
+    bend = sparse.diags(kappa**2) + (shift - 2.0 * one + shift.T) / step**2
+    metric = one + CHATTER * (slope.T @ slope)
+    P = 2.0 * bend.T @ metric @ bend + length_weight * slope.T @ slope
+    q = 2.0 * bend.T @ (metric @ kappa) - kappa * kappa * kappa - length_weight * kappa
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    settings.direct_solve_method = "qdldl"  # no instructions beyond SSE2, whatever the processor has
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-6
+    solver = clarabel.DefaultSolver(
+        sparse.triu(P, format="csc"),
+        q,
+        sparse.vstack([one, -one], format="csc"),
+        np.concatenate([high, -low]),
+        [clarabel.NonnegativeConeT(2 * n)],
+        settings,
+    )
+    return np.clip(np.asarray(solver.solve().x), low, high)

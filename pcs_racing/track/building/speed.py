@@ -1,0 +1,121 @@
+"""The fastest speed along a closed line that the tyres, the brakes and the motor allow."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from pcs_racing.base.errors import InputError
+
+__all__ = ["ACCELERATION", "BRAKING", "LATERAL", "TOP_SPEED", "lap_time", "speed_profile"]
+
+LATERAL = 5.0
+"""Default limit of the lateral acceleration in m/s^2."""
+BRAKING = 4.5
+"""Default limit of the braking deceleration in m/s^2."""
+ACCELERATION = 3.5
+"""Default limit of the acceleration in m/s^2."""
+TOP_SPEED = 8.0
+"""Default top speed in m/s."""
+
+
+def speed_profile(
+    kappa: np.ndarray,
+    ds: float | np.ndarray,
+    *,
+    lateral: float = LATERAL,
+    braking: float = BRAKING,
+    acceleration: float = ACCELERATION,
+    top_speed: float = TOP_SPEED,
+) -> np.ndarray:
+    """Largest periodic speeds along a closed line within four limits.
+
+    The usual forward-backward sweep (for instance Kapania, Subosits and Gerdes 2016, "A sequential two-step algorithm
+    for fast generation of vehicle racing trajectories", without its coupling of lateral and longitudinal grip): the
+    cornering speed ``sqrt(lateral / |kappa|)`` is lowered forwards where the motor can't reach it, and backwards where
+    the brakes can't come down to it.
+
+    Parameters
+    ----------
+    kappa : array_like, shape (N,)
+        Curvature at the samples of the closed line, 1/m.
+    ds : float or array_like, shape (N,)
+        Distance in m from each sample to the next one (from the last to the first).
+    lateral, braking, acceleration : float
+        Limits in m/s^2, all positive.
+    top_speed : float
+        Limit in m/s, positive.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Speed in m/s, in (0, top_speed].
+
+    Raises
+    ------
+    InputError
+        If a curvature is not finite, a distance is not positive, or a limit is not positive and finite.
+    """
+    limits = {"lateral": lateral, "braking": braking, "acceleration": acceleration, "top_speed": top_speed}
+    for name, value in limits.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise InputError(f"{name} is {value!r}: it must be a positive, finite number")
+    kappa = np.asarray(kappa, dtype=np.float64)
+    if kappa.ndim != 1 or kappa.size == 0:
+        raise InputError(f"kappa has shape {kappa.shape}: one curvature for each sample of the line is needed")
+    if not np.isfinite(kappa).all():
+        raise InputError(f"kappa[{int(np.argmin(np.isfinite(kappa)))}] is not finite")
+    steps = _steps(ds, kappa.size)
+    cap = np.minimum(lateral / np.maximum(np.abs(kappa), 1e-12), top_speed**2)
+    return np.sqrt(_sweep(cap, steps, acceleration, braking))
+
+
+def lap_time(v: np.ndarray, ds: float | np.ndarray) -> float:
+    """Time of one lap in s, at constant acceleration from each sample to the next.
+
+    Parameters
+    ----------
+    v : array_like, shape (N,)
+        Speed at the samples of the closed line, m/s, positive.
+    ds : float or array_like, shape (N,)
+        Distance in m from each sample to the next one (from the last to the first).
+
+    Raises
+    ------
+    InputError
+        If a speed or a distance is not positive and finite.
+    """
+    v = np.asarray(v, dtype=np.float64)
+    if v.ndim != 1 or v.size == 0 or not (np.isfinite(v).all() and (v > 0.0).all()):
+        raise InputError("v must be a list of positive, finite speeds, one for each sample of the line")
+    return float(np.sum(2.0 * _steps(ds, v.size) / (v + np.roll(v, -1))))
+
+
+def _steps(ds: float | np.ndarray, n: int) -> np.ndarray:
+    steps = np.asarray(ds, dtype=np.float64)
+    if steps.shape not in ((), (n,)):
+        raise InputError(f"ds has shape {steps.shape}: it must be one distance, or one for each of the {n} samples")
+    if not (np.isfinite(steps).all() and (steps > 0.0).all()):
+        raise InputError("ds holds a distance that is not positive and finite: samples must lie apart")
+    return np.broadcast_to(steps, (n,)).copy()
+
+
+@njit(cache=True, nogil=True)
+def _sweep(cap, ds, acceleration, braking):  # type: ignore[no-untyped-def]
+    """Squared speeds below ``cap`` that also respect acceleration and braking.
+
+    The slowest sample is never lowered (all its neighbours are at least as fast), so one lap forwards and one lap
+    backwards from there are exact, and periodic.
+    """
+    n = cap.shape[0]
+    w = cap.copy()
+    first = np.argmin(cap)
+    for k in range(n):
+        i = (first + k) % n
+        j = (i + 1) % n
+        w[j] = min(w[j], w[i] + 2.0 * acceleration * ds[i])
+    for k in range(n):
+        j = (first - k) % n
+        i = (j - 1) % n
+        w[i] = min(w[i], w[j] + 2.0 * braking * ds[i])
+    return w

@@ -1,0 +1,358 @@
+"""Walls as polylines: outlines of the drivable region, simplified, and which of them can be seen from where."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.track.grid import cast
+
+__all__ = ["Outlines", "seen_lists", "simplify", "trace_outlines"]
+
+
+class Outlines(NamedTuple):
+    """The faces between drivable and other cells, in the order of the closed outlines they form.
+
+    Attributes
+    ----------
+    row, col : ndarray, shape (E,), int32
+        The drivable cell of each face.
+    side : ndarray, shape (E,), int8
+        The face's side of that cell: 0 bottom, 1 right, 2 top, 3 left.
+    start : ndarray, shape (L + 1,), int32
+        Where each outline begins; the drivable side is on its left.
+    """
+
+    row: NDArray[np.int32]
+    col: NDArray[np.int32]
+    side: NDArray[np.int8]
+    start: NDArray[np.int32]
+
+
+@compiled
+def _trace(drivable):  # type: ignore[no-untyped-def]
+    height, width = drivable.shape
+    down = np.array([-1, 0, 1, 0])
+    right = np.array([0, 1, 0, -1])
+    count = 0
+    for i in range(1, height - 1):
+        for j in range(1, width - 1):
+            if drivable[i, j]:
+                for side in range(4):
+                    count += not drivable[i + down[side], j + right[side]]
+    visited = np.zeros((height, width), dtype=np.uint8)
+    row = np.empty(count, dtype=np.int32)
+    col = np.empty(count, dtype=np.int32)
+    sides = np.empty(count, dtype=np.int8)
+    starts = [np.int32(0)]
+    k = 0
+    for i0 in range(1, height - 1):
+        for j0 in range(1, width - 1):
+            if not drivable[i0, j0] or drivable[i0 - 1, j0] or visited[i0, j0] & 1:
+                continue
+            i, j, side = i0, j0, 0
+            while not visited[i, j] & (1 << side):
+                visited[i, j] |= 1 << side
+                row[k] = i
+                col[k] = j
+                sides[k] = side
+                k += 1
+                # Turn left where possible: cells that touch at a corner only are not connected.
+                ahead = (side + 1) % 4
+                i1, j1 = i + down[ahead], j + right[ahead]
+                if not drivable[i1, j1]:
+                    side = ahead
+                elif not drivable[i1 + down[side], j1 + right[side]]:
+                    i, j = i1, j1
+                else:
+                    i, j = i1 + down[side], j1 + right[side]
+                    side = (side + 3) % 4
+            starts.append(np.int32(k))
+    return row, col, sides, np.array(starts)
+
+
+def trace_outlines(drivable: NDArray[np.bool_]) -> Outlines:
+    """Trace the closed outlines of a region along its cell faces, the region on the left.
+
+    Parameters
+    ----------
+    drivable : ndarray of bool, shape (H, W)
+        Four-connected region; its outermost rows and columns must be False.
+
+    Returns
+    -------
+    Outlines
+    """
+    return Outlines(*_trace(drivable))
+
+
+@compiled
+def _corners(points, tolerance):  # type: ignore[no-untyped-def]
+    """Mark the points that Douglas-Peucker keeps of a closed polyline."""
+    n = points.shape[0]
+    # A speck of a few cells would collapse to a line.
+    keep = np.full(n, n <= 12)
+    far = 0
+    best = -1.0
+    for k in range(n):
+        d = (points[k, 0] - points[0, 0]) ** 2 + (points[k, 1] - points[0, 1]) ** 2
+        if d > best:
+            best = d
+            far = k
+    keep[0] = True
+    keep[far] = True
+    stack = [(0, far), (far, n)]
+    while len(stack) > 0:
+        first, last = stack.pop()
+        x0, y0 = points[first]
+        x1, y1 = points[last % n]
+        length = np.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
+        worst = tolerance
+        at = -1
+        for k in range(first + 1, last):
+            dx = points[k, 0] - x0
+            dy = points[k, 1] - y0
+            if length > 0.0:
+                along = (dx * (x1 - x0) + dy * (y1 - y0)) / length
+                along = min(max(along, 0.0), length) / length
+                dx -= along * (x1 - x0)
+                dy -= along * (y1 - y0)
+            away = np.sqrt(dx * dx + dy * dy)
+            if away > worst:
+                worst = away
+                at = k
+        if at >= 0:
+            keep[at] = True
+            stack.append((first, at))
+            stack.append((at, last))
+    return keep
+
+
+@compiled
+def _protrusion(vertex, corner, ends):  # type: ignore[no-untyped-def]
+    """How far the ends of its faces stick out to the left of each side of a polygon, at most."""
+    m = corner.shape[0]
+    n = ends.shape[0]
+    out = np.zeros(m)
+    for a in range(m):
+        x, y = vertex[a]
+        dx = vertex[(a + 1) % m, 0] - x
+        dy = vertex[(a + 1) % m, 1] - y
+        length = np.sqrt(dx * dx + dy * dy)
+        last = corner[a + 1] if a + 1 < m else corner[0] + n
+        for k in range(corner[a] + 1, last + 1):
+            out[a] = max(out[a], (dx * (ends[k % n, 1] - y) - dy * (ends[k % n, 0] - x)) / length)
+    return out
+
+
+@compiled
+def _shift_left(vertex, shift):  # type: ignore[no-untyped-def]
+    """Shift the sides of a closed polygon to their left, each by its own length; corners move along their bisectors."""
+    n = vertex.shape[0]
+    out = np.empty((n, 2))
+    for k in range(n):
+        ax = vertex[k, 0] - vertex[k - 1, 0]
+        ay = vertex[k, 1] - vertex[k - 1, 1]
+        bx = vertex[(k + 1) % n, 0] - vertex[k, 0]
+        by = vertex[(k + 1) % n, 1] - vertex[k, 1]
+        a = np.sqrt(ax * ax + ay * ay)
+        b = np.sqrt(bx * bx + by * by)
+        nx = -ay / a - by / b
+        ny = ax / a + bx / b
+        # The sum of the two unit normals, squared; bounded below so that a sharp corner doesn't leap away.
+        scale = (shift[k - 1] + shift[k]) / max(nx * nx + ny * ny, 1.0)
+        out[k, 0] = vertex[k, 0] + scale * nx
+        out[k, 1] = vertex[k, 1] + scale * ny
+    return out
+
+
+@compiled
+def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
+    """Straight segments along outlines, through middles of cell faces (Douglas and Peucker, 1973).
+
+    On a slanted wall the middles lie halfway between the cells that stick out and those behind them. A ray that comes
+    in at a slant meets more of the former, so each segment is then shifted by a share of how far they stick out.
+
+    Parameters
+    ----------
+    outlines : Outlines
+    tolerance : float
+        Largest deviation in cells of a face's middle from its segment, before the shift.
+    inset : float
+        The share; see ``benchmarks/wall_accuracy.py`` for what it does.
+
+    Returns
+    -------
+    segments : ndarray, shape (S, 4)
+        x0, y0, x1, y1 in cells from the grid's lower left corner, outline after outline; the region is on their left.
+    owner : ndarray, shape (E,), int32
+        The segment that stands for each face.
+    start : ndarray, shape (L + 1,), int32
+        Where each outline's segments begin.
+    """
+    count = outlines.row.shape[0]
+    middle = np.empty((count, 2))
+    ends = np.empty((count, 2))
+    for k in range(count):
+        side = outlines.side[k]
+        ends[k, 0] = outlines.col[k] + (side == 1 or side == 2)
+        ends[k, 1] = outlines.row[k] + (side == 2 or side == 3)
+        middle[k, 0] = ends[k, 0] + (0.5 if side == 0 else (-0.5 if side == 2 else 0.0))
+        middle[k, 1] = ends[k, 1] + (0.5 if side == 1 else (-0.5 if side == 3 else 0.0))
+    segments = np.empty((count, 4))
+    owner = np.empty(count, dtype=np.int32)
+    start = np.zeros(outlines.start.shape[0], dtype=np.int32)
+    s = 0
+    for loop in range(outlines.start.shape[0] - 1):
+        first, after = outlines.start[loop], outlines.start[loop + 1]
+        points = middle[first:after]
+        corner = np.nonzero(_corners(points, tolerance))[0]
+        m = corner.shape[0]
+        vertex = points[corner]
+        vertex = _shift_left(vertex, inset * _protrusion(vertex, corner, ends[first:after]))
+        for a in range(m):
+            segments[s + a, 0:2] = vertex[a]
+            segments[s + a, 2:4] = vertex[(a + 1) % m]
+            last = corner[a + 1] if a + 1 < m else points.shape[0]
+            owner[first + corner[a] : first + last] = s + a
+        owner[first : first + corner[0]] = s + m - 1
+        s += m
+        start[loop + 1] = s
+    return segments[:s].copy(), owner, start
+
+
+@compiled
+def _cell_faces(outlines, shape):  # type: ignore[no-untyped-def]
+    """Number the cells that have a wall face; for each, which outline face is on each of its sides."""
+    number = np.full(shape, -1, dtype=np.int32)
+    count = 0
+    for k in range(outlines.row.shape[0]):
+        if number[outlines.row[k], outlines.col[k]] < 0:
+            number[outlines.row[k], outlines.col[k]] = count
+            count += 1
+    faces = np.full((count, 4), -1, dtype=np.int32)
+    for k in range(outlines.row.shape[0]):
+        faces[number[outlines.row[k], outlines.col[k]], outlines.side[k]] = k
+    return number, faces
+
+
+@compiled
+def _segment_at(drivable, number, faces, owner, x, y, angle):  # type: ignore[no-untyped-def]
+    """Segment that a ray meets, -1 from a viewpoint in a wall."""
+    sine, cosine = sine_cosine(angle)
+    _, i, j, side = cast(drivable, x, y, cosine, sine, np.inf)
+    return owner[faces[number[i, j], side]] if side >= 0 else -1
+
+
+@compiled
+def _mark(drivable, number, faces, owner, x, y, rays, depth, marks):  # type: ignore[no-untyped-def]
+    """Mark the segments seen from a point by a fan of rays, denser where two meet different parts of the wall."""
+    high = np.empty(depth + 1)
+    met = np.empty(depth + 1, dtype=np.int64)
+    step = 2.0 * np.pi / rays
+    low = 0.5 * step
+    last = _segment_at(drivable, number, faces, owner, x, y, low)
+    if last < 0:
+        return
+    for r in range(rays):
+        high[0] = (r + 1.5) * step
+        met[0] = _segment_at(drivable, number, faces, owner, x, y, high[0])
+        top = 0
+        while top >= 0:
+            if top < depth and abs(met[top] - last) > 1:
+                high[top + 1] = 0.5 * (low + high[top])
+                met[top + 1] = _segment_at(drivable, number, faces, owner, x, y, high[top + 1])
+                top += 1
+            else:
+                low = high[top]
+                last = met[top]
+                marks[last] = True
+                top -= 1
+
+
+@compiled
+def _nearest_squared(segment, x, y):  # type: ignore[no-untyped-def]
+    dx = segment[2] - segment[0]
+    dy = segment[3] - segment[1]
+    length2 = dx * dx + dy * dy
+    t = ((x - segment[0]) * dx + (y - segment[1]) * dy) / length2 if length2 > 0.0 else 0.0
+    t = min(max(t, 0.0), 1.0)
+    return (segment[0] + t * dx - x) ** 2 + (segment[1] + t * dy - y) ** 2
+
+
+@compiled
+def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth):  # type: ignore[no-untyped-def]
+    """List for each stretch of a closed line the wall segments that can be seen from it.
+
+    From several points of each cross-section a fan of exact rays marks the segments it meets. A stretch sees what the
+    cross-sections at its ends and in its middle see, and both neighbours of every such segment, which covers what shows
+    only between two viewpoints.
+
+    Parameters
+    ----------
+    drivable : ndarray of bool, shape (H, W)
+    outlines : Outlines
+    segments, owner, start
+        What `simplify` returned.
+    sections : ndarray, shape (2 * M, V, 2)
+        Viewpoints in cells: cross-section ``2 * m`` stands where stretch m begins, ``2 * m + 1`` in its middle.
+    rays : int
+        Rays from each viewpoint.
+    depth : int
+        How often the gap between two rays is halved where they don't meet neighbouring segments.
+
+    Returns
+    -------
+    seen_start : ndarray, shape (M + 1,), int32
+    seen : ndarray, int32
+        Segments of stretch m: ``seen[seen_start[m]:seen_start[m + 1]]``, those near its middle first.
+    distance : ndarray, shape of ``seen``
+        Distance in cells of each of them from the mean of the viewpoints in the middle of its stretch.
+    """
+    number, faces = _cell_faces(outlines, drivable.shape)
+    count = segments.shape[0]
+    stretches = sections.shape[0] // 2
+    seen_start = np.zeros(stretches + 1, dtype=np.int32)
+    seen = np.empty(64 * stretches, dtype=np.int32)
+    distance = np.empty(seen.shape[0])
+    size = 0
+    marks = np.zeros((3, count), dtype=np.bool_)
+    chosen = np.empty(count, dtype=np.bool_)
+    for v in range(sections.shape[1]):
+        _mark(drivable, number, faces, owner, sections[0, v, 0], sections[0, v, 1], rays, depth, marks[2])
+    for m in range(stretches):
+        # The section at the end of the last stretch begins this one.
+        marks[0] = marks[2]
+        marks[1:] = False
+        for part in range(1, 3):
+            view = sections[(2 * m + part) % (2 * stretches)]
+            for v in range(view.shape[0]):
+                _mark(drivable, number, faces, owner, view[v, 0], view[v, 1], rays, depth, marks[part])
+        chosen[:] = False
+        for loop in range(start.shape[0] - 1):
+            first, last = start[loop], start[loop + 1]
+            for k in range(first, last):
+                if marks[0, k] or marks[1, k] or marks[2, k]:
+                    chosen[k] = True
+                    chosen[k - 1 if k > first else last - 1] = True
+                    chosen[k + 1 if k + 1 < last else first] = True
+        found = np.nonzero(chosen)[0]
+        middle = sections[2 * m + 1]
+        away = np.empty(found.shape[0])
+        for k in range(found.shape[0]):
+            away[k] = _nearest_squared(segments[found[k]], middle[:, 0].mean(), middle[:, 1].mean())
+        if size + found.shape[0] > seen.shape[0]:
+            larger = np.empty(2 * (size + found.shape[0]), dtype=np.int32)
+            larger[:size] = seen[:size]
+            seen = larger
+            longer = np.empty(larger.shape[0])
+            longer[:size] = distance[:size]
+            distance = longer
+        order = np.argsort(away, kind="mergesort")
+        seen[size : size + found.shape[0]] = found[order]
+        distance[size : size + found.shape[0]] = np.sqrt(away[order])
+        size += found.shape[0]
+        seen_start[m + 1] = size
+    return seen_start, seen[:size].copy(), distance[:size].copy()

@@ -1,0 +1,121 @@
+"""Results of slow work on maps, kept on disk from one run to the next.
+
+The folder is ``$PCS_RACING_CACHE``, else ``~/.cache/pcs_racing``; it may be deleted at any time. A file that is damaged
+or can't be written is as good as none.
+"""
+
+import contextlib
+import hashlib
+import os
+import tempfile
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.reading import read_limited, unpack_arrays
+
+__all__ = ["CALIBRATION", "TRACK", "cache_folder", "cache_key", "load_cached", "store"]
+
+TRACK, CALIBRATION = "track", "calibration"  # kinds of results
+
+MAX_BYTES = 256_000_000
+
+# Files whose code decides what is cached: a change in any of them makes all that is cached out of date.
+_TRACK_CODE = (
+    "base/elementary.py",
+    "track/frenet.py",
+    "track/grid.py",
+    "track/map_files.py",
+    "track/maps.py",
+    "track/building/splines.py",
+    "track/track.py",
+    "track/building/build.py",
+    "track/building/walls.py",
+    "track/building/centerline.py",
+    "track/building/clearance.py",
+    "track/building/curves.py",
+    "track/building/fourier.py",
+    "track/building/raceline.py",
+    "track/building/speed.py",
+)
+_CODE = {
+    TRACK: _TRACK_CODE,
+    CALIBRATION: (
+        *_TRACK_CODE,
+        "race/calibration.py",
+        "car/collision.py",
+        "race/driving.py",
+        "planners/planner.py",
+        "planners/lattice.py",
+        "planners/spiral.py",
+        "race/config.py",
+        "race/kernel.py",
+        "race/state.py",
+        "base/seeds.py",
+        "race/start_grid.py",
+        "race/start_places.py",
+        "car/vehicle.py",
+    ),
+}
+
+
+def cache_folder() -> Path | None:
+    """Folder of cached results; None if there is no home to put it in."""
+    named = os.environ.get("PCS_RACING_CACHE")
+    if named:
+        return Path(named)
+    try:
+        return Path.home() / ".cache" / "pcs_racing"
+    except RuntimeError:
+        return None
+
+
+@lru_cache
+def _code(kind: str) -> bytes:
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for name in _CODE[kind]:
+        digest.update((package / name).read_bytes())
+    return digest.digest()
+
+
+def cache_key(parts: Mapping[str, bytes], kind: str) -> str:
+    """Hash of named inputs and of the code that works on them."""
+    digest = hashlib.sha256(_code(kind))
+    for name in sorted(parts):
+        digest.update(f"{name}\0{len(parts[name])}\0".encode())
+        digest.update(parts[name])
+    return digest.hexdigest()
+
+
+def load_cached(kind: str, key: str) -> dict[str, NDArray[Any]] | None:
+    """Arrays stored under a key; None if there are none, or they are damaged."""
+    folder = cache_folder()
+    if folder is None:
+        return None
+    try:
+        return unpack_arrays(read_limited(folder / f"{kind}-{key[:40]}.npz", MAX_BYTES, f"a {kind}"), 4 * MAX_BYTES)
+    except (OSError, InputError):
+        return None
+
+
+def store(kind: str, key: str, arrays: Mapping[str, Any]) -> None:
+    """Store arrays under a key, all or nothing."""
+    folder = cache_folder()
+    if folder is None:
+        return
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=folder, suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(file, **arrays)
+            os.replace(temporary, folder / f"{kind}-{key[:40]}.npz")
+        except BaseException:
+            os.unlink(temporary)
+            raise

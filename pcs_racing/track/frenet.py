@@ -1,0 +1,341 @@
+"""A track as compiled code sees it, and the Frenet conversions on its race line.
+
+Frenet coordinates are (s, d): arc length along the closed race line in metres, and signed distance from it, positive to
+the left. Between two samples the line is the cubic that has their points and headings at its ends, so position and
+heading are continuous all along it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pcs_racing.base.compilation import kernel
+
+__all__ = [
+    "COS",
+    "KAPPA",
+    "LEFT",
+    "LINE_COLUMNS",
+    "PSI",
+    "RIGHT",
+    "SIN",
+    "SPEED",
+    "TrackArrays",
+    "X",
+    "Y",
+    "angle_between",
+    "foot",
+    "interpolate",
+    "locate",
+    "offset",
+    "project",
+    "to_cartesian",
+    "wall_distance",
+    "wrap_s",
+]
+
+# Columns of ``TrackArrays.line``.
+X, Y, COS, SIN, PSI, KAPPA, SPEED, RIGHT, LEFT = range(9)
+LINE_COLUMNS = ("x", "y", "cos", "sin", "psi", "kappa", "speed", "right", "left")
+
+
+class TrackArrays(NamedTuple):
+    """Everything a compiled kernel needs of a track; plain arrays, never written to.
+
+    Attributes
+    ----------
+    length : float
+        Length of the closed race line in m.
+    ds : float
+        Spacing of its samples in m (``length / len(line)``).
+    line : ndarray, shape (N, 9), float64
+        Samples of the race line at ``s = i * ds``: x, y (m), cos and sin of the heading, the heading psi (rad,
+        continuous along the line), curvature kappa (1/m, positive to the left), speed (m/s, at speed scale 1), and the
+        free width to the right and to the left wall (m, both positive). The last sample lies one ``ds`` before the
+        first.
+    distance : ndarray, shape (H, W), float32
+        Distance in m from the centre of each cell to the nearest face of a wall cell, exact; 0 in walls and off the
+        track, and there only. Row 0 is the bottom.
+    origin_x, origin_y : float
+        Lower left corner of cell [0, 0] in m.
+    cell : float
+        Side of a cell of ``distance`` and ``nearest`` in m.
+    walls : ndarray, shape (S, 4), float64
+        Wall segments x0, y0, x1, y1 in m, the drivable side on their left.
+    seen_start : ndarray, shape (M + 1,), int32
+        Where the list of each stretch of the line begins in ``seen``.
+    seen : ndarray, int32
+        For each stretch of ``seen_stretch`` metres, the wall segments that can be seen from anywhere on it (across the
+        whole width of the track), near ones first.
+    seen_distance : ndarray, shape of ``seen``, float32
+        Distance in m, rounded down, of each listed segment from ``seen_middle`` of its stretch; rises along a list.
+    seen_middle : ndarray, shape (M, 2), float64
+        A point of each stretch, in m, about half way along it and half way between the walls.
+    seen_stretch : float
+        Length of such a stretch in m (``length / M``).
+    lookup : ndarray, shape (h, w), int32
+        Index of the line sample nearest to the centre of each coarse cell.
+    lookup_cell : float
+        Side of a cell of ``lookup`` in m; it shares the origin of ``distance``.
+    """
+
+    length: float
+    ds: float
+    line: np.ndarray
+    distance: np.ndarray
+    origin_x: float
+    origin_y: float
+    cell: float
+    walls: np.ndarray
+    seen_start: np.ndarray
+    seen: np.ndarray
+    seen_distance: np.ndarray
+    seen_middle: np.ndarray
+    seen_stretch: float
+    lookup: np.ndarray
+    lookup_cell: float
+
+
+# Functions that many kernels call take the track, but only hand its parts on to another function that does the work: a
+# branch in a function that holds the track's seven arrays costs it their reference counts, five times the arithmetic.
+
+
+@kernel
+def _wrap(length, s):  # type: ignore[no-untyped-def]
+    if 0.0 <= s < length:
+        return s
+    s = s - np.floor(s / length) * length
+    # Rounding can leave s on the excluded end, or below zero.
+    return s if 0.0 <= s < length else 0.0
+
+
+@kernel(inline="always")
+def wrap_s(track, s):  # type: ignore[no-untyped-def]
+    """Bring an arc length into [0, length)."""
+    return _wrap(track.length, s)
+
+
+@kernel(inline="always")
+def angle_between(a, b):  # type: ignore[no-untyped-def]
+    """Difference a - b of two angles, brought into [-pi, pi)."""
+    d = a - b
+    return d - 2.0 * np.pi * np.floor((d + np.pi) / (2.0 * np.pi))
+
+
+@kernel(inline="always")
+def _cubic(line, ds, i):  # type: ignore[no-untyped-def]
+    """Coefficients of the line between sample ``i`` and the next one, for u in [0, 1].
+
+    The cubic Hermite polynomial ``p + u (q + u (a + u b))`` has the samples' points and headings at its ends.
+    """
+    j = i + 1 if i + 1 < line.shape[0] else 0
+    qx = ds * line[i, COS]
+    qy = ds * line[i, SIN]
+    ex = ds * line[j, COS]
+    ey = ds * line[j, SIN]
+    dx = line[j, X] - line[i, X]
+    dy = line[j, Y] - line[i, Y]
+    return qx, qy, 3.0 * dx - 2.0 * qx - ex, 3.0 * dy - 2.0 * qy - ey, qx + ex - 2.0 * dx, qy + ey - 2.0 * dy
+
+
+@kernel
+def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
+    """Do the work of `project`."""
+    n = line.shape[0]
+    i = int(_wrap(length, hint) / ds + 0.5)
+    if i >= n:
+        i -= n
+    dx = x - line[i, X]
+    dy = y - line[i, Y]
+    best = dx * dx + dy * dy
+    step = 1 if dx * line[i, COS] + dy * line[i, SIN] > 0.0 else -1
+    for _ in range(n):
+        j = i + step
+        if j >= n:
+            j = 0
+        elif j < 0:
+            j = n - 1
+        ex = x - line[j, X]
+        ey = y - line[j, Y]
+        there = ex * ex + ey * ey
+        if there >= best:
+            break
+        best = there
+        i = j
+        dx = ex
+        dy = ey
+    ahead = dx * line[i, COS] + dy * line[i, SIN]
+    if ahead < 0.0:
+        i = i - 1 if i > 0 else n - 1
+        behind = ahead
+        dx = x - line[i, X]
+        dy = y - line[i, Y]
+        ahead = dx * line[i, COS] + dy * line[i, SIN]
+    else:
+        j = i + 1 if i + 1 < n else 0
+        behind = (x - line[j, X]) * line[j, COS] + (y - line[j, Y]) * line[j, SIN]
+    # Between the samples the distance to their normals falls almost linearly from ``ahead`` to ``behind``.
+    gap = ahead - behind
+    u = min(max(ahead / gap, 0.0), 1.0) if gap > 1e-12 else 0.0
+    qx, qy, ax, ay, bx, by = _cubic(line, ds, i)
+    for _ in range(2):
+        tx = qx + u * (2.0 * ax + 3.0 * u * bx)
+        ty = qy + u * (2.0 * ay + 3.0 * u * by)
+        ex = dx - u * (qx + u * (ax + u * bx))
+        ey = dy - u * (qy + u * (ay + u * by))
+        slope = tx * tx + ty * ty - ex * (2.0 * ax + 6.0 * u * bx) - ey * (2.0 * ay + 6.0 * u * by)
+        if slope <= 0.0:
+            break
+        u = min(max(u + (ex * tx + ey * ty) / slope, 0.0), 1.0)
+    tx = qx + u * (2.0 * ax + 3.0 * u * bx)
+    ty = qy + u * (2.0 * ay + 3.0 * u * by)
+    ex = dx - u * (qx + u * (ax + u * bx))
+    ey = dy - u * (qy + u * (ay + u * by))
+    s = (i + u) * ds
+    return s if s < length else 0.0, (tx * ey - ty * ex) / np.sqrt(tx * tx + ty * ty)
+
+
+@kernel
+def project(track, x, y, hint):  # type: ignore[no-untyped-def]
+    """Frenet coordinates of a point, found by walking along the line from a nearby arc length.
+
+    O(1) while driving: the walk ends at the sample from which the next one is farther away. The foot of the
+    perpendicular on one of the two cubics beside that sample is then found by Newton's method, so s and d are
+    continuous in x and y and `to_cartesian` leads back to the point, wherever the line's centre of curvature is farther
+    away than the line (``1 - kappa * d > 0``). Beyond it no perpendicular foot may be near; the end of a cubic is then
+    taken.
+
+    Parameters
+    ----------
+    track : TrackArrays
+    x, y : float
+        The point in m.
+    hint : float
+        An arc length near the point, in m (any real number; it is wrapped).
+
+    Returns
+    -------
+    s : float
+        Arc length in [0, length), m.
+    d : float
+        Signed distance from the line in m, positive to the left.
+    """
+    return foot(track.line, track.ds, track.length, x, y, hint)
+
+
+@kernel
+def offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
+    """Do the work of `to_cartesian`."""
+    at = _wrap(length, s) / ds
+    i = min(int(at), line.shape[0] - 1)
+    u = at - i
+    qx, qy, ax, ay, bx, by = _cubic(line, ds, i)
+    tx = qx + u * (2.0 * ax + 3.0 * u * bx)
+    ty = qy + u * (2.0 * ay + 3.0 * u * by)
+    scale = d / np.sqrt(tx * tx + ty * ty)
+    x = line[i, X] + u * (qx + u * (ax + u * bx)) - scale * ty
+    y = line[i, Y] + u * (qy + u * (ay + u * by)) + scale * tx
+    # The heading turns little between samples: a few terms of the arctangent's series do.
+    t = (qx * ty - qy * tx) / (qx * tx + qy * ty)
+    t2 = t * t
+    return x, y, line[i, PSI] + t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 / 7.0)))
+
+
+@kernel
+def to_cartesian(track, s, d):  # type: ignore[no-untyped-def]
+    """Point and heading of the line's offset by ``d`` at arc length ``s``.
+
+    Returns
+    -------
+    x, y : float
+        The point in m.
+    psi : float
+        Heading of the line there, rad.
+    """
+    return offset(track.line, track.ds, track.length, s, d)
+
+
+@kernel
+def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
+    """Whether the straight way between two points stays off the walls; in cells from the corner of the grid."""
+    rows, cols = distance.shape
+    steps = int(2.0 * np.sqrt((u1 - u0) * (u1 - u0) + (v1 - v0) * (v1 - v0))) + 1
+    for k in range(steps + 1):
+        i = int(np.floor(v0 + (v1 - v0) * k / steps))
+        j = int(np.floor(u0 + (u1 - u0) * k / steps))
+        if i < 0 or j < 0 or i >= rows or j >= cols or distance[i, j] == 0.0:
+            return False
+    return True
+
+
+@kernel
+def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # type: ignore[no-untyped-def]
+    """Do the work of `locate`; the point is (x, y) in m and (u, v) in cells, ``coarse`` cells to one of the look-up."""
+    rows, cols = lookup.shape
+    row = int(np.floor(v / coarse - 0.5))
+    col = int(np.floor(u / coarse - 0.5))
+    best_s = -1.0
+    best_d = 0.0
+    best_seen = False
+    for k in range(4):
+        i = min(max(row + k // 2, 0), rows - 1)
+        j = min(max(col + k % 2, 0), cols - 1)
+        s, d = foot(line, ds, length, x, y, lookup[i, j] * ds)
+        if best_s >= 0.0 and abs(s - best_s) < ds:
+            continue
+        fx, fy, _ = offset(line, ds, length, s, 0.0)
+        seen = _in_sight(distance, u, v, u + (fx - x) / cell, v + (fy - y) / cell)
+        if best_s < 0.0 or (seen and not best_seen) or (seen == best_seen and abs(d) < abs(best_d)):
+            best_s, best_d, best_seen = s, d, seen
+    return best_s, best_d
+
+
+@kernel
+def locate(track, x, y):  # type: ignore[no-untyped-def]
+    """Frenet coordinates of a point anywhere near the track, without a hint.
+
+    The walk starts from the four cells of the look-up grid around the point. Where they lead to different parts of the
+    line, as beside a thin wall between two of them, the nearest part in sight is taken. A point outside the map is
+    projected from the nearest cell.
+    """
+    return _locate(
+        track.line,
+        track.ds,
+        track.length,
+        track.distance,
+        track.lookup,
+        track.lookup_cell / track.cell,
+        (x - track.origin_x) / track.cell,
+        (y - track.origin_y) / track.cell,
+        x,
+        y,
+        track.cell,
+    )
+
+
+@kernel
+def interpolate(distance, u, v):  # type: ignore[no-untyped-def]
+    """Do the work of `wall_distance`, for a point in cells from the centre of cell [0, 0]."""
+    rows, cols = distance.shape
+    if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
+        return 0.0
+    i = int(v)
+    j = int(u)
+    fu = u - j
+    fv = v - i
+    low = distance[i, j] * (1.0 - fu) + distance[i, j + 1] * fu
+    high = distance[i + 1, j] * (1.0 - fu) + distance[i + 1, j + 1] * fu
+    return low * (1.0 - fv) + high * fv
+
+
+@kernel
+def wall_distance(track, x, y):  # type: ignore[no-untyped-def]
+    """Distance in m from a point to the nearest wall, interpolated between cell centres; 0 outside the map.
+
+    Walls count as 0 up to their cells' centres, so a point on a straight wall's face reads a quarter of a cell; from
+    half a cell away on, such a wall's distance is exact. No distance is off by more than 0.71 of a cell, since the
+    centres' are exact and none of the four is farther away than that.
+    """
+    u = (x - track.origin_x) / track.cell - 0.5
+    v = (y - track.origin_y) / track.cell - 0.5
+    return interpolate(track.distance, u, v)

@@ -1,0 +1,317 @@
+"""Compiled tools for occupancy grids: flood fill, distance to the walls, exact rays, nearest points.
+
+Grids are indexed ``[row, column]`` with row 0 at the bottom, so that cell ``[i, j]`` covers
+``origin + resolution * ([j, j + 1], [i, i + 1])``.
+"""
+
+import heapq
+
+import numpy as np
+
+from pcs_racing.base.compilation import compiled
+
+__all__ = ["cast", "distance_to_walls", "flood", "lookup_grid", "spread_labels", "way_out"]
+
+
+@compiled
+def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
+    """Cells that can be reached from the seeds over free cells, in steps to one of four neighbours.
+
+    Parameters
+    ----------
+    occupied : ndarray of bool, shape (H, W)
+    rows, cols : ndarray of int
+        Seed cells inside the grid; occupied ones are ignored.
+
+    Returns
+    -------
+    reached : ndarray of bool, shape (H, W)
+    box : tuple of int
+        First and last row, first and last column that were reached; (H, -1, W, -1) if none was.
+    """
+    height, width = occupied.shape
+    reached = np.zeros((height, width), dtype=np.bool_)
+    stack = np.empty(1024, dtype=np.int64)
+    top = 0
+    bottom_row, top_row, left, right = height, -1, width, -1
+    for k in range(rows.shape[0]):
+        i, j = rows[k], cols[k]
+        if occupied[i, j] or reached[i, j]:
+            continue
+        reached[i, j] = True
+        stack[0] = i * width + j
+        top = 1
+        while top > 0:
+            top -= 1
+            i, j = divmod(stack[top], width)
+            bottom_row, top_row = min(bottom_row, i), max(top_row, i)
+            left, right = min(left, j), max(right, j)
+            if top + 4 > stack.shape[0]:
+                larger = np.empty(2 * stack.shape[0], dtype=np.int64)
+                larger[:top] = stack[:top]
+                stack = larger
+            if i > 0 and not (occupied[i - 1, j] or reached[i - 1, j]):
+                reached[i - 1, j] = True
+                stack[top] = (i - 1) * width + j
+                top += 1
+            if i < height - 1 and not (occupied[i + 1, j] or reached[i + 1, j]):
+                reached[i + 1, j] = True
+                stack[top] = (i + 1) * width + j
+                top += 1
+            if j > 0 and not (occupied[i, j - 1] or reached[i, j - 1]):
+                reached[i, j - 1] = True
+                stack[top] = i * width + j - 1
+                top += 1
+            if j < width - 1 and not (occupied[i, j + 1] or reached[i, j + 1]):
+                reached[i, j + 1] = True
+                stack[top] = i * width + j + 1
+                top += 1
+    return reached, (bottom_row, top_row, left, right)
+
+
+@compiled
+def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
+    """Exact distance from the centre of each drivable cell to the nearest cell that is not drivable.
+
+    The distance is to the nearest point of that cell's square, so the smallest is half a cell; it is 0 on every other
+    cell. Two passes after Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled
+    Functions" (2012), with the parabolas rooted at cell faces instead of cell centres.
+
+    Parameters
+    ----------
+    drivable : ndarray of bool, shape (H, W)
+        Its outermost rows and columns must be False.
+    cell : float
+        Side of a cell in m.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float32
+        Distance in m.
+    """
+    height, width = drivable.shape
+    out = np.zeros((height, width), dtype=np.float32)
+    # Along each column, in cells, to the nearest horizontal wall face.
+    for i in range(1, height):
+        for j in range(width):
+            if drivable[i, j]:
+                out[i, j] = out[i - 1, j] + 1.0 if drivable[i - 1, j] else 0.5
+    for i in range(height - 2, -1, -1):
+        for j in range(width):
+            if drivable[i, j]:
+                out[i, j] = min(out[i, j], out[i + 1, j] + 1.0 if drivable[i + 1, j] else 0.5)
+    # Along each row: lower envelope of the parabolas (x - q)^2 + height^2, one rooted at each face q = j + 1/2.
+    root = np.empty(width)
+    squared = np.empty(width)
+    begin = np.empty(width + 1)
+    column = np.empty(width)
+    for i in range(height):
+        for j in range(width):
+            column[j] = out[i, j]
+        top = -1
+        for j in range(width - 1):
+            low = min(column[j], column[j + 1])
+            q = j + 0.5
+            value = low * low + q * q
+            while top >= 0:
+                cross = (value - squared[top] - root[top] * root[top]) / (2.0 * (q - root[top]))
+                if cross > begin[top]:
+                    break
+                top -= 1
+            top += 1
+            root[top] = q
+            squared[top] = low * low
+            begin[top] = cross if top > 0 else -1.0
+        begin[top + 1] = width
+        k = 0
+        for j in range(width):
+            while begin[k + 1] < j:
+                k += 1
+            if column[j] > 0.0:
+                across = (j - root[k]) ** 2 + squared[k]
+                out[i, j] = np.sqrt(min(column[j] * column[j], across)) * cell
+    return out
+
+
+@compiled
+def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
+    """Follow a ray cell by cell to the first face of a cell that is not drivable (Amanatides and Woo, 1987).
+
+    Parameters
+    ----------
+    drivable : ndarray of bool, shape (H, W)
+        Its outermost rows and columns must be False.
+    x, y : float
+        Start, in cells from the grid's lower left corner.
+    cos, sin : float
+        Direction.
+    reach : float
+        Give up after this many cells.
+
+    Returns
+    -------
+    distance : float
+        Distance to the wall in cells, or ``reach``.
+    row, col : int
+        The last drivable cell (the start's cell if that is not drivable).
+    side : int
+        Side of that cell through which the ray left: 0 bottom, 1 right, 2 top, 3 left; -1 if it did not.
+    """
+    height, width = drivable.shape
+    i = int(np.floor(y))
+    j = int(np.floor(x))
+    if i < 0 or j < 0 or i >= height or j >= width or not drivable[i, j]:
+        return 0.0, i, j, -1
+    di = 1 if sin > 0.0 else -1
+    dj = 1 if cos > 0.0 else -1
+    step_x = 1.0 / abs(cos) if cos != 0.0 else np.inf
+    step_y = 1.0 / abs(sin) if sin != 0.0 else np.inf
+    next_x = (j + 1 - x if dj > 0 else x - j) * step_x if cos != 0.0 else np.inf
+    next_y = (i + 1 - y if di > 0 else y - i) * step_y if sin != 0.0 else np.inf
+    while True:
+        if next_x < next_y:
+            if next_x >= reach:
+                return reach, i, j, -1
+            if not drivable[i, j + dj]:
+                return next_x, i, j, 1 if dj > 0 else 3
+            j += dj
+            next_x += step_x
+        else:
+            if next_y >= reach:
+                return reach, i, j, -1
+            if not drivable[i + di, j]:
+                return next_y, i, j, 2 if di > 0 else 0
+            i += di
+            next_y += step_y
+
+
+@compiled
+def _push_neighbours(queue, mask, label, x, y, i, j):  # type: ignore[no-untyped-def]
+    height, width = mask.shape
+    k = np.int64(label[i, j])
+    for side in range(4):
+        ni = i + (side == 2) - (side == 0)
+        nj = j + (side == 1) - (side == 3)
+        if 0 <= ni < height and 0 <= nj < width and mask[ni, nj] and label[ni, nj] < 0:
+            near = (x[k] - nj - 0.5) ** 2 + (y[k] - ni - 0.5) ** 2
+            heapq.heappush(queue, (near, np.int64(ni * width + nj), k))
+
+
+@compiled
+def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
+    """Spread the numbers of points from some cells of a region to all of it, the nearest point first.
+
+    A number goes from a cell to its four neighbours in the region, so a cell beside a thin wall gets a point on its own
+    side of the wall even if one on the other side is nearer.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        The region.
+    label : ndarray, shape (H, W), int32
+        Number of a point, or -1, which is filled in place except outside the region or out of reach.
+    x, y : ndarray, shape (N,)
+        The points, in cells from the grid's lower left corner.
+    """
+    height, width = mask.shape
+    queue = [(0.0, np.int64(0), np.int64(0))]
+    queue.pop()
+    for i in range(height):
+        for j in range(width):
+            if label[i, j] >= 0:
+                _push_neighbours(queue, mask, label, x, y, i, j)
+    while len(queue) > 0:
+        _, at, k = heapq.heappop(queue)
+        i, j = divmod(at, width)
+        if label[i, j] < 0:
+            label[i, j] = k
+            _push_neighbours(queue, mask, label, x, y, i, j)
+
+
+@compiled
+def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
+    """Nearest of some points for blocks of cells, found without going through walls.
+
+    Parameters
+    ----------
+    drivable : ndarray of bool, shape (H, W)
+    x, y : ndarray, shape (N,)
+        The points, in cells from the grid's lower left corner, all on drivable cells.
+    block : int
+        Cells along the side of a block.
+
+    Returns
+    -------
+    ndarray, shape (ceil(H / block), ceil(W / block)), int32
+        Number of a point for each block: that of the drivable cell nearest to its centre, or, in blocks that have none,
+        what spreads to them from other blocks.
+    """
+    height, width = drivable.shape
+    label = np.full((height, width), -1, dtype=np.int32)
+    for k in range(x.shape[0]):
+        label[int(np.floor(y[k])), int(np.floor(x[k]))] = k
+    spread_labels(drivable, label, x, y)
+    rows = (height + block - 1) // block
+    cols = (width + block - 1) // block
+    out = np.full((rows, cols), -1, dtype=np.int32)
+    for a in range(rows):
+        for b in range(cols):
+            best = np.inf
+            for i in range(a * block, min((a + 1) * block, height)):
+                for j in range(b * block, min((b + 1) * block, width)):
+                    away = (i + 0.5 - (a + 0.5) * block) ** 2 + (j + 0.5 - (b + 0.5) * block) ** 2
+                    if label[i, j] >= 0 and away < best:
+                        best = away
+                        out[a, b] = label[i, j]
+    spread_labels(np.ones((rows, cols), dtype=np.bool_), out, x / block, y / block)
+    return out
+
+
+@compiled
+def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
+    """Shortest way over free cells from the seeds to the border of the grid, else to the farthest cell within reach.
+
+    Parameters
+    ----------
+    occupied : ndarray of bool, shape (H, W)
+    rows, cols : ndarray of int, shape (N,)
+        Free cells to start from.
+
+    Returns
+    -------
+    ndarray, shape (K, 2)
+        Rows and columns of the cells on the way, its end first.
+    """
+    height, width = occupied.shape
+    parent = np.full((height, width), -2, dtype=np.int32)
+    queue = np.empty(height * width, dtype=np.int32)
+    size = 0
+    for k in range(rows.shape[0]):
+        if parent[rows[k], cols[k]] == -2:
+            parent[rows[k], cols[k]] = -1
+            queue[size] = rows[k] * width + cols[k]
+            size += 1
+    at = 0
+    here = np.int64(queue[0])
+    while at < size:
+        here = np.int64(queue[at])
+        at += 1
+        i, j = divmod(here, width)
+        if i == 0 or j == 0 or i == height - 1 or j == width - 1:
+            break
+        for side in range(4):
+            ni = i + (side == 2) - (side == 0)
+            nj = j + (side == 1) - (side == 3)
+            if parent[ni, nj] == -2 and not occupied[ni, nj]:
+                parent[ni, nj] = here
+                queue[size] = ni * width + nj
+                size += 1
+    way = [here]
+    while parent[here // width, here % width] >= 0:
+        here = np.int64(parent[here // width, here % width])
+        way.append(here)
+    out = np.empty((len(way), 2), dtype=np.int64)
+    for k in range(len(way)):
+        out[k, 0] = way[k] // width
+        out[k, 1] = way[k] % width
+    return out

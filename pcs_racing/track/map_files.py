@@ -1,0 +1,260 @@
+"""The kinds of file in a map folder, each read with every value checked: yaml, picture, csv.
+
+Nothing here looks at the disk: every function takes the content of a file, and its path to name it in errors.
+"""
+
+import io
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pcs_racing.base.errors import InputError, MapError
+from pcs_racing.base.reading import plain_yaml
+
+__all__ = [
+    "CENTERLINE_COLUMNS",
+    "INFO_KEYS",
+    "RACELINE_COLUMNS",
+    "parse_csv",
+    "parse_grid",
+    "parse_info",
+    "parse_ros_yaml",
+    "parse_yaml",
+]
+
+Floats = NDArray[np.float64]
+Grid = NDArray[np.bool_]
+
+MAX_PIXELS = 64_000_000
+MAX_POINTS = 100_000  # of a line: 10 km with a point every 0.1 m
+PICTURE_FORMATS = ("PNG", "PPM", "BMP")
+CENTERLINE_COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
+RACELINE_COLUMNS = ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2")
+ROS_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
+
+INFO_KEYS = {
+    "description": "a line for people",
+    "license": "of the circuit",
+    "seed": "of the generator, a whole number",
+    "style": "of the generator",
+    "direction": "of driving, for the generator",
+    "width": "of the track in m, for the generator",
+    "length_range": "shortest and longest length in m, for the generator",
+    "resolution": "of the grid in m, for the generator",
+    "calibration": "for each race preset speed_range, start_spacing, start_places and left_share",
+}
+"""What ``NAME_track.yaml`` may hold."""
+
+
+def parse_yaml(file: Path, data: bytes) -> dict[Any, Any]:
+    """Keys and values of a yaml file."""
+    try:
+        values = plain_yaml(data)
+    except InputError as error:
+        raise MapError(f"{file} is not valid yaml: {error}") from error
+    if not isinstance(values, dict):
+        raise MapError(f"{file} must hold keys and values, got {type(values).__name__}")
+    return values
+
+
+def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
+    """Values of the yaml file of a ROS map, with the defaults of ``nav2_map_server`` for missing ones."""
+    values = parse_yaml(file, data)
+    unknown = [key for key in values if key not in ROS_KEYS]
+    missing = [key for key in ("image", "resolution", "origin") if key not in values]
+    if unknown or missing:
+        raise MapError(
+            f"{file}: {'unknown' if unknown else 'missing'} {', '.join(map(repr, unknown or missing))}; "
+            f"the keys of a ROS map are {', '.join(ROS_KEYS)}"
+        )
+    image, origin, negate = values["image"], values["origin"], values.get("negate", 0)
+    if not isinstance(image, str) or not image:
+        raise MapError(f"{file}: image must be a file name, got {image!r}")
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise MapError(f"{file}: origin must be [x, y, yaw], got {origin!r}")
+    x, y, yaw = (_number(file, "origin", value, -1e6, 1e6) for value in origin)
+    if yaw != 0.0:
+        raise MapError(f"{file}: the yaw of origin is {yaw}, only 0 is supported; rotate the picture instead")
+    if values.get("mode", "trinary") not in ("trinary", "scale"):
+        raise MapError(f"{file}: mode must be trinary or scale, got {values['mode']!r}")
+    if negate not in (0, 1):
+        raise MapError(f"{file}: negate must be 0 or 1, got {negate!r}")
+    resolution = _number(file, "resolution", values["resolution"], 0.0, 1.0)
+    if resolution < 1e-3:
+        raise MapError(f"{file}: resolution must be from 0.001 to 1 metres per cell, got {resolution}")
+    occupied = _number(file, "occupied_thresh", values.get("occupied_thresh", 0.65), 0.0, 1.0)
+    free = _number(file, "free_thresh", values.get("free_thresh", 0.25), 0.0, 1.0)
+    if free > occupied:
+        raise MapError(f"{file}: free_thresh {free} must not be above occupied_thresh {occupied}")
+    return {
+        "image": image,
+        "resolution": resolution,
+        "origin": (x, y),
+        "negate": bool(negate),
+        "occupied_thresh": occupied,
+        "free_thresh": free,
+    }
+
+
+def parse_info(file: Path, data: bytes) -> dict[str, Any]:
+    """Values of our ``NAME_track.yaml``, see `INFO_KEYS`."""
+    values = parse_yaml(file, data)
+    unknown = [key for key in values if key not in INFO_KEYS]
+    if unknown:
+        raise MapError(f"{file}: unknown {', '.join(map(repr, unknown))}; the keys are {', '.join(INFO_KEYS)}")
+    for key in ("description", "license", "style", "direction"):
+        if not isinstance(values.get(key, ""), str):
+            raise MapError(f"{file}: {key} must be text, got {values[key]!r}")
+    seed = values.get("seed", 0)
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise MapError(f"{file}: seed must be a whole number of at least 0, got {seed!r}")
+    for key in ("width", "resolution"):
+        if key in values:
+            _number(file, key, values[key], 0.0, 1e4)
+    if "length_range" in values:
+        _range(file, "length_range", values["length_range"], 1e4)
+    calibration = values.get("calibration", {})
+    if not isinstance(calibration, dict) or not all(isinstance(preset, str) for preset in calibration):
+        raise MapError(f"{file}: calibration must give values for each race preset, got {calibration!r:.80}")
+    for preset, own in calibration.items():
+        _check_calibration(file, f"calibration of {preset}", own)
+    return values
+
+
+def _check_calibration(file: Path, what: str, own: Any) -> None:
+    keys = ("speed_range", "start_spacing", "start_places", "left_share")
+    if not isinstance(own, dict) or own.keys() != set(keys):
+        raise MapError(f"{file}: {what} must have the keys {', '.join(keys)}, got {own!r:.80}")
+    _range(file, f"speed_range in the {what}", own["speed_range"], 10.0)
+    _number(file, f"start_spacing in the {what}", own["start_spacing"], 0.0, 10.0)
+    _number(file, f"left_share in the {what}", own["left_share"], 0.0, 1.0)
+    places = own["start_places"]
+    if not isinstance(places, dict) or not 0 < len(places) <= 2 or not all(isinstance(side, str) for side in places):
+        raise MapError(f"{file}: start_places in the {what} must list stretches for each side, got {places!r:.80}")
+    for side, stretches in places.items():
+        _check_stretches(file, f"start_places {side} in the {what}", stretches)
+
+
+def _check_stretches(file: Path, what: str, stretches: Any) -> None:
+    if not isinstance(stretches, list) or not 0 < len(stretches) <= MAX_POINTS:
+        raise MapError(f"{file}: {what} must list [first, last], got {stretches!r:.80}")
+    before = -1.0
+    for stretch in stretches:
+        ok = isinstance(stretch, list) and len(stretch) == 2
+        ok = ok and all(isinstance(s, int | float) and not isinstance(s, bool) for s in stretch)
+        if not ok or not before < stretch[0] <= stretch[1] <= 1e5:
+            raise MapError(f"{file}: {what} must be [first, last] in m, one after the other, got {stretch!r:.80}")
+        before = stretch[1]
+
+
+def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
+    """Occupancy grid of a picture, row 0 at the bottom; ``ros`` is what `parse_ros_yaml` returned.
+
+    Darkness (255 - grey) / 255 (grey / 255 if negated) above ``occupied_thresh`` is wall, below ``free_thresh`` free.
+    Unknown cells between them are wall in regions at least three cells across. A narrower fringe is what drawing with
+    soft edges leaves around a wall; it counts as free, or every wall would grow by a cell.
+    """
+    level = np.arange(256)
+    dark = (level if ros["negate"] else 255 - level) / 255.0
+    wall = dark > ros["occupied_thresh"]
+    grey = _grey(file, data)
+    occupied = wall[grey]
+    unknown = (~wall & (dark >= ros["free_thresh"]))[grey]
+    if unknown.any():
+        occupied |= _opened(unknown)
+    return occupied
+
+
+def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str) -> Floats:
+    """Rows of finite numbers, shape (K, columns), 10 to 100,000; lines that begin with '#' are left out."""
+    try:
+        lines = data.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise MapError(f"{file} is no text: a csv file is needed") from error
+    rows = []
+    for number, text in enumerate(lines, start=1):
+        if not text.strip() or text.lstrip().startswith("#"):
+            continue
+        try:
+            row = [float(value) for value in text.split(separator, len(columns))]
+        except ValueError:
+            row = []
+        if len(row) != len(columns) or not all(map(math.isfinite, row)):
+            raise MapError(
+                f"{file}, line {number}: {text.strip()[:80]!r} should be {len(columns)} finite numbers separated by "
+                f"{separator!r}: {', '.join(columns)}"
+            )
+        rows.append(row)
+        if len(rows) > MAX_POINTS:
+            raise MapError(f"{file} has more than {MAX_POINTS} points: a point every few centimetres is enough")
+    if len(rows) < 10:
+        raise MapError(f"{file} has {len(rows)} points: at least 10 are needed")
+    return np.array(rows)
+
+
+def _number(file: Path, key: str, value: Any, low: float, high: float) -> float:
+    try:
+        # YAML 1.1 takes 5e-2 for a string.
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not low <= number <= high:
+        raise MapError(f"{file}: {key} must be a number from {low:g} to {high:g}, got {value!r}")
+    return number
+
+
+def _range(file: Path, key: str, value: Any, highest: float) -> None:
+    if not isinstance(value, list) or len(value) != 2:
+        raise MapError(f"{file}: {key} must be [low, high], got {value!r}")
+    low, high = (_number(file, key, bound, 0.0, highest) for bound in value)
+    if not 0.0 < low < high:
+        raise MapError(f"{file}: {key} must be [low, high] with 0 < low < high, got {value!r}")
+
+
+def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
+    """Grey levels of a picture, row 0 at the bottom."""
+    kinds = ", ".join(PICTURE_FORMATS)
+    try:
+        with warnings.catch_warnings():
+            # Pillow warns of large pictures and refuses huge ones; ours is the stricter limit.
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            picture = Image.open(io.BytesIO(data), formats=PICTURE_FORMATS)
+        width, height = picture.size
+        if width * height > MAX_PIXELS:
+            raise MapError(f"{file} has {width} x {height} pixels: at most {MAX_PIXELS} in all are read")
+        picture.load()
+    except MapError:
+        raise
+    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+        raise MapError(f"{file} can't be read as a picture ({error}): it must be a whole {kinds} file") from error
+    if picture.mode in ("1", "L"):
+        return np.asarray(picture.convert("L"))[::-1]
+    if picture.mode not in ("P", "LA", "RGB", "RGBA"):
+        raise MapError(f"{file} has pixels of mode {picture.mode}: save it as an 8-bit grey picture")
+    channels = np.asarray(picture.convert("RGBA"))[::-1]
+    red = np.ascontiguousarray(channels[..., 0])
+    if (channels[..., 3] != 255).any():
+        raise MapError(f"{file} has transparent pixels: save it as an 8-bit grey picture")
+    if (channels[..., 1] != red).any() or (channels[..., 2] != red).any():
+        raise MapError(f"{file} has coloured pixels: save it as an 8-bit grey picture")
+    return red
+
+
+def _opened(cells: Grid) -> Grid:
+    """Morphological opening: the union of all squares of 3 x 3 cells that lie in a region."""
+    height, width = cells.shape
+    if min(height, width) < 3:
+        return np.zeros_like(cells)
+    offsets = [(slice(i, height - 2 + i), slice(j, width - 2 + j)) for i in range(3) for j in range(3)]
+    core = np.ones((height - 2, width - 2), dtype=np.bool_)
+    for offset in offsets:
+        core &= cells[offset]
+    out = np.zeros_like(cells)
+    for offset in offsets:
+        out[offset] |= core
+    return out

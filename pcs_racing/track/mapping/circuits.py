@@ -1,0 +1,281 @@
+"""Random circuits: drawn, judged, and turned into a grid with a race line. The same seed gives the same circuit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.base.errors import InputError, MapError, UnknownNameError
+from pcs_racing.base.optional import require
+from pcs_racing.track.building.centerline import directed, straightest
+from pcs_racing.track.building.curves import curve_length, first_crossing, resample, signed_area, smooth
+from pcs_racing.track.building.raceline import minimum_curvature_raceline, raceline_rows
+from pcs_racing.track.building.splines import sample_closed
+from pcs_racing.track.mapping.shapes import STYLES, rounded
+
+__all__ = ["Circuit", "braking_zones", "generate_circuit", "straights", "walls_to_grid"]
+
+WALL = 0.1  # thickness of the drawn walls, m
+RADIUS_RATIO = 1.2  # least radius of the centre line in half widths: below 1 the inner wall would fold
+STRAIGHT = 8.0  # a circuit needs one straight of this length, m
+HAIRPIN_STRAIGHT = 15.0  # circuits of style hairpin need two of this length, m
+ZONES = 3  # and this many places to brake
+EASING = 2.5  # waves of this length are halved in the rounded outline, so that curvature comes gradually, m
+
+
+@dataclass(frozen=True, eq=False)
+class Circuit:
+    """A generated circuit: everything that a map folder holds.
+
+    Attributes
+    ----------
+    seed : int
+    style : str
+    attempt : int
+        How many drafts of this seed were turned down before it.
+    width : float
+        Width of the track in m.
+    centerline : ndarray, shape (M, 4)
+        x, y, width to the right and to the left (m), evenly spaced about 0.3 m apart.
+    raceline : ndarray, shape (N, 2)
+        Points of the race line, m, evenly spaced about 0.2 m apart.
+    occupied : ndarray, shape (H, W), bool
+        True where a wall is; row 0 is the bottom.
+    resolution : float
+        Side of a cell in m.
+    origin : ndarray, shape (2,)
+        Lower left corner of cell [0, 0], m.
+    """
+
+    seed: int
+    style: str
+    attempt: int
+    width: float
+    centerline: np.ndarray
+    raceline: np.ndarray
+    occupied: np.ndarray
+    resolution: float
+    origin: np.ndarray
+
+    @property
+    def length(self) -> float:
+        """Length of the centre line in m."""
+        return sample_closed(self.centerline[:, :2], 0.3).length
+
+
+def generate_circuit(
+    seed: int,
+    style: str = "hull",
+    *,
+    width: float = 2.2,
+    length_range: tuple[float, float] = (60.0, 180.0),
+    direction: str = "counterclockwise",
+    resolution: float = 0.05,
+    attempts: int = 400,
+) -> Circuit:
+    """First acceptable circuit of a seed.
+
+    A draft is accepted if its centre line is simple and nowhere tighter than 1.2 half widths, if two stretches of track
+    never share a wall, if it holds a straight of at least 8 m (style hairpin: two of at least 15 m), and if its race
+    line has at least three braking zones. It begins in the origin, on its straightest stretch.
+
+    Parameters
+    ----------
+    seed : int
+        At least 0. Attempt k draws from ``SeedSequence(seed, spawn_key=(style, k))``.
+    style : {"hull", "voronoi", "hairpin"}
+        Flowing; angular with the most braking zones; long straights into hairpins.
+    width : float
+        Width of the track in m, from 1.2 to 10.
+    length_range : tuple of float
+        Shortest and longest centre line in m.
+    direction : {"counterclockwise", "clockwise"}
+        Driving direction.
+    resolution : float
+        Side of a cell of the grid in m, from 0.02 to 0.2.
+    attempts : int
+        Most drafts.
+
+    Returns
+    -------
+    Circuit
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such style.
+    InputError
+        If another parameter is impossible.
+    MapError
+        If no draft was accepted; the message counts why.
+    """
+    require("scipy", "clarabel")
+    if style not in STYLES:
+        raise UnknownNameError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
+    if direction not in ("counterclockwise", "clockwise"):
+        raise InputError(f"direction is {direction!r}: it must be 'counterclockwise' or 'clockwise'")
+    for name, value, low, high in (("width", width, 1.2, 10.0), ("resolution", resolution, 0.02, 0.2)):
+        if not low <= value <= high:
+            raise InputError(f"{name} is {value!r}: it must lie between {low} and {high} m")
+    shortest, longest = (float(value) for value in length_range)
+    if not 10.0 * width <= shortest < longest <= 1000.0:
+        raise InputError(
+            f"length_range is {length_range!r}: two lengths are needed, ascending, from 10 widths to 1000 m"
+        )
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise InputError(f"seed is {seed!r}: it must be a whole number of at least 0")
+    refusals: dict[str, int] = {}
+    for attempt in range(attempts):
+        key = (list(STYLES).index(style), attempt)
+        rng = np.random.default_rng(np.random.SeedSequence(int(seed), spawn_key=key))
+        line, refusal = _draft(rng, style, width, shortest, longest)
+        if line is not None:
+            # The start line lies in the origin, as in f1tenth_racetracks.
+            line = directed(np.roll(line, -straightest(line), axis=0), direction)
+            line = line - line[0]
+            grid, origin = walls_to_grid(line, width, resolution)
+            try:
+                raceline = minimum_curvature_raceline(line, grid, resolution, origin)
+            except MapError:
+                refusal = "without a race line"
+            else:
+                if braking_zones(raceline_rows(raceline)[:-1, 5]) >= ZONES:
+                    center = np.hstack([line, np.full((len(line), 2), 0.5 * width)])
+                    return Circuit(int(seed), style, attempt, width, center, raceline, grid, resolution, origin)
+                refusal = "with too few braking zones"
+        refusals[refusal] = refusals.get(refusal, 0) + 1
+    why = ", ".join(f"{count} {reason}" for reason, count in sorted(refusals.items(), key=lambda item: -item[1]))
+    raise MapError(f"no circuit of style {style!r} came from seed {seed} in {attempts} drafts: {why}")
+
+
+def straights(line: np.ndarray, radius: float = 25.0) -> np.ndarray:
+    """Lengths of the straights of a closed line, longest first.
+
+    Parameters
+    ----------
+    line : ndarray, shape (N, 2)
+        In m.
+    radius : float
+        What bends less than a circle of this radius counts as straight, m.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+        In m.
+    """
+    samples = sample_closed(line, 0.2)
+    straight = np.abs(samples.kappa) < 1.0 / radius
+    if straight.all():
+        return np.array([samples.length])
+    # Begin in a bend, so that no straight is cut in two.
+    straight = np.roll(straight, -int(np.argmin(straight)))
+    edges = np.flatnonzero(np.diff(straight.astype(int), append=0))
+    return np.sort(np.diff(edges)[::2])[::-1] * (samples.length / len(straight))
+
+
+def braking_zones(v: np.ndarray, drop: float = 1.0) -> int:
+    """Number of stretches on which the speed falls by at least ``drop`` m/s, around a closed line.
+
+    Parameters
+    ----------
+    v : ndarray, shape (N,)
+        Speed at the samples of a closed line, m/s.
+    drop : float
+        In m/s.
+    """
+    v = np.roll(v, -int(np.argmax(v)))
+    falling = np.diff(v, append=v[0]) < 0.0
+    edges = np.flatnonzero(np.diff(falling.astype(int), prepend=0, append=0))
+    return sum(v[begin] - v[end % len(v)] >= drop for begin, end in zip(edges[::2], edges[1::2], strict=True))
+
+
+def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np.ndarray, np.ndarray]:
+    """Grid with two thin walls along a closed centre line, as drawn in the maps of real circuits.
+
+    Parameters
+    ----------
+    line : ndarray, shape (N, 2)
+        Centre line in m.
+    width : float
+        Free width in m.
+    resolution : float
+        Side of a cell in m.
+
+    Returns
+    -------
+    occupied : ndarray, shape (H, W), bool
+        True where a wall is; row 0 is the bottom.
+    origin : ndarray, shape (2,)
+        Lower left corner of cell [0, 0] in m, a multiple of the resolution.
+    """
+    fine = resample(line, resolution)
+    border = 0.5 * width + WALL + 0.5
+    low = np.floor((fine.min(axis=0) - border) / resolution)
+    cols, rows = (np.ceil((fine.max(axis=0) + border) / resolution) - low).astype(int)
+    # At least two cells, else a car could slip between the corners of two.
+    wall = max(WALL, 2.0 * resolution)
+    distance = _distance_to_points(fine / resolution - low, int(rows), int(cols), (0.5 * width + wall) / resolution)
+    return (distance >= 0.5 * width / resolution) & np.isfinite(distance), low * resolution
+
+
+@njit(cache=True, nogil=True)
+def _distance_to_points(points, rows, cols, reach):  # type: ignore[no-untyped-def]
+    """Distance in cells from each cell's centre to the nearest point; infinite beyond ``reach``."""
+    best = np.full((rows, cols), np.inf)
+    for k in range(points.shape[0]):
+        x, y = points[k]
+        for i in range(max(int(y - reach), 0), min(int(y + reach) + 2, rows)):
+            for j in range(max(int(x - reach), 0), min(int(x + reach) + 2, cols)):
+                d = (j + 0.5 - x) ** 2 + (i + 0.5 - y) ** 2
+                if d <= reach * reach and d < best[i, j]:
+                    best[i, j] = d
+    return np.sqrt(best)
+
+
+def _draft(
+    rng: np.random.Generator, style: str, width: float, shortest: float, longest: float
+) -> tuple[np.ndarray | None, str]:
+    """Centre line of one draft, or None and why it is turned down."""
+    corners = STYLES[style](rng)
+    if len(corners) < 3 or first_crossing(corners)[0] >= 0 or signed_area(corners) <= 0.0:
+        return None, "with an outline that is not simple"
+    length = rng.uniform(shortest, longest)
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    sine, cosine = sine_cosine(turn)
+    least = 0.5 * RADIUS_RATIO * width
+    radii = least + rng.exponential(2.5, size=len(corners))
+    # Rounding shortens the line: scale twice.
+    for _ in range(2):
+        corners = corners * (length / curve_length(corners))
+        line = resample(rounded(corners, radii, 0.1), 0.1)
+        length *= length / curve_length(line)
+    x, y = smooth(line, EASING).T
+    line = np.column_stack([x * cosine - y * sine, x * sine + y * cosine])
+    samples = sample_closed(line, 0.3)
+    if not shortest <= samples.length <= longest:
+        return None, "of the wrong length"
+    # Judged as a reader sees it, who knows only the points.
+    if np.abs(sample_closed(samples.xy, 0.02).kappa).max() > 1.0 / least:
+        return None, "too tight"
+    if not _apart(samples.xy, samples.length / len(samples.xy), width + 2.0 * WALL + 0.2):
+        return None, "too close to itself"
+    long = np.append(straights(samples.xy), (0.0, 0.0))
+    if long[0] < STRAIGHT or (style == "hairpin" and long[1] < HAIRPIN_STRAIGHT):
+        return None, "without long straights"
+    return samples.xy, ""
+
+
+@njit(cache=True, nogil=True)
+def _apart(line, step, distance):  # type: ignore[no-untyped-def]
+    """Whether points of a closed line that are no neighbours along it keep a distance.
+
+    Neighbours are those within a half circle of that diameter: a legal hairpin brings them that near and no nearer.
+    """
+    n = line.shape[0]
+    near = int(0.5 * np.pi * distance / step) + 1
+    for i in range(n):
+        for j in range(i + near, min(n, i + n - near + 1)):
+            if (line[i, 0] - line[j, 0]) ** 2 + (line[i, 1] - line[j, 1]) ** 2 < distance * distance:
+                return False
+    return True

@@ -1,0 +1,339 @@
+"""Map folders: a ROS occupancy grid, the lines of f1tenth_racetracks, and what else belongs to a circuit.
+
+A folder ``NAME`` holds
+
+- ``NAME_map.yaml`` and the picture it names: the grid, as ROS map_server keeps it,
+- ``NAME_centerline.csv`` (optional): x, y, width to the right, width to the left, separated by commas,
+- ``NAME_raceline.csv`` (optional): s, x, y, psi, kappa, vx, ax, separated by semicolons,
+- ``NAME_track.yaml`` (optional, ours): origin and calibration of the circuit, see `map_files.INFO_KEYS`.
+
+If no file is called after the folder, the only ``*_map.yaml`` in it, or else the only yaml file that names an image,
+gives the name.
+"""
+
+import io
+import os
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from PIL import Image
+
+from pcs_racing.base.errors import InputError, MapError, UnknownNameError
+from pcs_racing.base.reading import MAX_YAML, read_limited
+from pcs_racing.track.map_files import (
+    CENTERLINE_COLUMNS,
+    RACELINE_COLUMNS,
+    parse_csv,
+    parse_grid,
+    parse_info,
+    parse_ros_yaml,
+    parse_yaml,
+)
+
+__all__ = [
+    "MapFiles",
+    "MapFolder",
+    "find_map",
+    "find_shipped",
+    "list_tracks",
+    "parse_map",
+    "read_bytes",
+    "read_map",
+    "shipped_folder",
+    "write_map",
+]
+
+Floats = NDArray[np.float64]
+
+MAX_BYTES = 256_000_000  # of a picture
+MAX_LINE = 8_000_000  # of a csv file
+
+
+class MapFiles(NamedTuple):
+    """The files of a map folder, none of them read yet.
+
+    Attributes
+    ----------
+    name : str
+        Name of the circuit.
+    folder : Path
+    yaml : Path
+        The map's yaml file.
+    centerline, raceline, info : Path or None
+        The optional files that are there.
+    """
+
+    name: str
+    folder: Path
+    yaml: Path
+    centerline: Path | None
+    raceline: Path | None
+    info: Path | None
+
+
+class MapFolder(NamedTuple):
+    """What a map folder holds, in its files' own terms.
+
+    Attributes
+    ----------
+    name : str
+    folder : Path
+    occupied : ndarray of bool, shape (H, W)
+        True where a wall is; row 0 is the bottom.
+    resolution : float
+        Side of a cell in m.
+    origin : tuple of float
+        Lower left corner of cell [0, 0] in m.
+    centerline : ndarray, shape (M, 4), or None
+        x, y, width to the right, width to the left, in m.
+    raceline : ndarray, shape (N, 7), or None
+        s, x, y, psi, kappa, vx, ax in m, rad and s; the last row repeats the first.
+    info : dict
+        Content of ``NAME_track.yaml``, see `map_files.INFO_KEYS`.
+    """
+
+    name: str
+    folder: Path
+    occupied: NDArray[np.bool_]
+    resolution: float
+    origin: tuple[float, float]
+    centerline: Floats | None
+    raceline: Floats | None
+    info: dict[str, Any]
+
+
+def shipped_folder() -> Path:
+    """Folder of the circuits that come with the package."""
+    package = Path(__file__).resolve().parents[1]
+    inside = package / "shipped_maps"  # in an installed package; in a checkout they lie beside it
+    return inside if inside.is_dir() else package.parent / "maps"
+
+
+def list_tracks() -> list[str]:
+    """Names of the circuits that come with the package, sorted."""
+    folder = shipped_folder()
+    if not folder.is_dir():
+        return []
+    return sorted(path.name for path in folder.iterdir() if (path / f"{path.name}_map.yaml").is_file())
+
+
+def find_shipped(name: str) -> Path:
+    """Folder of a circuit that comes with the package; case does not matter.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of that name; the message lists those there are.
+    """
+    known = list_tracks()
+    for candidate in known:
+        if candidate.lower() == name.lower():
+            return shipped_folder() / candidate
+    raise UnknownNameError(
+        f"unknown track {name!r}: neither a map folder nor one of the shipped tracks ({', '.join(known) or 'none'})"
+    )
+
+
+def find_map(path: str | os.PathLike[str]) -> MapFiles:
+    """Find the files of a map folder.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder, or the map's yaml file in it.
+
+    Raises
+    ------
+    MapError
+        If the folder or the map's yaml file is not there, or several could be meant.
+    """
+    folder = Path(path)
+    # The functions of os answer no where those of Path raise errors: for names that no file can have.
+    if os.path.isfile(folder) and folder.suffix in (".yaml", ".yml"):
+        chosen = folder
+        folder = folder.parent
+    elif os.path.isdir(folder):
+        chosen = _map_yaml(folder)
+    else:
+        raise MapError(f"no map folder at {folder}: it must be a folder that holds a *_map.yaml and its picture")
+    name = chosen.stem.removesuffix("_map")
+    optional = (folder / f"{name}_{kind}" for kind in ("centerline.csv", "raceline.csv", "track.yaml"))
+    return MapFiles(name, folder, chosen, *(file if file.is_file() else None for file in optional))
+
+
+def read_map(path: str | os.PathLike[str]) -> MapFolder:
+    """Read a map folder and check every value in it.
+
+    Whether the lines and the grid fit together is checked when a track is built of them.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder, or the map's yaml file in it.
+
+    Raises
+    ------
+    MapError
+        If a file is missing or broken; the message names the file, the value and what would be right.
+    """
+    files = find_map(path)
+    return parse_map(files, read_bytes(files))
+
+
+def read_bytes(files: MapFiles) -> dict[str, bytes]:
+    """Read the files of a map, its picture included, by their paths within the folder."""
+    texts = [file for file in (files.yaml, files.centerline, files.raceline, files.info) if file is not None]
+    limits = {".csv": MAX_LINE}
+    contents = {_label(files, file): _bytes(file, limits.get(file.suffix, MAX_YAML)) for file in texts}
+    picture = _picture(files, parse_ros_yaml(files.yaml, contents[files.yaml.name]))
+    return contents | {_label(files, picture): _bytes(picture, MAX_BYTES)}
+
+
+def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
+    """Make sense of what `read_bytes` read; see `read_map`."""
+    ros = parse_ros_yaml(files.yaml, contents[files.yaml.name])
+    picture = _picture(files, ros)
+    centerline = raceline = None
+    if files.centerline is not None:
+        centerline = parse_csv(files.centerline, contents[files.centerline.name], CENTERLINE_COLUMNS, ",")
+    if files.raceline is not None:
+        raceline = parse_csv(files.raceline, contents[files.raceline.name], RACELINE_COLUMNS, ";")
+    return MapFolder(
+        name=files.name,
+        folder=files.folder,
+        occupied=parse_grid(picture, contents[_label(files, picture)], ros),
+        resolution=ros["resolution"],
+        origin=ros["origin"],
+        centerline=centerline,
+        raceline=raceline,
+        info=parse_info(files.info, contents[files.info.name]) if files.info is not None else {},
+    )
+
+
+def write_map(content: MapFolder) -> Path:
+    """Write a map folder.
+
+    A new folder appears complete or not at all. In an existing one each file is replaced as a whole.
+
+    Parameters
+    ----------
+    content : MapFolder
+        ``folder`` must not exist yet, be empty, or hold a map of the same ``name``.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    MapError
+        If a value is impossible, or the folder holds something else or can't be written.
+    """
+    name, folder = content.name, Path(content.folder)
+    if not name.isprintable() or name != name.strip(" .") or not name or set(name) & set('/\\:*?"<>|'):
+        raise MapError(f"{name!r} can't name a map: letters, digits, '-', '_' and spaces between them can")
+    same = not folder.exists() or (folder / f"{name}_map.yaml").is_file()
+    if not same and not (folder.is_dir() and next(folder.iterdir(), None) is None):
+        raise MapError(f"{folder} exists and holds no map called {name}: choose another folder")
+    files = _files(content)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".map-") as temporary:
+            made = Path(temporary) / "map"
+            made.mkdir()
+            for file, data in files.items():
+                (made / file).write_bytes(data)
+            if folder.exists():
+                for file in files:
+                    os.replace(made / file, folder / file)
+            else:
+                os.rename(made, folder)
+    except OSError as error:
+        raise MapError(f"can't write {folder}: {error.strerror or error}") from error
+    return folder
+
+
+def _files(content: MapFolder) -> dict[str, bytes]:
+    """Content of the files of a map folder; csv numbers have 9 decimals, the rest reads back exactly."""
+    name = content.name
+    picture = io.BytesIO()
+    grey = np.where(content.occupied[::-1], 0, 255).astype(np.uint8)
+    Image.fromarray(grey).convert("1").save(picture, format="PNG", optimize=True)
+    ros = {
+        "image": f"{name}_map.png",
+        "resolution": float(content.resolution),
+        "origin": [float(content.origin[0]), float(content.origin[1]), 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.45,
+        "free_thresh": 0.196,
+    }
+    files = {f"{name}_map.png": picture.getvalue(), f"{name}_map.yaml": _dump(ros)}
+    for kind, rows, columns, separator in (
+        ("centerline", content.centerline, CENTERLINE_COLUMNS, ","),
+        ("raceline", content.raceline, RACELINE_COLUMNS, ";"),
+    ):
+        if rows is not None:
+            text = io.StringIO()
+            np.savetxt(text, rows, fmt="%.9f", delimiter=f"{separator} ", header=f"{separator} ".join(columns))
+            files[f"{name}_{kind}.csv"] = text.getvalue().encode()
+            parse_csv(Path(f"{name}_{kind}.csv"), files[f"{name}_{kind}.csv"], columns, separator)
+    if content.info:
+        files[f"{name}_track.yaml"] = _dump(content.info)
+        parse_info(Path(f"{name}_track.yaml"), files[f"{name}_track.yaml"])
+    parse_ros_yaml(Path(f"{name}_map.yaml"), files[f"{name}_map.yaml"])
+    return files
+
+
+def _dump(values: dict[str, Any]) -> bytes:
+    return yaml.safe_dump(values, sort_keys=False, allow_unicode=True).encode()
+
+
+def _map_yaml(folder: Path) -> Path:
+    """Yaml file of the map in a folder."""
+    own = folder / f"{folder.resolve().name}_map.yaml"
+    if own.is_file():
+        return own
+    everything = sorted(file for pattern in ("*.yaml", "*.yml") for file in folder.glob(pattern) if file.is_file())
+    found = [file for file in everything if file.stem.endswith("_map")]
+    if not found:
+        others = [file for file in everything if not file.stem.endswith("_track")]
+        found = [file for file in others if "image" in parse_yaml(file, _bytes(file, MAX_YAML))]
+    if len(found) > 1:
+        names = ", ".join(file.name for file in found)
+        raise MapError(f"{folder} holds several maps ({names}): name one of these files instead of the folder")
+    if not found:
+        raise MapError(f"{folder} holds no map: {own.name}, or any one *_map.yaml as ROS writes it, is needed")
+    return found[0]
+
+
+def _picture(files: MapFiles, ros: dict[str, Any]) -> Path:
+    """Path of the map's picture, which must lie in the folder, links followed."""
+    file = files.folder / ros["image"]
+    try:
+        inside = file.resolve().is_relative_to(files.folder.resolve())
+        there = inside and file.is_file()
+    except (OSError, ValueError, RuntimeError):  # a name too long, with a zero in it, or a loop of links
+        inside, there = True, False
+    if not inside:
+        raise MapError(f"{files.yaml}: image {ros['image']!r} lies outside the map's folder; put the picture beside it")
+    if not there:
+        raise MapError(f"{files.yaml}: image {ros['image']!r} is not there; it must name a picture in the folder")
+    return file
+
+
+def _label(files: MapFiles, file: Path) -> str:
+    return os.path.relpath(file, files.folder)
+
+
+def _bytes(file: Path, limit: int) -> bytes:
+    try:
+        return read_limited(file, limit, "the file of a map")
+    except OSError as error:
+        raise MapError(f"can't read {file}: {error.strerror or error}") from error
+    except InputError as error:
+        raise MapError(str(error)) from None

@@ -1,0 +1,426 @@
+"""The Track: everything about a circuit that never changes while cars race on it."""
+
+import hashlib
+import json
+import logging
+import os
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import arctangent2
+from pcs_racing.base.errors import InputError, MapError, UnknownNameError
+from pcs_racing.track import frenet
+from pcs_racing.track.building.build import LINE_SPACING, build_arrays, check_centerline, check_grid, check_line
+from pcs_racing.track.building.clearance import wall_clearance
+from pcs_racing.track.building.splines import sample_closed
+from pcs_racing.track.cache import TRACK, cache_key, load_cached, store
+from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
+from pcs_racing.track.grid import distance_to_walls
+from pcs_racing.track.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
+
+__all__ = ["Calibration", "Track", "build_track", "calibration_from_values", "calibration_values", "load_track"]
+
+Floats = NDArray[np.float64]
+
+CLEARANCE = 0.305
+"""What a race line keeps from the walls, in m: half the width of a car (0.155) and 0.15 of air."""
+TOLERANCE = 0.02
+"""By how much a given race line may fall short of that, in m: about what a cell's corner adds."""
+
+_log = logging.getLogger("pcs_racing")
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How fast a circuit may be driven under a race preset, and where two cars may start
+    (`pcs_racing.race.calibration`).
+
+    Attributes
+    ----------
+    speed_range : tuple of two floats
+        Scales of the speed profile that stand for pace 0 and pace 1.
+    start_spacing : float
+        Distance between the cars across the track at the start, m.
+    start_places : dict
+        For each side that start places favour ("left" and "right", or "front") the stretches of such places: arc
+        lengths of the first and the last one, m, ascending.
+    left_share : float
+        Share of start lines that are drawn from the places that favour the left, so that neither side gains.
+    """
+
+    speed_range: tuple[float, float]
+    start_spacing: float
+    start_places: dict[str, tuple[tuple[float, float], ...]]
+    left_share: float = 0.5
+
+
+def calibration_values(calibration: Calibration) -> dict[str, Any]:
+    """A calibration as plain lists and numbers, for yaml and json."""
+    return {
+        "speed_range": list(calibration.speed_range),
+        "start_spacing": calibration.start_spacing,
+        "start_places": {
+            side: [list(stretch) for stretch in stretches] for side, stretches in calibration.start_places.items()
+        },
+        "left_share": calibration.left_share,
+    }
+
+
+def calibration_from_values(values: dict[str, Any]) -> Calibration:
+    """Undo `calibration_values`; the values have been checked."""
+    low, high = values["speed_range"]
+    places = {
+        side: tuple((float(first), float(last)) for first, last in stretches)
+        for side, stretches in values["start_places"].items()
+    }
+    return Calibration((float(low), float(high)), float(values["start_spacing"]), places, float(values["left_share"]))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Track:
+    """A circuit: race line, walls, distance field.
+
+    Immutable and shared: any number of races, environments and threads use one Track at the same time.
+
+    Attributes
+    ----------
+    name : str
+    arrays : TrackArrays
+        What compiled kernels see. Its arrays are technically writeable, so that all tracks have the same compiled type;
+        nobody writes to them.
+    centerline : ndarray, shape (M, 4)
+        x, y, width to the right, width to the left, in m; as given, read-only.
+    calibration : dict
+        For each race preset the calibration that the map's files hold; may be empty.
+    folder : Path or None
+        The map folder it came from.
+    content_hash : str
+        SHA-256 of the drivable region and the lines, in hexadecimal: equal for equal tracks, whatever files they came
+        from.
+    """
+
+    name: str
+    arrays: TrackArrays
+    centerline: Floats
+    calibration: dict[str, Calibration] = field(default_factory=dict)
+    folder: Path | None = None
+    content_hash: str = ""
+
+    def __repr__(self) -> str:
+        return f"Track({self.name!r}, {self.length:.1f} m, content_hash={self.content_hash[:12]!r})"
+
+    @property
+    def length(self) -> float:
+        """Length of the closed race line in m."""
+        return self.arrays.length
+
+    @property
+    def line(self) -> Floats:
+        """Samples of the race line, shape (N, 9), see `TrackArrays`; read-only."""
+        return _read_only(self.arrays.line)
+
+    def to_frenet(self, points: ArrayLike) -> Floats:
+        """Frenet coordinates (s, d) in m of points (x, y), shape (..., 2) both; see `frenet.locate`."""
+        return self._each(_to_frenet, points, 2)
+
+    def to_cartesian(self, sd: ArrayLike) -> Floats:
+        """Points and headings of the line (x, y, psi), shape (..., 3), of Frenet coordinates (s, d), shape (..., 2)."""
+        return self._each(_to_cartesian, sd, 3)
+
+    def wall_distance(self, points: ArrayLike) -> Floats:
+        """Distance in m to the nearest wall, shape (...,), of points (x, y), shape (..., 2); 0 off the track."""
+        return self._each(_wall_distance, points, 1)[..., 0]
+
+    def _each(self, function: Any, values: ArrayLike, columns: int) -> Floats:
+        pairs = np.ascontiguousarray(values, dtype=np.float64)
+        if pairs.shape[-1:] != (2,):
+            raise ValueError(f"pairs of coordinates of shape (..., 2) are needed, got shape {pairs.shape}")
+        out = np.empty((*pairs.shape[:-1], columns))
+        function(self.arrays, pairs.reshape(-1, 2), out.reshape(-1, columns))
+        return out
+
+    def summary(self) -> str:
+        """Describe the circuit in a few lines."""
+        line = self.arrays.line
+        width = line[:, RIGHT] + line[:, LEFT]
+        turn = "left" if line[-1, frenet.PSI] > line[0, frenet.PSI] else "right"
+        ranges = ", ".join(
+            f"{preset} {own.speed_range[0]:g}-{own.speed_range[1]:g}"
+            for preset, own in sorted(self.calibration.items())
+        )
+        return "\n".join(
+            [
+                f"{self.name}: {self.length:.1f} m, {turn}-hand",
+                f"  width {width.min():.2f}-{width.max():.2f} m (mean {width.mean():.2f}), "
+                f"{len(self.arrays.walls)} wall segments, cells of {self.arrays.cell:g} m",
+                f"  race line: tightest radius {1.0 / np.abs(line[:, KAPPA]).max():.2f} m, at least "
+                f"{self.wall_distance(line[:, :2]).min():.2f} m from the walls",
+                f"  lap at speed scale 1: {(self.arrays.ds / line[:, SPEED]).sum():.1f} s, {line[:, SPEED].min():.1f}-"
+                f"{line[:, SPEED].max():.1f} m/s",
+                f"  speed range: {ranges or 'calibrated when a race preset first asks for it'}",
+            ]
+        )
+
+
+def build_track(
+    name: str,
+    occupied: ArrayLike,
+    resolution: float,
+    origin: ArrayLike,
+    centerline: ArrayLike,
+    raceline_xy: ArrayLike,
+    *,
+    calibration: dict[str, Calibration] | None = None,
+    folder: Path | None = None,
+) -> Track:
+    """Build a track from values.
+
+    Parameters
+    ----------
+    name : str
+    occupied : array_like of bool, shape (H, W)
+        Occupancy grid, True where a wall is; row 0 is the bottom.
+    resolution : float
+        Side of a cell in m, in (0, 1].
+    origin : array_like, shape (2,)
+        Lower left corner of cell [0, 0] in m.
+    centerline : array_like, shape (M, 4)
+        x, y, width to the right, width to the left, in m.
+    raceline_xy : array_like, shape (K, 2)
+        Points of the closed race line in m, in driving order; it is the reference of all Frenet coordinates.
+    calibration : dict of Calibration, optional
+        For each race preset how fast the circuit may be driven and where cars start, where that is known.
+    folder : Path, optional
+        Where the map came from.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    MapError
+        If a value is impossible or the lines and the grid don't fit together.
+    """
+    what = f"track {name}"
+    grid, resolution, corner = check_grid(occupied, resolution, origin, what)
+    center = check_centerline(centerline, f"{what}: the centre line")
+    arrays, drivable = build_arrays(grid, resolution, corner, check_line(raceline_xy, f"{what}: the race line"), what)
+    _check_centre(arrays, center, f"{what}: the centre line")
+    for preset, own in (calibration or {}).items():
+        last = max(stretches[-1][1] for stretches in own.start_places.values())
+        if last >= arrays.length:
+            raise MapError(
+                f"{what}: the calibration of {preset} has a start place at {last:g} m, but the race line is "
+                f"{arrays.length:.2f} m long; calibrate it again"
+            )
+    digest = hashlib.sha256(np.packbits(drivable).tobytes())
+    for part in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
+        digest.update(part.tobytes())
+    return Track(name, arrays, _read_only(center), dict(calibration or {}), folder, digest.hexdigest())
+
+
+def load_track(name_or_path: str | os.PathLike[str]) -> Track:
+    """Load a track by the name of a shipped circuit or from a map folder.
+
+    Missing lines are made (this needs ``pip install "pcs-racing[mapping]"``), and so is the race line if the one in the
+    folder leaves a car less than 0.15 m of air to the walls; the logger ``pcs_racing`` then says so. That and the
+    processing of the walls take a second or so; the result is kept on disk (see `pcs_racing.track.cache`), and in
+    memory for as long as the process lives. A map whose files have changed is loaded anew.
+
+    Parameters
+    ----------
+    name_or_path : str or path-like
+        Name of a shipped circuit (case does not matter), a map folder, or a map's yaml file. See
+        `pcs_racing.track.maps` for what a folder holds.
+
+    Returns
+    -------
+    Track
+        The same object for the same map.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is neither a folder nor a shipped circuit of that name.
+    MapError
+        If the folder, or a file in it, can't be raced on.
+    """
+    files = find_map(_resolve(name_or_path))
+    with _lock:
+        kept = _loaded.get(files.yaml)
+        if kept is None or kept.files != files or kept.stamp != _stamp(kept.paths):
+            contents = read_bytes(files)
+            paths = tuple(files.folder / name for name in contents)
+            kept = _Loaded(files, paths, _stamp(paths), _load(files, contents))
+            _loaded[files.yaml] = kept
+        return kept.track
+
+
+class _Loaded(NamedTuple):
+    files: MapFiles
+    paths: tuple[Path, ...]
+    stamp: tuple[tuple[int, int], ...] | None
+    track: Track
+
+
+_lock = threading.Lock()
+_loaded: dict[Path, _Loaded] = {}
+
+
+def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
+    if not isinstance(name_or_path, str | os.PathLike):
+        raise InputError(f"track is {name_or_path!r:.80}; it must be the name of a circuit or the path of a map")
+    path = Path(name_or_path)
+    if isinstance(name_or_path, str) and path.name == name_or_path:
+        try:
+            return find_shipped(name_or_path)
+        except UnknownNameError:
+            if not os.path.exists(path):
+                raise
+    return path.resolve() if os.path.exists(path) else path
+
+
+def _stamp(paths: tuple[Path, ...]) -> tuple[tuple[int, int], ...] | None:
+    """What changes when a file does; None if one is gone."""
+    try:
+        return tuple((status.st_mtime_ns, status.st_size) for status in map(os.stat, paths))
+    except OSError:
+        return None
+
+
+def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
+    """Take a track from the cache on disk, or build it and put it there."""
+    key = cache_key(contents, TRACK)
+    found = load_cached(TRACK, key)
+    restored = None if found is None else _restore(files, found)
+    if restored is not None:
+        track, note = restored
+    else:
+        content = parse_map(files, contents)
+        center, race, note = _lines(files, content)
+        calibration = content.info.get("calibration", {})
+        try:
+            track = build_track(
+                content.name,
+                content.occupied,
+                content.resolution,
+                content.origin,
+                center,
+                race,
+                calibration={preset: calibration_from_values(values) for preset, values in calibration.items()},
+                folder=content.folder,
+            )
+        except MapError as error:
+            raise MapError(f"{files.yaml}: {error}") from error
+        store(TRACK, key, _flatten(track, note))
+    if note:
+        _log.warning("track %s: %s", track.name, note)
+    return track
+
+
+def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
+    """Centre line and race line of a map, made where they are missing or unfit; and a word on what was made."""
+    from pcs_racing.track.building.centerline import centerline_from_grid
+    from pcs_racing.track.building.raceline import minimum_curvature_raceline
+
+    occupied, resolution, origin = check_grid(content.occupied, content.resolution, content.origin, str(files.yaml))
+    center = race = None
+    reasons = []
+    if content.raceline is None:
+        reasons.append("it has no race line")
+    else:
+        race = check_line(content.raceline[:, 1:3], str(files.raceline))
+        points = sample_closed(race, LINE_SPACING).xy
+        air = float(wall_clearance(points, occupied, resolution, np.asarray(origin), 1.0).min())
+        if air == 0.0:
+            raise MapError(f"{files.raceline} leads through a wall or off the map: it must stay on the track")
+        if air < CLEARANCE - TOLERANCE:
+            reasons.append(f"its race line comes within {air:.2f} m of a wall ({CLEARANCE} m are needed)")
+    if content.centerline is None:
+        reasons.append("it has no centre line")
+    else:
+        center = check_centerline(content.centerline, str(files.centerline))
+    note = " and ".join(reasons)
+    try:
+        if center is None:
+            heading = None if race is None else float(arctangent2(*(race[1] - race[0])[::-1]))
+            seed = None if race is None else race[0]
+            center = centerline_from_grid(occupied, resolution, origin, seed_point=seed, direction=heading)
+        if race is None or air < CLEARANCE - TOLERANCE:
+            race = minimum_curvature_raceline(center, occupied, resolution, origin, clearance=CLEARANCE)
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(f"track {files.name} must be completed: {note}; {error}", name=error.name) from error
+    except MapError as error:
+        raise MapError(f"{files.yaml}: {error}") from error
+    return center, race, f"{note}; it was made from the picture" if note else ""
+
+
+def _flatten(track: Track, note: str) -> dict[str, Any]:
+    """Everything of a track as arrays; the distance field as the region it follows from."""
+    values = {name: np.asarray(value) for name, value in track.arrays._asdict().items() if name != "distance"}
+    own = {preset: calibration_values(calibration) for preset, calibration in track.calibration.items()}
+    return values | {
+        "drivable": np.packbits(track.arrays.distance > 0.0, axis=1),
+        "columns": np.asarray(track.arrays.distance.shape[1]),
+        "centerline": track.centerline,
+        "text": np.array(json.dumps([note, track.content_hash, own])),
+    }
+
+
+def _restore(files: MapFiles, found: dict[str, NDArray[Any]]) -> tuple[Track, str] | None:
+    """Undo `_flatten`; None if something is missing."""
+    try:
+        drivable = np.unpackbits(found["drivable"], axis=1, count=int(found["columns"])).view(np.bool_)
+        note, content_hash, own = json.loads(str(found["text"]))
+        center = _read_only(found["centerline"])
+        values: dict[str, Any] = {name: found[name] for name in TrackArrays._fields if name != "distance"}
+    except (KeyError, ValueError):
+        return None
+    for name, value in values.items():
+        if value.ndim == 0:
+            values[name] = float(value)
+    arrays = TrackArrays(distance=distance_to_walls(drivable, values["cell"]), **values)
+    calibration = {preset: calibration_from_values(values) for preset, values in own.items()}
+    return Track(files.name, arrays, center, calibration, files.folder, content_hash), note
+
+
+def _check_centre(arrays: TrackArrays, center: Floats, what: str) -> None:
+    """Raise an error unless the points of a centre line lie on the track."""
+    cols, rows = np.floor((center[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell).astype(np.int64).T
+    height, width = arrays.distance.shape
+    on = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
+    on[on] = arrays.distance[rows[on], cols[on]] > 0.0
+    if not on.all():
+        x, y = center[np.argmin(on), :2]
+        raise MapError(f"{what} leaves the track at ({x:.2f}, {y:.2f}): it must stay between the walls")
+
+
+def _read_only(values: Floats) -> Floats:
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
+@compiled
+def _to_frenet(track, points, out):  # type: ignore[no-untyped-def]
+    for k in range(points.shape[0]):
+        out[k, 0], out[k, 1] = frenet.locate(track, points[k, 0], points[k, 1])
+
+
+@compiled
+def _to_cartesian(track, sd, out):  # type: ignore[no-untyped-def]
+    for k in range(sd.shape[0]):
+        out[k, 0], out[k, 1], out[k, 2] = frenet.to_cartesian(track, sd[k, 0], sd[k, 1])
+
+
+@compiled
+def _wall_distance(track, points, out):  # type: ignore[no-untyped-def]
+    for k in range(points.shape[0]):
+        out[k, 0] = frenet.wall_distance(track, points[k, 0], points[k, 1])

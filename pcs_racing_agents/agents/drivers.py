@@ -1,0 +1,79 @@
+"""Drivers of the zoo: policies from outside the archive that make no moves, in one or several variants."""
+
+from pathlib import Path
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.registry import get_planner
+from pcs_racing_agents.agents.agent import Driver
+from pcs_racing_agents.agents.setting import Setting
+
+__all__ = ["planner_driver", "random_policy", "trained_driver"]
+
+
+def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0) -> Driver:
+    """Every policy that was evaluated while the archive was made: the paper's random agent.
+
+    Raises
+    ------
+    InputError
+        If the archive does not say which these were.
+    """
+    archive = setting.archive
+    explored = len(archive.explored_parameters)
+    if explored == 0:
+        raise InputError(f"archive {archive.name!r} holds no explored policies, so there is no {name!r} to race")
+    return Driver(name, tuple(archive.explored_policy(i) for i in range(explored)))
+
+
+def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:
+    """All variants of a planner, or its default policy where it has none.
+
+    Parameters
+    ----------
+    setting, seed
+        Not used: a planner of its own needs no archive.
+    name : str
+    planner : str, optional
+        Name of the planner; by default that of the driver.
+    """
+    family = get_planner(planner or name)
+    variants = tuple(family.variants) or ("default",)
+    return Driver(name, tuple(_variant(family.name, variant) for variant in variants))
+
+
+def trained_driver(
+    setting: Setting, *, name: str = "ppo-drive", seed: int = 0, network: str | Path | None = None
+) -> Driver:
+    """A network that steers, trained by ``pcs-racing ppo`` at the level of control.
+
+    Parameters
+    ----------
+    setting, seed
+        Not used: it drives without an archive, and by any rules.
+    name : str
+    network : str or Path, optional
+        Another one: the name of a shipped one or its folder.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of that name and no such folder.
+    InputError
+        If the folder holds no sound driver.
+    """
+    from pcs_racing_agents.networks.driver import NAME, driver_folder, load_driver, read_driver
+
+    planner = get_planner(NAME) if network is None else load_driver(network)
+    _, manifest = read_driver(driver_folder(NAME if network is None else network))
+    facts = {
+        "network": manifest["name"],
+        "trained on": ", ".join(f"{key} {value}" for key, value in manifest["training"].items()) or "not said",
+        "weights sha256": manifest["weights_sha256"],
+    }
+    return Driver(name, (planner.policy(name=name),), facts)
+
+
+def _variant(planner: str, variant: str) -> Policy:
+    called = planner if variant == "default" else f"{planner}:{variant}"
+    return get_planner(planner).policy(variant, name=called)

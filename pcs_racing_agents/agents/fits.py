@@ -1,0 +1,178 @@
+"""What was chosen on training races, as small files: a plan of moves, a policy to walk to, the weights of a mixture.
+
+:mod:`pcs_racing_agents.tournament.fitting` makes them; the agents that follow them read them from here.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.reading import MAX_YAML, parse_yaml, read_limited
+from pcs_racing_agents.agents.setting import Setting
+
+__all__ = ["Fit", "find_fit", "load_fit", "save_fit", "shipped_fits"]
+
+FORMAT = "pcs-racing fit"
+VERSION = 1
+_KEYS = ("format", "version", "kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training")
+KINDS = {"best-schedule": list, "best-fixed": int, "psro": dict}
+"""What kinds there are, and what a choice of each is: names of moves, the index of a policy, weights by agent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A choice that was made on training races, and where it is valid.
+
+    Attributes
+    ----------
+    kind : str
+        Name of the agent that it is for.
+    choice : list of str, int, or dict of str to float
+        Names of the moves; index of the policy; weights by name of the agent.
+    archive, archive_sha256 : str
+        The archive that it was chosen with.
+    race : str
+        Name of the race's rules.
+    epsilon : list of float
+        How far the moves went.
+    moves : int
+        Moves of a game.
+    training : Mapping
+        How it was chosen and what it reached: texts and numbers by name.
+    """
+
+    kind: str
+    choice: Any
+    archive: str
+    archive_sha256: str
+    race: str
+    epsilon: list[float]
+    moves: int
+    training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.kind, str) or self.kind not in KINDS:
+            raise UnknownNameError(f"fit of {self.kind!r} is unknown; there are fits of {', '.join(KINDS)}")
+        if not isinstance(self.choice, KINDS[self.kind]) or isinstance(self.choice, bool):
+            raise InputError(f"the choice of {self.kind} is {self.choice!r}; it must be {_wanted(self.kind)}")
+        for key in ("archive", "archive_sha256", "race"):
+            if not isinstance(getattr(self, key), str):
+                raise InputError(f"{key} is {getattr(self, key)!r}; it must be a text")
+        if not isinstance(self.epsilon, list) or not all(isinstance(step, float) for step in self.epsilon):
+            raise InputError(f"epsilon is {self.epsilon!r}; it must be a list of numbers")
+        if not isinstance(self.training, Mapping):
+            raise InputError(f"training is {self.training!r}; it must be a mapping")
+
+    def check_fits(self, setting: Setting) -> None:
+        """Check that a choice is valid for a game.
+
+        Raises
+        ------
+        InputError
+            If it was made with another archive, other moves, or another number of them.
+        """
+        pairs = {
+            "archive": (self.archive_sha256, setting.archive.content_hash),
+            "epsilon": (list(self.epsilon), _epsilon(setting)),
+            "number of moves": (self.moves, setting.config.moves),
+        }
+        for what, (own, wanted) in pairs.items():
+            if own != wanted:
+                shown = [str(value)[:12] if what == "archive" else str(value) for value in (own, wanted)]
+                raise InputError(f"the fit of {self.kind} was made for {what} {shown[0]}; the game has {shown[1]}")
+
+
+def make_fit(kind: str, choice: Any, setting: Setting, training: Mapping[str, Any]) -> Fit:
+    """Return a choice for a setting."""
+    archive = setting.archive
+    return Fit(
+        kind,
+        choice,
+        archive.name,
+        archive.content_hash,
+        setting.race,
+        _epsilon(setting),
+        setting.config.moves,
+        dict(training),
+    )
+
+
+def save_fit(fit: Fit, path: str | Path) -> Path:
+    """Write a fit as YAML; the file appears whole or not at all."""
+    values = {"format": FORMAT, "version": VERSION, **{key: getattr(fit, key) for key in _KEYS[2:]}}
+    values["training"] = dict(fit.training)
+    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110)
+    write_atomically(Path(path), lambda file: file.write(text.encode("utf-8")))
+    return Path(path)
+
+
+def load_fit(path: str | Path) -> Fit:
+    """Read a fit.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no fit, or damaged.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"fit {path!r} must be the path of a file")
+    try:
+        content = read_limited(path, MAX_YAML, "a fit")
+    except OSError as error:
+        raise InputError(f"can't read {path}: {error.strerror}; a fit is a file that save_fit wrote") from None
+    values = parse_yaml(path, content)
+    if not isinstance(values, dict) or values.get("format") != FORMAT or values.get("version") != VERSION:
+        raise InputError(f"{path} is no fit: format must be {FORMAT!r} and version {VERSION}")
+    if set(values) != set(_KEYS):
+        odd = ", ".join(sorted(map(str, set(values) ^ set(_KEYS))))
+        raise InputError(f"{path}: unknown or missing {odd}; a fit holds {', '.join(_KEYS)}")
+    try:
+        return Fit(**{key: values[key] for key in _KEYS[2:]})
+    except InputError as error:
+        raise type(error)(f"{path}: {error}") from None
+
+
+def shipped_fits() -> Path:
+    """Folder of the fits that come with the package; a file is called ``ARCHIVE-RACE-KIND.yaml``."""
+    return Path(__file__).resolve().parent / "fits"
+
+
+def find_fit(kind: str, setting: Setting, source: "str | Path | Fit | None" = None) -> Fit:
+    """Return a fit for a setting: a given one, one from a file, or the one that is shipped.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none.
+    InputError
+        If it is of another kind or was made for another game.
+    """
+    if source is None:
+        source = shipped_fits() / f"{setting.archive.name}-{setting.race}-{kind}.yaml"
+        if not source.is_file():
+            known = ", ".join(sorted(path.stem for path in shipped_fits().glob("*.yaml"))) or "none"
+            raise UnknownNameError(
+                f"agent {kind!r} is chosen on training races, and none is shipped for archive "
+                f"{setting.archive.name!r} and rules {setting.race!r} (there are: {known}); choose one with "
+                "pcs_racing_agents.tournament.fitting and give it as fit=FILE"
+            )
+    fit = source if isinstance(source, Fit) else load_fit(source)
+    if fit.kind != kind:
+        raise InputError(f"the fit is one of {fit.kind!r}; agent {kind!r} needs its own")
+    fit.check_fits(setting)
+    return fit
+
+
+def _epsilon(setting: Setting) -> list[float]:
+    epsilon = setting.config.epsilon
+    return list(epsilon) if isinstance(epsilon, tuple) else [epsilon]
+
+
+def _wanted(kind: str) -> str:
+    return {"best-schedule": "a list of moves", "best-fixed": "the index of a policy"}.get(kind, "weights by agent")

@@ -1,0 +1,65 @@
+"""A policy trained with Stable-Baselines3 as a network of our own: no torch at the race, the same bits in any batch."""
+
+from typing import Any
+
+import numpy as np
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.networks.network import GameIdentity, RegretNetwork
+
+__all__ = ["network_from_sb3"]
+
+
+def network_from_sb3(
+    model: Any, identity: GameIdentity, name: str = "ppo", training: "dict[str, Any] | None" = None
+) -> RegretNetwork:
+    """Return the network that chooses the moves of a model: its outputs are the logits of the moves.
+
+    Parameters
+    ----------
+    model : stable_baselines3 model
+        With an ``MlpPolicy`` over the plain observation and ReLUs between the layers
+        (``policy_kwargs={"activation_fn": torch.nn.ReLU}``), whose actions are the moves of the game.
+    identity : GameIdentity
+        The game that it was trained on (:func:`pcs_racing_agents.networks.game_identity`).
+    name : str
+    training : dict of str to text or number, optional
+        How it was trained, for reports.
+
+    Raises
+    ------
+    InputError
+        If the model is built otherwise.
+    """
+    policy = getattr(model, "policy", None)
+    try:
+        hidden, last = list(policy.mlp_extractor.policy_net), policy.action_net  # type: ignore[union-attr]
+    except AttributeError:
+        kind = type(model).__name__
+        raise InputError(f"{kind} has no actor of fully connected layers; train with MlpPolicy") from None
+    layers = []
+    for i, module in enumerate(hidden):
+        kind = type(module).__name__
+        if kind != ("Linear", "ReLU")[i % 2]:
+            raise InputError(
+                f"layer {i} of the actor is {kind}; train with policy_kwargs={{'activation_fn': torch.nn.ReLU}} "
+                "to race without torch"
+            )
+        layers += [module] if i % 2 == 0 else []
+    extractor = type(policy.features_extractor).__name__  # type: ignore[union-attr]
+    if extractor != "FlattenExtractor" or type(last).__name__ != "Linear":
+        raise InputError(f"the model reads observations by {extractor}; only plain observations can be taken over")
+    tensors = [(layer.weight, layer.bias) for layer in (*layers, last)]
+    arrays = [[tensor.detach().cpu().numpy().astype(np.float32) for tensor in pair] for pair in tensors]
+    size = len(identity.elements)
+    return RegretNetwork(
+        name=name,
+        identity=identity,
+        target="ppo",
+        clipped=False,
+        weights=tuple(weight for weight, _ in arrays),
+        biases=tuple(bias for _, bias in arrays),
+        mean=np.zeros(size, np.float32),
+        scale=np.ones(size, np.float32),
+        training=training or {},
+    )

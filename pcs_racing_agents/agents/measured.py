@@ -1,0 +1,128 @@
+"""How strong the agents are and what a decision costs: what ``benchmarks/zoo.py`` measured, by agent and by its hash.
+
+The table is a file of the package, ``measured.csv``. A line holds for the very agent that it was measured with: its
+hash is that of all that decides what the agent does (:func:`pcs_racing_agents.agents.agent.competitor_hash`).
+"""
+
+import csv
+import io
+from collections.abc import Iterable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+
+__all__ = ["SETTINGS", "Measured", "measured", "measurements", "write_measurements"]
+
+SETTINGS = (("default", "paper"), ("contest", "contest"))
+"""Archive and rules of the games in which agents are measured: those that networks and choices are shipped for."""
+
+AGAINST = "against "
+_TEXTS = ("archive", "race", "agent", "sha256", "tracks")
+_NUMBERS = ("races", "score", "rating", "rating_low", "rating_high", "own_crash", "one_us", "many_us")
+
+
+class Measured(NamedTuple):
+    """What was measured of an agent.
+
+    Attributes
+    ----------
+    archive, race, agent : str
+        In which game, and its name.
+    sha256 : str
+        The agent's hash.
+    tracks : str
+        Circuits, separated by ``", "``.
+    races : float
+        Races that it drove.
+    score : float
+        Races won, a tie counting half, mean over the opponents.
+    rating, rating_low, rating_high : float
+        Bradley-Terry rating among all that were measured, and its 95 % interval; NaN where the races do not tell.
+    own_crash : float
+        Share of its races that ended in a crash that it is to blame for.
+    one_us, many_us : float
+        Microseconds of a decision for a single observation, and for each of 1,000 at once; of a driver, which decides
+        by planning ten times a second, those of a plan with 0.1 s of simulation. NaN where it was not measured.
+    against : dict of str to float
+        Score against each of the opponents, by name.
+    """
+
+    archive: str
+    race: str
+    agent: str
+    sha256: str
+    tracks: str
+    races: float
+    score: float
+    rating: float
+    rating_low: float
+    rating_high: float
+    own_crash: float
+    one_us: float
+    many_us: float
+    against: dict[str, float]
+
+
+def measured(archive: str, race: str, agent: str, sha256: str) -> Measured | None:
+    """Return what was measured of an agent as it is; None where it was not, or has changed since."""
+    found = measurements().get((archive, race, agent))
+    return found if found is not None and found.sha256 == sha256 else None
+
+
+@lru_cache(maxsize=1)
+def measurements() -> dict[tuple[str, str, str], Measured]:
+    """Return everything that was measured, by archive, race and agent.
+
+    Raises
+    ------
+    InputError
+        If the file of the package is damaged.
+    """
+    path = _file()
+    if not path.is_file():
+        return {}
+    found = {}
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                values: dict[str, Any] = {name: row[name] for name in _TEXTS}
+                values.update({name: float(row[name]) if row[name] else np.nan for name in _NUMBERS})
+                scores = {
+                    name.removeprefix(AGAINST): float(value)
+                    for name, value in row.items()
+                    if name.startswith(AGAINST) and value
+                }
+                one = Measured(**values, against=scores)
+                found[one.archive, one.race, one.agent] = one
+    except (KeyError, ValueError, TypeError) as error:
+        raise InputError(f"{path} is damaged ({error}); python benchmarks/zoo.py --write makes it again") from None
+    return found
+
+
+def write_measurements(rows: Iterable[Measured]) -> Path:
+    """Write the table; measurements of other games or agents are not kept."""
+    lines = list(rows)
+    opponents = list(dict.fromkeys(name for one in lines for name in one.against))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow((*_TEXTS, *_NUMBERS, *(f"{AGAINST}{name}" for name in opponents)))
+    for one in lines:
+        numbers = [_number(getattr(one, name)) for name in _NUMBERS]
+        scores = [_number(one.against.get(name, np.nan)) for name in opponents]
+        writer.writerow((*(getattr(one, name) for name in _TEXTS), *numbers, *scores))
+    write_atomically(_file(), lambda file: file.write(text.getvalue().encode("utf-8")))
+    measurements.cache_clear()
+    return _file()
+
+
+def _file() -> Path:
+    return Path(__file__).resolve().parent / "measured.csv"
+
+
+def _number(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"

@@ -1,0 +1,96 @@
+"""A mixture: one of several agents is drawn for each game, as a meta-strategy or a restricted response does.
+
+By Kuhn's theorem a draw before the game can be replaced by draws on the way: in each situation every member counts as
+much as it is likely to have come there. That makes a mixture an ordinary strategy: a function of what is seen, whose
+exploitability can be measured like that of any other.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.observing import Observations, earlier, moves_made, own
+from pcs_racing_agents.agents.setting import Setting
+
+__all__ = ["Mixture", "make_mixture"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """Draws one of its members for each game.
+
+    Attributes
+    ----------
+    members : tuple of Agent
+    weights : ndarray, shape (C,)
+        How often each is drawn; they add up to 1.
+    setting : Setting
+        Of all members.
+    """
+
+    members: tuple[Agent, ...]
+    weights: Floats
+    setting: Setting
+
+    def __call__(self, observation: Observations) -> Floats:
+        """Chances of the moves, shape (B, M)."""
+        now = moves_made(observation, self._axes)
+        chances = np.zeros((len(observation), len(self.setting.moves)))
+        for step in np.unique(now):
+            rows = np.flatnonzero(now == step)
+            chances[rows] = self._at(observation[rows], int(step))
+        return chances
+
+    @property
+    def _axes(self) -> int:
+        return len(self.setting.archive.characteristics)
+
+    def _at(self, seen: Observations, step: int) -> Floats:
+        """Chances in situations of one step."""
+        archive, axes = self.setting.archive, self._axes
+        likely = np.tile(self.weights, (len(seen), 1))
+        for k in range(step):
+            before = earlier(seen, axes, k)
+            here, there = (archive.nearest(own(seen, axes, at)) for at in (k, k + 1))
+            made = self.setting.table[here] == there[:, None]  # moves that it may have been, shape (B, M)
+            for c, member in enumerate(self.members):
+                likely[:, c] *= (member.probabilities(before) * made).sum(axis=1)
+        total = likely.sum(axis=1, keepdims=True)
+        # A situation that no member would have come to: as if the game began here.
+        likely = np.where(total > 0.0, likely / np.where(total > 0.0, total, 1.0), self.weights)
+        now = np.stack([member.probabilities(seen) for member in self.members], axis=1)
+        return (likely[:, :, None] * now).sum(axis=1)
+
+
+def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
+    """Return a mixture of agents of one setting; members of weight 0 are left out.
+
+    Raises
+    ------
+    InputError
+        If there is no member, the weights do not fit, or the members are made for different games.
+    """
+    shares = np.asarray(weights, np.float64)
+    if len(members) == 0 or shares.shape != (len(members),):
+        raise InputError(
+            f"there are {len(members)} members and weights of shape {shares.shape}; give one weight for each"
+        )
+    if not np.isfinite(shares).all() or (shares < 0.0).any() or not shares.any():
+        raise InputError(f"weights are {shares.tolist()}; they must be finite, 0 or above, and not all 0")
+    for member in members:
+        if not isinstance(member, Agent):
+            raise InputError(f"{member!r} can't be a member of a mixture; only agents can")
+        first = members[0].setting
+        if (member.setting.archive.content_hash, member.setting.config) != (first.archive.content_hash, first.config):
+            raise InputError(
+                f"members {members[0].name!r} and {member.name!r} are made for different archives or rules; a mixture "
+                "needs one"
+            )
+    kept = np.flatnonzero(shares > 0.0)
+    return Mixture(tuple(members[int(i)] for i in kept), shares[kept] / shares.sum(), members[0].setting)

@@ -1,0 +1,52 @@
+"""Reading observations: which step it is, where the own policy lies, and what was to be seen earlier.
+
+An observation holds a block of numbers for every step, and then the share of the moves that have been made. A block is
+the own coordinates, the opponent's, the lead, and whether the step is over
+(:func:`pcs_racing.game.game.observation_table`). All functions take observations of shape (B, D) and the number G of
+the game's axes.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Observations", "earlier", "moves_made", "opponent", "own", "step_count"]
+
+Observations = NDArray[np.float32]
+
+
+def step_count(observation: Observations, axes: int) -> int:
+    """Number of steps that an observation has room for: one more than there are moves."""
+    return (observation.shape[-1] - 1) // (2 * axes + 2)
+
+
+def _blocks(observation: Observations, axes: int) -> Observations:
+    return observation[:, :-1].reshape(len(observation), step_count(observation, axes), 2 * axes + 2)
+
+
+def moves_made(observation: Observations, axes: int) -> NDArray[np.int64]:
+    """Moves made so far, shape (B,)."""
+    return (_blocks(observation, axes)[..., -1] > 0.5).sum(axis=1) - 1
+
+
+def own(observation: Observations, axes: int, step: int | None = None) -> Observations:
+    """Own normalised coordinates in a step, by default in the one that is just over, shape (B, G)."""
+    return _part(observation, axes, step, 0)
+
+
+def opponent(observation: Observations, axes: int, step: int | None = None) -> Observations:
+    """Opponent's coordinates as measured in a step, by default in the one that is just over, shape (B, G)."""
+    return _part(observation, axes, step, axes)
+
+
+def _part(observation: Observations, axes: int, step: int | None, first: int) -> Observations:
+    at = moves_made(observation, axes) if step is None else np.full(len(observation), step)
+    return _blocks(observation, axes)[np.arange(len(observation)), at, first : first + axes]
+
+
+def earlier(observation: Observations, axes: int, moves: int) -> Observations:
+    """Return what was to be seen when so many moves had been made, shape (B, D)."""
+    steps = step_count(observation, axes)
+    before = observation.copy()
+    before[:, (moves + 1) * (2 * axes + 2) : -1] = 0.0
+    before[:, -1] = np.float32(moves / (steps - 1))
+    return before

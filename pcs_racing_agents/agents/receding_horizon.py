@@ -1,0 +1,273 @@
+"""Receding horizon: at every decision look a few steps ahead from where the cars are, and solve that small game.
+
+The paper solves the whole game beforehand, and names that as the reason for few decisions: with more of them the tree
+becomes too deep. A search from the present state needs no tree of the whole game. It sees where both cars are and how
+fast, but not what the opponent is made of (:mod:`pcs_racing_agents.agents.lookahead`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.game import LEAD_SCALE, RaceGame, take_games
+from pcs_racing.game.state import GameState
+from pcs_racing_agents.agents.agents import NetworkSource
+from pcs_racing_agents.agents.drawing import draw, hash_rows
+from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, root_games, search_game
+from pcs_racing_agents.agents.network import fitting_network
+from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.jobs.chunk_files import fingerprint
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.solvers import solve_matrix_games
+
+__all__ = ["DECISIONS", "LEAVES", "OPPONENTS", "RecedingHorizon", "receding_horizon"]
+
+Indices = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+LEAVES = {
+    "rollout": "how the race ends if both cars keep their policies from there on",
+    "now": "the lead at that moment",
+    "network": "what a network of utilities (target static-q) says, halfway between the two players' views",
+}
+"""How the ends of a search are valued; where the race is over, by the rules."""
+
+OPPONENTS = {
+    "static": "keeps the policy that it seems to drive: the search is for the best reply",
+    "equilibrium": "has the same moves and looks as far ahead: the search is for an equilibrium",
+}
+"""What a search expects of the opponent."""
+
+DECISIONS = {
+    "argmax": "the most probable move",
+    "sample": "drawn, by a hash of what was seen and the agent's seed",
+}
+"""Which move of an equilibrium strategy is made; of a best reply it is the best one."""
+
+NETWORK_TARGET = "static-q"
+NOISES = 4  # courses of the noise to imagine, where there is noise
+MAX_LEAVES = 100_000
+LEAD_BONUS = 0.01  # per LEAD_SCALE of lead, up to 5 of them, where only winning counts
+STATES = 20_000  # of games held in memory at a time, about 3 kB each
+
+
+@dataclass(frozen=True, eq=False)
+class RecedingHorizon:
+    """Looks ahead at every decision; a :class:`pcs_racing_agents.agents.Decider`.
+
+    Attributes
+    ----------
+    name : str
+        What tables call it.
+    setting : Setting
+        The archive and the rules that it is made for.
+    seed : int
+        What it imagines noise and draws moves with, from 0 to 2**63 - 1.
+    depth : int
+        Steps of the game to look ahead, at least 1; near the end of the game there are fewer.
+    leaf : str
+        One of :data:`LEAVES`.
+    opponent : str
+        One of :data:`OPPONENTS`.
+    decision : str
+        One of :data:`DECISIONS`.
+    noises : int
+        Courses of the steering noise to average over.
+    network : RegretNetwork, optional
+        For the leaf "network".
+
+    Raises
+    ------
+    InputError
+        If a value is impossible, or the search would be too large.
+    """
+
+    name: str
+    setting: Setting
+    seed: int = 0
+    depth: int = 1
+    leaf: str = "rollout"
+    opponent: str = "static"
+    decision: str = "argmax"
+    noises: int = 1
+    network: RegretNetwork | None = None
+
+    def __post_init__(self) -> None:
+        who = f"agent {self.name!r}"
+        for key, least, below in (("seed", 0, 2**63), ("depth", 1, 2**31), ("noises", 1, 10_000)):
+            value = getattr(self, key)
+            if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value < below:
+                raise InputError(f"the {key} of {who} is {value!r}; it must be a whole number from {least}")
+        for key, known in (("leaf", LEAVES), ("opponent", OPPONENTS), ("decision", DECISIONS)):
+            if not isinstance(getattr(self, key), str) or getattr(self, key) not in known:
+                raise InputError(f"the {key} of {who} is {getattr(self, key)!r}; it must be one of {', '.join(known)}")
+        if (self.network is None) is (self.leaf == "network"):
+            raise InputError(f"{who} has leaf {self.leaf!r} and network {self.network!r}; it takes one for 'network'")
+        if self.network is not None and self.network.target != NETWORK_TARGET:
+            raise InputError(
+                f"network {self.network.name!r} of {who} has target {self.network.target!r}, which does not say what a "
+                f"situation is worth; it must be {NETWORK_TARGET!r}"
+            )
+        count = len(self.setting.moves)
+        pairs = count if self.opponent == "static" else count * count
+        leaves = self.noises * pairs ** min(self.depth, self.setting.config.moves)
+        if leaves > MAX_LEAVES:
+            raise InputError(
+                f"{who} would look at {leaves:.3g} ends for a decision, more than {MAX_LEAVES}; make its depth "
+                f"{self.depth} or its noises {self.noises} smaller"
+            )
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 of all that decides what it does, but not of its name."""
+        options = (self.seed, self.depth, self.leaf, self.opponent, self.decision, self.noises)
+        network = self.network and (self.network.weights, self.network.biases, self.network.mean, self.network.scale)
+        return fingerprint("receding horizon", options, network, self.setting.archive.content_hash, self.setting.config)
+
+    def decide(self, game: RaceGame, state: GameState, car: int) -> Indices:
+        """Return the moves of one car in a batch of B games, shape (B,).
+
+        Every game is decided by itself, whatever else is in the batch. In games that are over the move means nothing.
+
+        Raises
+        ------
+        InputError
+            If the game is played with another archive or other rules, or a car that is to move is driven from outside
+            the archive.
+        """
+        games, seen = self.root_games(game, state, car)
+        if games.shape[2] == 1 or len(games) == 0:
+            return _highest(games[:, :, 0], bool(game.config.stay))
+        chances = solve_matrix_games(games).rows
+        return (
+            draw(chances, seen, self.seed) if self.decision == "sample" else _highest(chances, bool(game.config.stay))
+        )
+
+    def root_games(self, game: RaceGame, state: GameState, car: int) -> tuple[Floats, NDArray[np.float32]]:
+        """Return what the search finds: the matrix games that are left to be played at once.
+
+        Returns
+        -------
+        games : ndarray, shape (B, A, C)
+            What each pair of own move and opponent's move is worth to the car; C = 1 against a static opponent. 0 in
+            games that are over.
+        seen : ndarray, shape (B, D), float32
+            What the car observed.
+        """
+        self.setting.check_fits(game, self.name)
+        outside = np.flatnonzero(state.policy[:, car] < 0)
+        if len(outside):
+            raise InputError(
+                f"agent {self.name!r} is to move car {car} of game {outside[0]}, which is driven from outside the "
+                "archive; it moves between policies of the archive"
+            )
+        search = search_game(game)
+        own = np.arange(len(game.move_names))
+        stay = np.array([len(search.move_names) - 1])
+        moves = (own, own if self.opponent == "equilibrium" else stay)
+        found = np.zeros((state.games, len(own), len(moves[1])))
+        seen = game.observation(state)[:, car]
+        left = np.where(game.done(state), 0, game.config.moves - state.step)
+        for more in np.unique(left[left > 0]):
+            depth = min(self.depth, int(more))
+            batch = max(1, STATES // (self.noises * (len(own) * len(moves[1])) ** depth))
+            rows = np.flatnonzero(left == more)
+            for first in range(0, len(rows), batch):
+                part = rows[first : first + batch]
+                guess = self._guess(game, search, take_games(state, part), car, seen[part])
+                leaf = "rollout" if depth == more else self.leaf  # nothing but the end is left to be valued
+                payoffs = look_ahead(search, guess, car, moves, depth, leaf, self._value)
+                # The courses of the noise share their information sets: who knew which one comes would know the future.
+                payoffs = payoffs.reshape(len(part), self.noises, *payoffs.shape[1:]).mean(axis=1)
+                found[part] = root_games(payoffs, (len(own), len(moves[1])), depth)
+        return found, seen
+
+    def _guess(
+        self, game: RaceGame, search: RaceGame, state: GameState, car: int, seen: NDArray[np.float32]
+    ) -> GameState:
+        """Each game with each course of the noise, which is the same for all moves and follows from what was seen."""
+        rows = np.repeat(np.arange(state.games), self.noises)
+        number = np.tile(np.arange(self.noises, dtype=np.float32), state.games)
+        seeds = hash_rows(np.column_stack([seen[rows], number]), self.seed)
+        return guess_games(game, search, take_games(state, rows), car, seeds)
+
+    def _value(self, search: RaceGame, state: GameState, car: int) -> Floats:
+        """What the ends of a search are worth to a car, shape (N,)."""
+        done = search.done(state)
+        worth = search.worth(state.race, state.step)
+        lead = state.race.lead / LEAD_SCALE
+        if search.config.utility == "win":
+            # The opponent is a guess: of two races won or lost alike, the one with more lead is won more surely.
+            worth = worth + np.where(state.race.crashed, 0.0, LEAD_BONUS * np.clip(lead, -5.0, 5.0))
+        if not done.all():
+            if self.network is not None:
+                best = self.network.unclipped(search.observation(state)).max(axis=2).astype(np.float64)
+                # Both views promise too much, since the network lets the other one play blindly.
+                going = 0.5 * (best[:, 0] - best[:, 1])
+            elif search.config.utility == "win":
+                going = np.clip(lead, -1.0, 1.0)
+            else:
+                going = state.race.lead
+            worth = np.where(done, worth, going)
+        return worth if car == 0 else -worth
+
+
+def _highest(values: Floats, stay: bool) -> Indices:
+    """Column of the highest value of each row: of equal ones "stay", the last, where it is a move, else the first."""
+    highest = values.max(axis=1, keepdims=True)
+    close = values >= highest - 1e-9 * np.maximum(np.abs(highest), 1.0)
+    return np.where(close[:, -1] & stay, values.shape[1] - 1, close.argmax(axis=1))
+
+
+def receding_horizon(
+    setting: Setting,
+    *,
+    name: str = "receding-horizon",
+    seed: int = 0,
+    depth: int = 1,
+    leaf: str = "rollout",
+    opponent: str = "static",
+    decision: str = "argmax",
+    noises: int | None = None,
+    network: NetworkSource = None,
+) -> RecedingHorizon:
+    """Look a few steps ahead with the simulator at every decision.
+
+    Parameters
+    ----------
+    setting : Setting
+    name : str
+    seed : int
+    depth : int
+        Steps of the game to look ahead.
+    leaf : str
+        How the ends of the search are valued: ``rollout`` (both cars keep their policies to the end of the race),
+        ``now`` (the lead at that moment), or ``network``.
+    opponent : str
+        What is expected of the opponent: ``static`` (it keeps the policy that it seems to drive), or ``equilibrium``
+        (it searches as well).
+    decision : str
+        Which move of an equilibrium strategy to make: ``argmax`` or ``sample``.
+    noises : int, optional
+        Courses of the steering noise to average over; by default 4, or 1 where the rules have no noise.
+    network : RegretNetwork, str or path, optional
+        For the leaf ``network``, of target ``static-q``: the name of a shipped one or its folder; by default the one
+        that is shipped for the game.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such network.
+    InputError
+        If a value is impossible, the search would be too large, or the network belongs to another game.
+    """
+    found = None
+    if leaf == "network":
+        found = fitting_network(network, setting, NETWORK_TARGET, name)
+    elif network is not None:
+        raise InputError(f"agent {name!r} got a network, but its leaf is {leaf!r}; only leaf 'network' asks one")
+    if noises is None:
+        noises = NOISES if setting.config.race.steering_noise > 0.0 else 1
+    return RecedingHorizon(name, setting, seed, depth, leaf, opponent, decision, noises, found)

@@ -1,0 +1,119 @@
+"""What an agent is made for: an archive, and the rules of the game that is played with it."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive, load_archive
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.game import RaceGame, observation_elements
+from pcs_racing.race.config import RaceConfig
+
+__all__ = ["STAY", "Setting", "make_setting"]
+
+STAY = "stay"
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """An archive and the rules of a game; no circuit.
+
+    Attributes
+    ----------
+    archive : PolicyArchive
+        Seen along the game's axes.
+    config : GameConfig
+        With the move "stay", so that never switching is a move for everybody.
+    offered : int
+        How many of the moves, from the first on, the rules offer by themselves: all, or all but "stay".
+    """
+
+    archive: PolicyArchive
+    config: GameConfig
+    offered: int
+
+    @cached_property
+    def moves(self) -> tuple[str, ...]:
+        """Names of the M moves; the last one is "stay"."""
+        return self.archive.move_names(self.config.epsilon, True)
+
+    @cached_property
+    def table(self) -> NDArray[np.int64]:
+        """Where every move leads from every policy, shape (K, M)."""
+        return self.archive.move_table(self.config.epsilon, True)
+
+    @cached_property
+    def elements(self) -> tuple[str, ...]:
+        """Names of the D numbers of an observation."""
+        axes = get_characteristics(self.archive.characteristics)
+        return tuple(element.name for element in observation_elements(axes, self.config.moves))
+
+    @property
+    def race(self) -> str:
+        """Name of the race's rules."""
+        return self.config.race.name
+
+    def move(self, name: str) -> int:
+        """Index of a move by its name, written with or without spaces.
+
+        Raises
+        ------
+        InputError
+            If there is no such move.
+        """
+        wanted = "".join(str(name).split())
+        for i, move in enumerate(self.moves):
+            if "".join(move.split()) == wanted:
+                return i
+        raise InputError(f"{name!r} is no move; the moves are {', '.join(self.moves)}")
+
+    def check_fits(self, game: RaceGame, who: str) -> None:
+        """Check that a game is played with this archive, the same moves and the same observations.
+
+        Raises
+        ------
+        InputError
+            If it is not; the message says what differs.
+        """
+        if game.archive.content_hash != self.archive.content_hash:
+            raise InputError(
+                f"agent {who!r} is made for archive {self.archive.name!r} ({self.archive.content_hash[:12]}), but the "
+                f"game is played with {game.archive.name!r} ({game.archive.content_hash[:12]}); make it for that one"
+            )
+        for what in ("epsilon", "moves"):
+            own, found = getattr(self.config, what), getattr(game.config, what)
+            if own != found:
+                raise InputError(
+                    f"agent {who!r} is made for games with {what} {own}, but this game has {what} {found}; make it for "
+                    "these rules"
+                )
+
+
+def make_setting(
+    archive: PolicyArchive | str | Path = "default", race: GameConfig | RaceConfig | str | Path = "paper"
+) -> Setting:
+    """Return the setting of a game from names.
+
+    Parameters
+    ----------
+    archive : PolicyArchive, str or path
+        The archive, its name or its folder.
+    race : GameConfig, RaceConfig, str or path
+        As for :func:`pcs_racing.make_game`.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value impossible.
+    """
+    config = load_game_config(race)
+    policies = load_archive(archive)
+    if config.characteristics is not None and config.characteristics != policies.characteristics:
+        policies = policies.project(config.characteristics)
+    count = len(policies.move_names(config.epsilon, bool(config.stay)))
+    return Setting(policies, replace(config, stay=True), count)

@@ -1,0 +1,48 @@
+"""``pcs-racing agents``: agents and drivers, what they do, what they learned from, how strong they are."""
+
+import argparse
+
+from pcs_racing.base.errors import UnknownNameError
+from pcs_racing_agents.cli.options import Commands, add_command, add_preset
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "agents",
+        "list agents and drivers, or tell all about one: options, training, strength, cost, hash",
+        "pcs-racing agents",
+        "pcs-racing agents best-fixed",
+        "pcs-racing agents response --archive contest --preset contest",
+    )
+    parser.add_argument("agent", nargs="?", help="only this one, with its options")
+    parser.add_argument("--archive", default="default", help="archive that agents move in (default: default)")
+    add_preset(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Print one agent, or a line for each."""
+    from pcs_racing_agents.agents.describe import describe, facts_of
+    from pcs_racing_agents.agents.setting import make_setting
+    from pcs_racing_agents.agents.zoo import entries, names
+
+    setting = make_setting(arguments.archive, arguments.preset)
+    known, listed = entries(), names(setting.archive, setting.config)
+    if arguments.agent is None:
+        width = max(map(len, listed))
+        for name in listed:
+            told = known[name].summary if name in known else "makes the same move again and again"
+            print(f"{name.ljust(width)}  {told}")
+        return
+    if arguments.agent not in listed:
+        raise UnknownNameError(f"agent {arguments.agent!r} is unknown; there are: {', '.join(listed)}")
+    if arguments.agent in known:
+        print(describe(arguments.agent, known[arguments.agent]).replace("`", "").replace("### ", ""))
+    else:
+        print(f"{arguments.agent}\n\nMakes the same move again and again.\n")
+    print(f"\nWith archive {setting.archive.name} in the {setting.race} race:")
+    print("\n".join(f"- {line}" for line in facts_of(arguments.agent, setting)))

@@ -1,0 +1,198 @@
+"""How long a long command will take, told before it begins: how much it has to do, times rates that were measured.
+
+    python benchmarks/command_rates.py
+
+measures every rate below and prints them in this order. They are processor seconds, on two cores of an AMD EPYC that
+other work shared; where nothing else runs it goes faster (races in 0.6 of the time, ``benchmarks/race_speed.py`` in
+README.md). Compilation is not counted.
+"""
+
+import argparse
+import sys
+
+from pcs_racing.game.config import GameConfig
+from pcs_racing.race.driving import default_threads
+from pcs_racing_agents.learning.ppo.settings import DuelSettings, Settings
+from pcs_racing_agents.learning.responses.learner import ResponseSettings, load_response_settings
+from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.study.config import StudyConfig
+from pcs_racing_agents.synthesis.config import ArchiveConfig
+
+__all__ = [
+    "announce",
+    "cores_of",
+    "duration_text",
+    "ego_seconds",
+    "ppo_seconds",
+    "racing_seconds",
+    "response_seconds",
+    "stage_estimates",
+    "synthesis_seconds",
+    "training_seconds",
+    "tree_seconds",
+]
+
+RACING = 1.5e-4
+"""For a second of a race between two cars of the lattice planner."""
+TREE_SEGMENT = 2.6e-4
+"""For a step of 8 s of a game tree, counting every joint history once (most of them need not be driven)."""
+EGO_SEGMENT = 6.3e-4
+"""For a step of 8 s of an ego tree, likewise."""
+DUEL_MOVE = 2.1e-3
+"""For a move that PPO learns from, its evaluations included."""
+DRIVE_STEP = 5.4e-5
+"""For a step of driving that PPO learns from, its evaluations included."""
+ROW = 4.3e-6
+"""For a row that a network of two layers of 64 learns from, once."""
+
+AXES_MOVES = 4
+"""Moves of an archive of two characteristics, "stay" not counted."""
+BLIND_ROUNDS = 3
+"""Rounds that the search for the best plan of moves is taken to need."""
+WORTH_TELLING = 60.0
+"""Seconds from which on a command says how long it takes."""
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration as people say it: ``"40 s"``, ``"5 min"``, ``"2.5 h"``."""
+    if seconds < 60.0:
+        return f"{seconds:.0f} s"
+    if seconds < 90.0 * 60.0:
+        return f"{seconds / 60.0:.0f} min"
+    hours = seconds / 3600.0
+    return f"{hours:.1f} h" if hours < 10.0 else f"{hours:.0f} h"
+
+
+def cores_of(arguments: argparse.Namespace) -> int | None:
+    """Return how many cores the options of an executor give to the work; None for a cluster that runs elsewhere."""
+    if arguments.scheduler is not None:
+        return None
+    return arguments.workers or default_threads()
+
+
+def announce(seconds: float, cores: int | None, *, most: bool = False) -> None:
+    """Say on stderr how long the work takes, if that is more than a minute.
+
+    Parameters
+    ----------
+    seconds : float
+        Processor time.
+    cores : int or None
+        How many share it; None if nobody knows.
+    most : bool
+        Whether the work may end earlier.
+    """
+    about = "at most about" if most else "about"
+    if cores is None:
+        told = f"{duration_text(seconds)} of processor time"
+    else:
+        seconds /= cores
+        told = f"{duration_text(seconds)} on {cores} {'core' if cores == 1 else 'cores'}"
+    if seconds > WORTH_TELLING:
+        print(f"pcs-racing: this takes {about} {told} (less what an earlier run has done)", file=sys.stderr, flush=True)
+
+
+def racing_seconds(races: int, duration: float) -> float:
+    """Processor seconds of so many races of ``duration`` seconds each."""
+    return RACING * races * duration
+
+
+def tree_seconds(config: GameConfig, moves: int, trees: int, seeds: int) -> float:
+    """Processor seconds of full game trees.
+
+    Parameters
+    ----------
+    config : GameConfig
+    moves : int
+        Moves that each player can choose from.
+    trees, seeds : int
+        Trees, and seeds of the noise in each of them.
+    """
+    return _tree(TREE_SEGMENT, config, moves**2) * trees * seeds
+
+
+def ego_seconds(config: GameConfig, moves: int, roots: int) -> float:
+    """Processor seconds of so many ego trees."""
+    return _tree(EGO_SEGMENT, config, moves) * roots
+
+
+def _tree(rate: float, config: GameConfig, branches: int) -> float:
+    histories = sum(branches**step for step in range(config.moves + 1))
+    return rate * histories * config.step_seconds / 8.0
+
+
+def synthesis_seconds(config: ArchiveConfig) -> float:
+    """Processor seconds of an archive: the races of its search, its choice and its measurement."""
+    sides = 2 * len(config.tracks)
+    search = (config.scouts + config.generations * config.population) * config.opponents * config.starts
+    choice = config.candidates * config.choice_opponents * config.choice_starts
+    final = config.most * config.final_opponents * config.final_starts
+    return racing_seconds(sides * (search + choice), config.duration) + racing_seconds(
+        sides * final, config.final_duration
+    )
+
+
+def ppo_seconds(settings: Settings) -> float:
+    """Processor seconds of a training, of all seeds together; it ends earlier at a plateau."""
+    rate = DUEL_MOVE if isinstance(settings, DuelSettings) else DRIVE_STEP
+    return rate * settings.steps * len(settings.seeds)
+
+
+def training_seconds(settings: TrainSettings) -> float:
+    """Processor seconds of a network; training ends earlier where nothing more is learned."""
+    return ROW * settings.rows_per_epoch * settings.epochs
+
+
+def response_seconds(settings: ResponseSettings, config: GameConfig, moves: int, games: int) -> float:
+    """Processor seconds of an answer learned from branched games.
+
+    Parameters
+    ----------
+    settings : ResponseSettings
+    config : GameConfig
+    moves : int
+        Moves that each player can choose from.
+    games : int
+        Circuits times opponents.
+    """
+    # A game is driven to a step, and every move from there to the end.
+    steps = [(k + 1) + moves * (config.moves - k) for k in range(config.moves)]
+    racing = racing_seconds(settings.starts * settings.rounds * games, config.step_seconds * sum(steps))
+    networks = 2 * settings.rounds * config.moves + settings.members
+    return racing + networks * training_seconds(settings.train_settings(0))
+
+
+def stage_estimates(config: StudyConfig) -> dict[str, float]:
+    """Processor seconds of the stages of a study that take long; the others take seconds."""
+    from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+    from pcs_racing_agents.networks.settings import load_train_settings
+    from pcs_racing_agents.synthesis.config import load_archive_config
+
+    game = config.game
+    moves = AXES_MOVES + int(bool(game.stay))
+    judged = max(2, config.pairs // 4) if config.pairs else 0
+    trees, held_out = (
+        tree_seconds(game, AXES_MOVES, pairs * len(config.circuits), config.seeds) for pairs in (config.pairs, judged)
+    )
+    networks = training_seconds(load_train_settings(config.training)) * len(config.targets)
+    pool = len(config.circuits) * len(config.response_pool)
+    responses = (response_seconds(load_response_settings(name), game, moves, pool) for name in config.responses)
+    tried = config.fixed_targets + moves + BLIND_ROUNDS * config.moves * moves
+    blind = tried * config.fitting_games * len(config.circuits) * len(config.fitting_opponents)
+    tables = sum(
+        len(tracks) * len(opponents) * len(arms) * config.egos * config.variants * lines * 2
+        for tracks, opponents, arms, lines in config.tables.values()
+    )
+    pairs = len(config.rivals) * (len(config.rivals) - 1) // 2
+    rivals = pairs * config.rival_races * (len(config.tracks) + len(config.circuits))
+    return {
+        "archive": 0.0 if config.synthesis is None else synthesis_seconds(load_archive_config(config.synthesis)),
+        "trees": trees,
+        "networks": networks if config.pairs else 0.0,
+        "blind": racing_seconds(blind, game.horizon),
+        "responses": sum(responses),
+        "ppo": 0.0 if config.ppo is None else ppo_seconds(load_ppo_settings(config.ppo)),
+        "races": racing_seconds(tables, game.horizon),
+        "rivals": racing_seconds(rivals, game.horizon),
+        "exploitability": held_out,
+    }

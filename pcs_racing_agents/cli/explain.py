@@ -1,0 +1,187 @@
+"""``pcs-racing explain``: what an agent did in a race and why; or which move it makes in which situation."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.cli.options import (
+    DEFAULT_TRACK,
+    TRACK_HELP,
+    Commands,
+    add_command,
+    add_rules,
+    can_draw,
+    output_folder,
+    rules,
+)
+
+if TYPE_CHECKING:
+    from pcs_racing_agents.view.contests import Contest
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "explain",
+        "tell what an agent saw and did in a race, and why",
+        "pcs-racing explain --agents cfr-argmax never-switch",
+        "pcs-racing explain out/mine 12",
+        "pcs-racing explain out/mine 12 --car 1 --out out/race-12",
+        "pcs-racing explain --agents random-moves lane-switcher --track Tarnfjord --seed 3 --out out/race",
+        "pcs-racing explain out/mine --situations cfr-argmax --out out/cfr",
+    )
+    parser.add_argument("results", nargs="?", type=Path, metavar="RACE", help="folder of a tournament or a study")
+    parser.add_argument(
+        "number", nargs="?", type=int, metavar="N", help="line of its results, from 0 (default: 0)", default=None
+    )
+    parser.add_argument("--agents", nargs=2, metavar="AGENT", help="instead of a folder: who drives car 0 and car 1")
+    parser.add_argument("--track", metavar="T", help=f"with --agents: {TRACK_HELP} (default: {DEFAULT_TRACK})")
+    add_rules(parser)
+    parser.add_argument("--archive", default="default", help="archive that agents move in (default: default)")
+    parser.add_argument(
+        "--races", type=int, metavar="N", help="with --agents: races that the two would drive, even (default: 20)"
+    )
+    parser.add_argument("--index", type=int, metavar="K", help="with --agents: which of these races (default: 0)")
+    parser.add_argument("--car", type=int, choices=(0, 1), help="whose moves to explain (default: the one that moves)")
+    parser.add_argument(
+        "--situations", metavar="AGENT", help="which move this agent made in which situation, over all its races"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures, the text, and the race to watch")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Print the explanation; write it with its pictures if asked to."""
+    _check(arguments)
+    if arguments.situations is not None:
+        _situations(arguments)
+    else:
+        _race(arguments)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Refuse options that do not go together before anything is driven."""
+    if (arguments.results is None) == (arguments.agents is None):
+        raise InputError("give a folder of results, or two agents with --agents; one of the two")
+    if arguments.results is not None:
+        for option in ("track", "duration", "races", "index"):
+            if getattr(arguments, option) is not None:
+                raise InputError(f"--{option} goes with --agents; the races of a folder have their own")
+    if arguments.situations is not None and (arguments.number is not None or arguments.index is not None):
+        raise InputError("--situations is about all races; leave out the number of one")
+    if arguments.out is not None:
+        output_folder(arguments.out)
+
+
+def _planned(arguments: argparse.Namespace) -> "Contest":
+    """Races of the two agents that the options name."""
+    from pcs_racing_agents.view.contests import planned_contest
+
+    return planned_contest(
+        arguments.agents,
+        DEFAULT_TRACK if arguments.track is None else arguments.track,
+        rules(arguments),
+        archive=arguments.archive,
+        races=20 if arguments.races is None else arguments.races,
+        seed=arguments.seed,
+    )
+
+
+def _race(arguments: argparse.Namespace) -> None:
+    from pcs_racing_agents.agents.agent import Driver
+    from pcs_racing_agents.explain.explain import explain_match
+    from pcs_racing_agents.explain.words import story
+    from pcs_racing_agents.view.contests import open_results
+
+    lead = None
+    if arguments.results is not None:
+        results = open_results(arguments.results)
+        row = results.row(arguments.number or 0)
+        contest, race, lead = results.contest(row), int(row["race"]), row["lead"]
+    else:
+        contest, race = _planned(arguments), arguments.index or 0
+        if not 0 <= race < len(contest.seeds):
+            raise InputError(f"--index is {race}; there are races 0 to {len(contest.seeds) - 1}")
+    car = arguments.car
+    if car is None:
+        car = int(isinstance(contest.ego, Driver))
+    explanation = explain_match(
+        contest.game,
+        contest.ego,
+        contest.opponent,
+        policies=contest.variants[race],
+        start=contest.starts.take([race]),
+        seed=int(contest.seeds[race]),
+        car=car,
+        candidates=arguments.out is not None,
+    )
+    found = f"{explanation.match.lead[0]:.4f}"
+    if lead is not None and found != lead:
+        raise InputError(
+            f"race {arguments.number or 0} came out otherwise than in {arguments.results}: a lead of {found} m instead "
+            f"of {lead} m; it was driven by another version"
+        )
+    text = story(explanation)
+    print(text)
+    if arguments.out is not None:
+        from pcs_racing.base.files import write_atomically
+        from pcs_racing.race.replay import save_replay
+
+        write_atomically(arguments.out / "race.txt", lambda file: file.write(f"{text}\n".encode()))
+        print(f"to watch: {save_replay(explanation.replay, arguments.out / 'race.html')}")
+        if can_draw("the picture of the race"):
+            from pcs_racing_agents.explain.pictures import explanation_picture
+            from pcs_racing_agents.pictures.style import save_picture
+
+            print(f"picture: {save_picture(explanation_picture(explanation), arguments.out / 'race.png')}")
+
+
+def _situations(arguments: argparse.Namespace) -> None:
+    import numpy as np
+
+    from pcs_racing.race.driving import default_threads
+    from pcs_racing_agents.cli.estimates import announce, racing_seconds
+    from pcs_racing_agents.explain.situations import situations_text, summarise, write_situations
+    from pcs_racing_agents.jobs.jobs import show_progress
+    from pcs_racing_agents.tournament.matches import game_between, play_games
+    from pcs_racing_agents.view.contests import open_results
+
+    agent = arguments.situations
+    if arguments.results is not None:
+        contests = list(open_results(arguments.results).contests(agent))
+    else:
+        if agent not in arguments.agents:
+            raise InputError(f"--situations is {agent!r}; it must be one of {', '.join(arguments.agents)}")
+        contests = [(_planned(arguments), arguments.agents.index(agent))]
+    progress, total, done = show_progress(), sum(len(contest.seeds) for contest, _ in contests), 0
+    announce(racing_seconds(total, contests[0][0].game.config.horizon), default_threads())
+    seen, made = [], []
+    for contest, car in contests:
+        matches = play_games(
+            contest.game,
+            contest.ego,
+            contest.opponent,
+            policies=contest.variants,
+            starts=contest.starts,
+            seeds=contest.seeds,
+        )
+        seen.append(matches.seen[:, car])
+        made.append(matches.moves[:, car])
+        done += len(contest.seeds)
+        progress(done, total, agent)
+    arena = game_between(contests[0][0].game, contests[0][0].ego, contests[0][0].opponent)
+    found = summarise(np.concatenate(seen), np.concatenate(made), arena.archive, arena.move_names, agent)
+    if arguments.results is None:
+        print(f"{contests[0][0].game.track.name}, {contests[0][0].game.config.race.name} rules, {total} races")
+    print(situations_text(found))
+    if arguments.out is not None:
+        print(f"table: {write_situations(found, arguments.out / 'situations.csv')}")
+        if can_draw("the picture of the situations"):
+            from pcs_racing_agents.explain.situations import situations_picture
+            from pcs_racing_agents.pictures.style import save_picture
+
+            print(f"picture: {save_picture(situations_picture(found), arguments.out / 'situations.png')}")

@@ -1,0 +1,110 @@
+"""The command line, ``pcs-racing``: reads arguments, hands over to a command, and prints errors as one line."""
+
+import argparse
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.cli import (
+    agents,
+    explain,
+    export,
+    policies,
+    ppo,
+    race,
+    solve,
+    study,
+    synthesize,
+    tournament,
+    track,
+    train,
+    tree,
+    view,
+)
+from pcs_racing_agents.jobs.executors import is_lost
+
+__all__ = ["main"]
+
+FAILED = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        What follows ``pcs-racing``; the process's own arguments by default.
+
+    Returns
+    -------
+    int
+        0, or 2 after an error that the user can mend, which is told in one line on stderr.
+    """
+    logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
+    chosen = _parser().parse_args(arguments)
+    try:
+        chosen.run(chosen)
+        sys.stdout.flush()
+    except (InputError, ModuleNotFoundError) as error:
+        return _fail(error)
+    except BrokenPipeError:
+        # The reader (a pager, head) has gone: nothing is left to say, not even at the interpreter's end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        if error.filename is None or error.strerror is None:
+            return _fail(error)
+        return _fail(InputError(f"can't read or write {error.filename}: {error.strerror}"))
+    except KeyboardInterrupt:
+        print("pcs-racing: interrupted", file=sys.stderr)
+        return 130
+    except Exception as error:
+        if not is_lost(error):
+            raise
+        return _fail(InputError(f"a worker died or the cluster is gone ({error}); mend that and start the same again"))
+    return 0
+
+
+def _fail(error: Exception) -> int:
+    print(f"pcs-racing: error: {' '.join(str(error).split())}", file=sys.stderr)
+    return FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="pcs-racing",
+        description="Head-to-head autonomous racing in Policy Characteristic Space.",
+        epilog="'pcs-racing COMMAND --help' shows the options of a command, and an example.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for group in (
+        race,
+        tournament,
+        track,
+        agents,
+        policies,
+        synthesize,
+        tree,
+        solve,
+        export,
+        train,
+        ppo,
+        study,
+        explain,
+        view,
+    ):
+        group.add(commands)
+    return parser
+
+
+def _version() -> str:
+    try:
+        return version("pcs-racing")
+    except PackageNotFoundError:  # a checkout that is not installed
+        return "(not installed)"

@@ -1,0 +1,117 @@
+"""What several commands share: the options that describe a race, and checks of where they may write."""
+
+import argparse
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Protocol
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.race.config import PRESETS, RaceConfig, load_race_config
+
+__all__ = [
+    "DEFAULT_TRACK",
+    "POLICY_HELP",
+    "TRACK_HELP",
+    "Commands",
+    "add_command",
+    "add_preset",
+    "add_rules",
+    "add_track",
+    "can_draw",
+    "output_file",
+    "output_folder",
+    "rules",
+]
+
+DEFAULT_TRACK = "Quillburg"
+"""The circuit of a command that is told none, as of the environments."""
+TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
+POLICY_HELP = "planner, planner:variant or planner:parameter=value,... (see 'pcs-racing policies')"
+
+
+class Commands(Protocol):
+    """What ``ArgumentParser.add_subparsers`` returns."""
+
+    def add_parser(self, name: str, **options: Any) -> argparse.ArgumentParser:
+        """Add a command."""
+
+
+def add_command(commands: Commands, name: str, summary: str, *examples: str) -> argparse.ArgumentParser:
+    """Add a command with a sentence of help and its examples."""
+    return commands.add_parser(
+        name,
+        help=summary,
+        description=f"{summary[0].upper()}{summary[1:]}.",
+        epilog="\n  ".join(["examples:" if len(examples) > 1 else "example:", *examples]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+
+
+def add_track(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names one circuit."""
+    parser.add_argument("--track", default=DEFAULT_TRACK, metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})")
+
+
+def add_preset(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names the rules."""
+    presets = ", ".join(PRESETS)
+    parser.add_argument(
+        "--preset", default="paper", help=f"rules of the race: {presets} or a YAML file (default: paper)"
+    )
+
+
+def add_rules(parser: argparse.ArgumentParser, seed: int = 0) -> None:
+    """Add the options that :func:`rules` reads, and the seed with its default."""
+    add_preset(parser)
+    parser.add_argument("--duration", type=float, metavar="S", help="length of a race in s (default: the preset's, 40)")
+    parser.add_argument(
+        "--seed", type=int, default=seed, metavar="N", help=f"root of starts and noise (default: {seed})"
+    )
+
+
+def rules(arguments: argparse.Namespace) -> RaceConfig:
+    """Return the race configuration that the options ask for."""
+    changes = {} if arguments.duration is None else {"duration": arguments.duration}
+    return load_race_config(arguments.preset, **changes)
+
+
+def can_draw(what: str) -> bool:
+    """Whether pictures can be drawn; if they can't, say on stderr that one is left out, and what draws it."""
+    if find_spec("matplotlib") is not None:
+        return True
+    print(f'pcs-racing: {what} is not drawn: pip install "pcs-racing[plots]" draws it', file=sys.stderr)
+    return False
+
+
+def output_file(path: Path, *endings: str) -> Path:
+    """Return a path after checking that it can be written, before any work is done for it.
+
+    Raises
+    ------
+    InputError
+        If its ending is none of these, its folder does not exist, or it is a folder.
+    """
+    if path.suffix not in endings:
+        raise InputError(f"can't write {path}: its name must end in {' or '.join(endings)}")
+    if not path.parent.is_dir():
+        raise InputError(f"can't write {path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise InputError(f"can't write {path}: it is a folder")
+    return path
+
+
+def output_folder(path: Path) -> Path:
+    """Return a folder that exists from now on.
+
+    Raises
+    ------
+    InputError
+        If it can't be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"can't make the folder {path}: {error.strerror}") from None
+    return path

@@ -1,0 +1,81 @@
+"""``pcs-racing ppo``: train a baseline by PPO, at the level of strategy or of control."""
+
+import argparse
+from importlib.util import find_spec
+from pathlib import Path
+
+from pcs_racing_agents.cli.options import Commands, add_command
+from pcs_racing_agents.jobs.configuration import shipped_configs
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "ppo",
+        "train a baseline by PPO, or go on with a training that was stopped",
+        "pcs-racing ppo --config duel-paper --out out/ppo",
+        "pcs-racing ppo --config drive --steps 2000000 --seeds 0 1 2 --executor processes --out out/ppo-drive",
+    )
+    configs = ", ".join(shipped_configs("ppo"))
+    parser.add_argument("--config", required=True, metavar="NAME", help=f"settings: a YAML file or one of {configs}")
+    parser.add_argument("--steps", type=int, metavar="N", help="steps of the environment for each seed, at most")
+    parser.add_argument("--seeds", type=int, nargs="+", metavar="N", help="train with each of them and keep the best")
+    parser.add_argument(
+        "--checkpoint", type=float, default=20.0, metavar="S", help="time between two checkpoints in s (default: 20)"
+    )
+    parser.add_argument("--name", help="name of the policy (default: the one that the zoo looks for)")
+    parser.add_argument("--tensorboard", action="store_true", help="write the curves for TensorBoard, too")
+    parser.add_argument("--no-picture", action="store_true", help="draw no learning curves")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for weights and curves")
+    from pcs_racing_agents.jobs.jobs import add_executor_options
+
+    add_executor_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Train, and print what the policy is worth."""
+    from pcs_racing_agents.cli.estimates import announce, cores_of, ppo_seconds
+    from pcs_racing_agents.jobs.jobs import executor_from, show_progress
+    from pcs_racing_agents.learning.ppo.curves import write_picture, write_tensorboard
+    from pcs_racing_agents.learning.ppo.scores import score_table
+    from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+    from pcs_racing_agents.learning.ppo.train import check_checkpoint_seconds, train_ppo
+
+    changes = {"steps": arguments.steps, "seeds": arguments.seeds and tuple(arguments.seeds)}
+    settings = load_ppo_settings(
+        arguments.config, **{key: value for key, value in changes.items() if value is not None}
+    )
+    for package, needed in (("tensorboard", arguments.tensorboard), ("matplotlib", not arguments.no_picture)):
+        if needed and find_spec(package) is None:
+            extra = "plots" if package == "matplotlib" else "learning"
+            raise ModuleNotFoundError(f'the curves need {package}: pip install "pcs-racing[{extra}]"')
+    # torch learns on one core of a process, so only other processes learn from several seeds side by side.
+    side_by_side = arguments.executor in ("processes", "dask")
+    cores = cores_of(arguments)
+    if cores is not None:
+        cores = min(cores, len(settings.seeds)) if side_by_side else 1
+    check_checkpoint_seconds(arguments.checkpoint)
+    with executor_from(arguments) as executor:
+        announce(ppo_seconds(settings), cores, most=settings.patience > 0)
+        trained = train_ppo(
+            settings,
+            arguments.out,
+            name=arguments.name,
+            executor=executor,
+            progress=show_progress("steps"),
+            checkpoint_seconds=arguments.checkpoint,
+        )
+    if arguments.tensorboard:
+        write_tensorboard(trained.curves, settings.opponents, arguments.out / "tensorboard")
+    if not arguments.no_picture:
+        title = f"PPO: {trained.level.default_name}"
+        write_picture(trained.curves, settings.opponents, arguments.out / "curve.png", title, trained.level.unit)
+    steps = ", ".join(f"{curve.steps[-1]} with seed {curve.seed}" for curve in trained.curves)
+    print(
+        f"{steps}: {trained.seconds:.0f} s of training; kept is seed {trained.seed} after {trained.steps} "
+        f"{trained.level.unit}\n\n{score_table(trained.scores, settings.opponents)}\n\npolicy: {trained.folder}"
+    )

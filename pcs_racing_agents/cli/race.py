@@ -1,0 +1,86 @@
+"""``pcs-racing race``: one race, told in a few lines and kept as a replay."""
+
+import argparse
+import shlex
+from pathlib import Path
+
+from pcs_racing.planners.registry import parse_policy
+from pcs_racing.race.recording import LAST_INDEX, record_race
+from pcs_racing.race.replay import Replay, save_replay
+from pcs_racing.track.track import load_track
+from pcs_racing_agents.cli.options import (
+    POLICY_HELP,
+    Commands,
+    add_command,
+    add_rules,
+    add_track,
+    output_file,
+    rules,
+)
+
+__all__ = ["add"]
+
+# The race of a command that is told nothing: driven to its end, with an overtake. The seed is out of
+# `python benchmarks/first_race.py`.
+EGO = "lattice:pace=0.8,overtaking=1"
+OPPONENT = "lattice:pace=0.4"
+SEED = 1
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "race",
+        "drive one race between two policies",
+        "pcs-racing race",
+        "pcs-racing race --replay race.html",
+        "pcs-racing race --track Tarnfjord --ego lattice:pace=0.6 --opponent lattice --seed 3 --replay race.html",
+        'pcs-racing race --track "my maps/Spielberg" --ego lattice --opponent lattice --preset contest',
+    )
+    add_track(parser)
+    parser.add_argument("--ego", default=EGO, metavar="POLICY", help=f"driver of car 0: {POLICY_HELP} (default: {EGO})")
+    parser.add_argument("--opponent", default=OPPONENT, metavar="POLICY", help=f"driver of car 1 (default: {OPPONENT})")
+    add_rules(parser, seed=SEED)
+    parser.add_argument(
+        "--index", type=int, default=0, metavar="K", help=f"which race of the seed, 0 to {LAST_INDEX} (default: 0)"
+    )
+    parser.add_argument(
+        "--replay", type=Path, metavar="FILE", help="write a page that plays the race (.html, or .json)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Drive the race and tell what happened."""
+    config = rules(arguments)
+    ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
+    target = output_file(arguments.replay, ".html", ".json") if arguments.replay else None
+    track = load_track(arguments.track)
+    replay = record_race(
+        track, ego, opponent, config, seed=arguments.seed, index=arguments.index, candidates=target is not None
+    )
+    print(
+        f"{track.name}, {track.length:.1f} m a lap, preset {config.name}, seed {arguments.seed}, race {arguments.index}"
+    )
+    print(_story(replay))
+    if target is None:
+        print(f"to watch it: {_again(arguments)} --replay race.html")
+    else:
+        print(f"replay: {save_replay(replay, target)}")
+
+
+def _again(arguments: argparse.Namespace) -> str:
+    """Return the command that drives this very race, with nothing left to defaults but what was left to the rules."""
+    names = ("track", "ego", "opponent", "preset", "duration", "seed", "index")
+    given = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
+    return shlex.join(["pcs-racing", "race", *(f for name, value in given.items() for f in (f"--{name}", str(value)))])
+
+
+def _story(replay: Replay) -> str:
+    lines = [
+        f"car {car}: {name}, {replay.progress[-1, car] - replay.progress[0, car]:.1f} m driven"
+        for car, name in enumerate(replay.car_names)
+    ]
+    lines += [f"{event.time:5.1f} s  car {event.car} {event.text}" for event in replay.events]
+    return "\n".join([*lines, replay.outcome])

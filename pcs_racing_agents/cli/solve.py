@@ -1,0 +1,121 @@
+"""``pcs-racing solve``: value, exploitability and agreement of all methods, on every tree of a folder."""
+
+import argparse
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.cli.options import Commands, add_command, output_file
+from pcs_racing_agents.solvers.compare import METHODS, MethodRow, compare_methods
+from pcs_racing_agents.trees import load_trees
+
+__all__ = ["add", "solve_table"]
+
+
+COLUMNS = ("tree", "policies", "method", "value", "exploitability", "agreement", "on path", "ms")
+
+NOTE = """value: what car 0 gets; exploitability: half of what both could gain by best responses; units of the utility
+agreement: decisions whose likeliest move is a best one against the exact solution; on path: the same, each as often
+as the exact solution leads to it; decisions at which all moves are worth the same do not count"""
+
+
+class SolvedTree(NamedTuple):
+    """One tree and how all methods did on it.
+
+    Attributes
+    ----------
+    number : int
+        Its place in the folder.
+    policies : tuple of int
+        What the cars started with.
+    seeds : int
+        Noise seeds of the tree.
+    rows : list of MethodRow
+    """
+
+    number: int
+    policies: tuple[int, int]
+    seeds: int
+    rows: list[MethodRow]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "solve",
+        "solve game trees exactly and by regret minimisation, and judge the strategies",
+        "pcs-racing solve out/trees",
+        "pcs-racing solve out/trees --iterations 1000 --methods exact alternating+ --out out/solved.csv",
+    )
+    parser.add_argument("trees", type=Path, metavar="DIR", help="folder that 'pcs-racing tree' wrote")
+    parser.add_argument("--iterations", type=int, default=100, metavar="N", help="iterations of CFR (default: 100)")
+    parser.add_argument(
+        "--methods", nargs="+", default=list(METHODS), choices=METHODS, metavar="M", help=f"out of {', '.join(METHODS)}"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="CSV file to write the table to, too")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Solve, print the table, write it."""
+    target = output_file(arguments.out, ".csv") if arguments.out else None
+    trees = load_trees(arguments.trees)
+    solved = []
+    for number, tree in enumerate(trees):
+        first, second = (int(policy) for policy in tree.policies)
+        rows = compare_methods(tree.game_tree(), arguments.iterations, arguments.methods)
+        solved.append(SolvedTree(number, (first, second), len(tree.seeds), rows))
+    names = {key: trees.settings[key]["name"] for key in ("archive", "track")}
+    print(
+        f"{len(trees)} trees of archive {names['archive']} on {names['track']}, preset {trees.settings['preset']}; "
+        f"CFR with {arguments.iterations} iterations"
+    )
+    print(solve_table(solved))
+    if target is not None:
+        write_atomically(target, lambda file: file.write(_csv(solved).encode()))
+        print(f"table: {target}")
+
+
+def solve_table(solved: Sequence[SolvedTree]) -> str:
+    """Return the table for people: every tree and method, and the means over the trees."""
+    lines: list[tuple[str, ...]] = [
+        ("tree", "policies", "method", "value", "exploitability", "agreement", "on path", "ms")
+    ]
+    for tree in solved:
+        for i, row in enumerate(tree.rows):
+            first, second = tree.policies
+            head = (str(tree.number), f"{first}, {second}") if i == 0 else ("", "")
+            lines.append((*head, *_cells(row)))
+    for i, rows in enumerate(zip(*(tree.rows for tree in solved), strict=True)):
+        mean = MethodRow(rows[0].method, *(float(np.mean(numbers)) for numbers in list(zip(*rows, strict=True))[1:]))
+        lines.append(("mean" if i == 0 else "", "", *_cells(mean)))
+    widths = [max(len(line[column]) for line in lines) for column in range(len(COLUMNS))]
+    left = {0, 1, 2}
+    table = "\n".join(
+        "  ".join(c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(line, widths, strict=True)))
+        for line in lines
+    )
+    return f"{table}\n\n{NOTE}"
+
+
+def _cells(row: MethodRow) -> tuple[str, ...]:
+    exploited = f"{row.exploitability:.2e}" if row.exploitability < 1e-3 else f"{row.exploitability:.4f}"
+    agreed = (f"{row.agreement:.1%}", f"{row.on_path:.1%}")
+    return row.method, f"{row.value:.4f}", exploited, *agreed, f"{1e3 * row.seconds:.1f}"
+
+
+def _csv(solved: Sequence[SolvedTree]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("tree", "policy_0", "policy_1", "seeds", *MethodRow._fields))
+    for tree in solved:
+        for row in tree.rows:
+            numbers = (f"{number:.9g}" for number in row[1:])
+            writer.writerow((tree.number, *tree.policies, tree.seeds, row.method, *numbers))
+    return text.getvalue()

@@ -1,0 +1,53 @@
+"""``pcs-racing study``: the paper's study, from the search for policies to the report."""
+
+import argparse
+from pathlib import Path
+
+from pcs_racing_agents.cli.options import Commands, add_command
+from pcs_racing_agents.jobs.configuration import shipped_configs
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "study",
+        "run a study: archive, game trees, networks, agents, races, report",
+        "pcs-racing study quick --out out/quick",
+        "pcs-racing study paper --out out/paper",
+        "pcs-racing study out/my-study.yaml --out out/mine --stage archive trees",
+    )
+    names = ", ".join(shipped_configs("study"))
+    parser.add_argument("config", help=f"one of {names}, or a YAML file")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the study; goes on there")
+    parser.add_argument("--stage", nargs="+", metavar="NAME", help="stages to run (default: all that are not done)")
+    parser.add_argument("--seed", type=int, metavar="N", help="another root of everything that is drawn")
+    from pcs_racing_agents.jobs.jobs import add_executor_options
+
+    add_executor_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Run a study and say where its results are."""
+    from pcs_racing_agents.cli.estimates import announce, cores_of, stage_estimates
+    from pcs_racing_agents.jobs.jobs import executor_from
+    from pcs_racing_agents.study import load_study_config, run_study
+    from pcs_racing_agents.study.run import stage_seconds, stages_to_run
+
+    changes = {} if arguments.seed is None else {"seed": arguments.seed}
+    config = load_study_config(arguments.config, **changes)
+    left = stages_to_run(config, arguments.out, arguments.stage)
+    seconds = sum(spent for stage, spent in stage_estimates(config).items() if stage in left)
+    with executor_from(arguments) as executor:
+        announce(seconds, cores_of(arguments))
+        study = run_study(config, arguments.out, only=arguments.stage, executor=executor)
+    for name, seconds in stage_seconds(study).items():
+        print(f"{name:16} {seconds:8.1f} s")
+    for file in ("results.csv", "table.txt", "report.html"):
+        if (study.folder / file).is_file():
+            print(f"{file}: {study.folder / file}")
+    if (study.folder / "table.txt").is_file():
+        print((study.folder / "table.txt").read_text(encoding="utf-8"))

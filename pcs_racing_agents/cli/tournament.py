@@ -1,0 +1,93 @@
+"""``pcs-racing tournament``: all against all, as a table, a payoff matrix and a results file."""
+
+import argparse
+from pathlib import Path
+
+from pcs_racing.planners.registry import parse_policy
+from pcs_racing.track.track import load_track
+from pcs_racing_agents.cli.options import (
+    DEFAULT_TRACK,
+    POLICY_HELP,
+    TRACK_HELP,
+    Commands,
+    add_command,
+    add_rules,
+    can_draw,
+    rules,
+)
+from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "tournament",
+        "play every pair of agents, drivers and policies against each other",
+        "pcs-racing tournament --agents cfr-argmax never-switch",
+        "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher --races 40",
+        "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --preset contest --out out/mine",
+    )
+    parser.add_argument(
+        "--track", default=[DEFAULT_TRACK], nargs="+", metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})"
+    )
+    parser.add_argument(
+        "--agents",
+        nargs="+",
+        default=[],
+        metavar="AGENT",
+        help="name, or name:option=value,... (see 'pcs-racing agents' and docs/agents.md)",
+    )
+    parser.add_argument("--policies", nargs="+", default=[], metavar="POLICY", help=POLICY_HELP)
+    add_rules(parser)
+    parser.add_argument(
+        "--archive", default="default", help="archive that agents move in: its name or folder (default: default)"
+    )
+    parser.add_argument(
+        "--races", type=int, default=20, metavar="N", help="races of each pair on each track, even (default: 20)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for results.csv and the payoff matrix; a tournament that was stopped there goes on",
+    )
+    add_executor_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Play, print the table, write the results."""
+    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
+    from pcs_racing_agents.tournament import (
+        payoff_picture,
+        plan_tournament,
+        play_plan,
+        tournament_settings,
+        tournament_text,
+        write_results,
+    )
+
+    plan = plan_tournament(
+        [load_track(name) for name in arguments.track],
+        [*arguments.agents, *(parse_policy(text) for text in arguments.policies)],
+        rules(arguments),
+        archive=arguments.archive,
+        races_per_pair=arguments.races,
+        seed=arguments.seed,
+    )
+    pairs = len(plan.competitors) * (len(plan.competitors) - 1) // 2
+    races = pairs * len(plan.tracks) * plan.races_per_pair
+    with executor_from(arguments) as executor:
+        announce(racing_seconds(races, plan.config.duration), cores_of(arguments))
+        if arguments.out is None:
+            print(tournament_text(play_plan(plan, executor=executor, progress=show_progress())))
+            return
+        with open_job(arguments.out, "tournament", tournament_settings(plan)) as job:
+            tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
+            print(tournament_text(tournament))
+            print(f"results: {write_results(tournament, arguments.out / 'results.csv')}")
+            if can_draw("the payoff matrix"):
+                print(f"picture: {payoff_picture(tournament, arguments.out / 'payoffs.png')}")

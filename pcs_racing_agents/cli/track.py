@@ -1,0 +1,178 @@
+"""``pcs-racing track``: list, show, import, generate and calibrate circuits."""
+
+import argparse
+from pathlib import Path
+
+import yaml
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.race.calibration import calibrate
+from pcs_racing.race.config import load_race_config
+from pcs_racing.track.map_files import parse_info
+from pcs_racing.track.maps import list_tracks
+from pcs_racing.track.track import Calibration, Track, calibration_values, load_track
+from pcs_racing_agents.cli.options import (
+    DEFAULT_TRACK,
+    TRACK_HELP,
+    Commands,
+    add_command,
+    add_preset,
+    can_draw,
+    output_file,
+)
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the group and its commands."""
+    group = add_command(
+        commands,
+        "track",
+        "list, show, import, generate and calibrate circuits",
+        "pcs-racing track show Tarnfjord --out tarnfjord.png",
+    )
+    tracks: Commands = group.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    parser = add_command(tracks, "list", "list the circuits that come with the package", "pcs-racing track list")
+    parser.set_defaults(run=run_list)
+
+    parser = add_command(
+        tracks, "show", "say what a circuit is like, and draw it", "pcs-racing track show Tarnfjord --out tarnfjord.png"
+    )
+    parser.add_argument("track", nargs="?", default=DEFAULT_TRACK, help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="picture to write (.png, .svg or .pdf; needs matplotlib)"
+    )
+    parser.set_defaults(run=run_show)
+
+    parser = add_command(
+        tracks,
+        "import",
+        "complete a map: centre line from its picture, race line from the centre line",
+        "pcs-racing track import downloads/hall --out maps/hall --seed-point 1.5 0.2 --direction clockwise",
+    )
+    parser.add_argument("source", help="map folder; a ROS yaml file and its picture are enough")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="map folder to write")
+    parser.add_argument("--name", help="name of the circuit (default: the folder's)")
+    parser.add_argument(
+        "--seed-point", type=float, nargs=2, metavar=("X", "Y"), help="a point on the track, m (default: found)"
+    )
+    parser.add_argument(
+        "--direction", type=_direction, help="counterclockwise (default), clockwise, or the heading at the start in rad"
+    )
+    parser.set_defaults(run=run_import)
+
+    parser = add_command(
+        tracks,
+        "generate",
+        "make a new circuit from a seed",
+        "pcs-racing track generate --seed 7 --style voronoi --out maps/Sevenhills",
+    )
+    parser.add_argument("--seed", type=int, required=True, metavar="N", help="the same seed gives the same circuit")
+    parser.add_argument(
+        "--style",
+        default="hull",
+        help="hull (flowing), voronoi (many braking zones) or hairpin (long straights) (default: hull)",
+    )
+    parser.add_argument("--width", type=float, default=2.2, metavar="M", help="width of the track in m (default: 2.2)")
+    parser.add_argument("--name", help="name of the circuit (default: the folder's)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="map folder to write")
+    parser.set_defaults(run=run_generate)
+
+    parser = add_command(
+        tracks,
+        "calibrate",
+        "find the speeds at which driving on a circuit becomes a risk",
+        "pcs-racing track calibrate maps/Sevenhills --preset contest --write",
+    )
+    parser.add_argument("track", nargs="?", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK}, unless --write is given)")
+    add_preset(parser)
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="root of the noise (default: 0)")
+    parser.add_argument("--write", action="store_true", help="keep the speed range in the circuit's NAME_track.yaml")
+    parser.set_defaults(run=run_calibrate)
+
+
+def run_list(arguments: argparse.Namespace) -> None:
+    """Print a line for each shipped circuit."""
+    for name in list_tracks():
+        print(f"{name:14} {load_track(name).length:6.1f} m")
+
+
+def run_show(arguments: argparse.Namespace) -> None:
+    """Print a track's summary; draw it."""
+    target = output_file(arguments.out, ".png", ".svg", ".pdf") if arguments.out else None
+    track = load_track(arguments.track)
+    print(track.summary())
+    if target is not None:
+        from pcs_racing.track.mapping.pictures import show_track
+
+        show_track(track, target)
+        print(f"picture: {target}")
+
+
+def run_import(arguments: argparse.Namespace) -> None:
+    """Complete a map folder."""
+    from pcs_racing.track.mapping.folders import import_map
+
+    track = import_map(
+        arguments.source,
+        arguments.out,
+        seed_point=arguments.seed_point,
+        direction=arguments.direction,
+        name=arguments.name,
+        picture=can_draw("the picture of the circuit"),
+    )
+    _tell(track, arguments.out)
+
+
+def run_generate(arguments: argparse.Namespace) -> None:
+    """Generate a circuit."""
+    from pcs_racing.track.mapping.folders import generate_map
+
+    track = generate_map(
+        arguments.out,
+        arguments.seed,
+        arguments.style,
+        name=arguments.name,
+        width=arguments.width,
+        picture=can_draw("the picture of the circuit"),
+    )
+    _tell(track, arguments.out)
+
+
+def run_calibrate(arguments: argparse.Namespace) -> None:
+    """Scan the hazard, try the start places; keep what was found."""
+    config = load_race_config(arguments.preset)
+    if arguments.write and arguments.track is None:
+        raise InputError("--write changes a map folder: say which, as in 'pcs-racing track calibrate FOLDER --write'")
+    track = load_track(DEFAULT_TRACK if arguments.track is None else arguments.track)
+    report = calibrate(track, config, seed=arguments.seed)
+    print(report.table())
+    if arguments.write:
+        print(f"written: {_keep_calibration(track, config.name, report.calibration)}")
+
+
+def _keep_calibration(track: Track, preset: str, calibration: Calibration) -> Path:
+    """Put a calibration into the file beside the map, whose other entries stay."""
+    if track.folder is None:
+        raise InputError(f"track {track.name!r} does not come from a folder: there is nowhere to write")
+    path = track.folder / f"{track.name}_track.yaml"
+    info = parse_info(path, path.read_bytes()) if path.is_file() else {}
+    info["calibration"] = {**info.get("calibration", {}), preset: calibration_values(calibration)}
+    text = yaml.safe_dump(info, sort_keys=False, allow_unicode=True)
+    write_atomically(path, lambda file: file.write(text.encode()))
+    return path
+
+
+def _direction(text: str) -> str | float:
+    """A heading if it is a number, else the word for the mapping tools to judge."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _tell(track: Track, folder: Path) -> None:
+    print(f"{track.summary()}\nwritten: {folder}")

@@ -1,0 +1,239 @@
+"""``pcs-racing train``: train a network that predicts from an observation what each move is worth."""
+
+import argparse
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.cli.options import Commands, add_command, output_folder
+from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.jobs.folders import hold_folder
+
+if TYPE_CHECKING:
+    from pcs_racing_agents.networks import RegretNetwork, TrainSettings
+    from pcs_racing_agents.networks.training import Fit
+
+__all__ = ["add"]
+
+
+class _Outcome(NamedTuple):
+    """A network, how it was fitted, what it is worth as text, and as rows of a table."""
+
+    network: "RegretNetwork"
+    fit: "Fit"
+    table: str
+    scores: list[dict[str, str | float]]
+
+
+_Learn = Callable[[Executor | None], _Outcome]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "train",
+        "train the regret approximator on game trees or ego trees",
+        "pcs-racing train out/trees --target regret --out out/networks/regret",
+        "pcs-racing train out/trees-a out/trees-b --config study --target advantage --out out/networks/advantage",
+        "pcs-racing train out/ego --out out/networks/static-q",
+    )
+    parser.add_argument("trees", nargs="+", type=Path, metavar="DIR", help="folders that 'pcs-racing tree' wrote")
+    parser.add_argument(
+        "--target",
+        help="what to learn: regret (the paper; the default), normalised, advantage, static-q "
+        "(the only one of ego trees) or nash",
+    )
+    configs = ", ".join(shipped_configs("train"))
+    parser.add_argument("--config", metavar="NAME", help=f"settings: {configs} or a YAML file")
+    parser.add_argument("--epochs", type=int, metavar="N", help="at most so many epochs")
+    parser.add_argument("--hidden", type=int, nargs="+", metavar="N", help="widths of the hidden layers")
+    parser.add_argument("--seed", type=int, metavar="N", help="root of the split, the first weights and the draws")
+    parser.add_argument("--name", help="name of the network (default: that of the folder)")
+    parser.add_argument("--no-tensorboard", action="store_true", help="write no curves for TensorBoard")
+    parser.add_argument("--no-picture", action="store_true", help="draw no learning curves")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the network and its curves")
+    from pcs_racing_agents.jobs.jobs import add_executor_options
+
+    add_executor_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Train, print what the network is worth, and write it."""
+    from pcs_racing_agents.cli.estimates import announce, training_seconds
+    from pcs_racing_agents.jobs.jobs import executor_from
+    from pcs_racing_agents.networks.curves import write_curves, write_picture, write_tensorboard
+    from pcs_racing_agents.networks.settings import load_train_settings
+
+    changes = {key: getattr(arguments, key) for key in ("target", "epochs", "seed")}
+    changes["hidden"] = tuple(arguments.hidden) if arguments.hidden else None
+    changes = {key: value for key, value in changes.items() if value is not None}
+    ego = [_holds_ego_trees(folder) for folder in arguments.trees]
+    if any(ego):
+        changes.setdefault("target", "static-q")
+    settings = load_train_settings(arguments.config, **changes)
+    name = arguments.name or arguments.out.resolve().name
+    if not any(ego):
+        learn = _from_trees(arguments.trees, settings, name)
+    elif all(ego):
+        learn = _from_ego(arguments.trees, settings, name)
+    else:
+        raise InputError(f"{arguments.trees[ego.index(True)]} holds ego trees, others do not; give folders of one kind")
+    _check_packages(arguments)
+    with hold_folder(arguments.out), executor_from(arguments) as executor:
+        announce(training_seconds(settings), 1, most=True)  # torch learns on one core
+        folder = output_folder(arguments.out)
+        network, fit, table, scores = learn(executor)
+        network.save(folder)
+        write_curves(fit, folder / "learning_curves.csv")
+        _write_scores(scores, folder / "scores.csv")
+        if not arguments.no_tensorboard:
+            write_tensorboard(fit, folder / "tensorboard")
+        if not arguments.no_picture:
+            write_picture(fit, folder / "learning_curves.png", f"{name}: {settings.target}")
+    best = fit.epochs[fit.best]
+    print(
+        f"{network}\n{network.training['rows']} rows from {network.training['tracks']}; epoch {best.epoch} of "
+        f"{fit.epochs[-1].epoch} kept, validation loss {best.validation_loss:.4f}\n\n{table}\n\nnetwork: {folder}"
+    )
+
+
+def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
+    """Open folders of game trees; what is returned learns from them."""
+    from pcs_racing_agents.jobs.jobs import show_progress
+    from pcs_racing_agents.networks.from_trees import train_on_trees, trees_identity
+    from pcs_racing_agents.networks.metrics import TreeScore, score_table
+    from pcs_racing_agents.trees import load_trees
+
+    stored = [load_trees(folder) for folder in folders]
+    made = [trees.settings for trees in stored]
+    _check_one_game(folders, made)
+    places = [(trees, i) for trees in stored for i in range(len(trees))]
+
+    def learn(executor: Executor | None) -> _Outcome:
+        trained = train_on_trees(
+            lambda number: places[number][0][places[number][1]],
+            np.concatenate([np.asarray(trees.settings["pairs"]) for trees in stored]),
+            trees_identity(made[0]),
+            settings,
+            name=name,
+            about=_about(made),
+            executor=executor,
+            solving=show_progress("trees"),
+            learning=show_progress("epochs"),
+        )
+        scores = [
+            {"strategy": who, "tree": i, **TreeScore(*row)._asdict()}
+            for who, rows in trained.trees.items()
+            for i, row in enumerate(rows.tolist())
+        ]
+        return _Outcome(trained.network, trained.fit, score_table(trained.rows, trained.trees), scores)
+
+    return learn
+
+
+def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
+    """Open folders of ego trees; what is returned learns from them."""
+    from pcs_racing_agents.jobs.jobs import show_progress
+    from pcs_racing_agents.jobs.tasks import in_other_processes, run_one
+    from pcs_racing_agents.networks.from_ego import check_ego_target, ego_score_table, train_on_ego
+    from pcs_racing_agents.networks.from_trees import trees_identity
+    from pcs_racing_agents.networks.metrics import score_table
+    from pcs_racing_agents.trees import load_ego_trees
+    from pcs_racing_agents.trees.ego import join_ego
+    from pcs_racing_agents.trees.ego_storage import KIND
+    from pcs_racing_agents.trees.storage import read_settings
+
+    check_ego_target(settings)
+    made = [read_settings(folder, KIND) for folder in folders]
+    _check_one_game(folders, made)
+    trees = join_ego([load_ego_trees(folder) for folder in folders])
+
+    def learn(executor: Executor | None) -> _Outcome:
+        elsewhere = in_other_processes(executor)
+        train = partial(
+            train_on_ego,
+            identity=trees_identity(made[0]),
+            settings=settings,
+            name=name,
+            about=_about(made),
+            learning=show_progress("epochs") if elsewhere is None else None,
+        )
+        trained = run_one(train, trees, elsewhere, "learning")
+        table = ego_score_table(score_table(trained.rows, {}), trained.roots)
+        scores = [
+            {"strategy": who, "root": i, "utility": value}
+            for who, values in trained.roots.items()
+            for i, value in enumerate(values.tolist())
+        ]
+        return _Outcome(trained.network, trained.fit, table, scores)
+
+    return learn
+
+
+def _holds_ego_trees(folder: Path) -> bool:
+    from pcs_racing_agents.trees.ego_storage import KIND
+    from pcs_racing_agents.trees.storage import read_settings
+
+    try:
+        read_settings(folder, KIND)
+    except InputError:
+        return False  # what else it holds, or not, is said where it is opened
+    return True
+
+
+def _check_one_game(folders: Sequence[Path], made: Sequence[Mapping[str, Any]]) -> None:
+    """Check that all trees are of one archive, whatever it is called, and one set of rules; tracks may differ."""
+
+    def facts(settings: Mapping[str, Any]) -> dict[str, Any]:
+        rules = {key: value for key, value in settings["rules"].items() if key != "race"}
+        race = {f"race {key}": value for key, value in settings["rules"]["race"].items()}
+        return {"archive": settings["archive"]["sha256"], "encoding": settings["encoding"], **rules, **race}
+
+    first = facts(made[0])
+    for folder, settings in zip(folders, made, strict=True):
+        for key, found in facts(settings).items():
+            if found != first[key]:
+                raise InputError(
+                    f"{folder} and {folders[0]} hold trees of different games: {key} is {found!r:.60} in one and "
+                    f"{first[key]!r:.60} in the other"
+                )
+
+
+def _about(made: Sequence[Mapping[str, Any]]) -> dict[str, str | int | float | bool]:
+    rules = made[0]["rules"]
+    return {
+        "tracks": ", ".join(sorted({each["track"]["name"] for each in made})),
+        "utility": rules["utility"],
+        "step_seconds": rules["step_seconds"],
+    }
+
+
+def _check_packages(arguments: argparse.Namespace) -> None:
+    """Say what is missing before any work is done."""
+    from importlib.util import find_spec
+
+    wanted = [("torch", "learning", True), ("tensorboard", "learning", not arguments.no_tensorboard)]
+    wanted += [("matplotlib", "plots", not arguments.no_picture)]
+    for package, extra, needed in wanted:
+        if needed and find_spec(package) is None:
+            raise ModuleNotFoundError(f'training needs {package}: pip install "pcs-racing[{extra}]"')
+
+
+def _write_scores(scores: list[dict[str, str | float]], file: Path) -> None:
+    """Write what the network and others lose, or get, where the network did not learn."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(scores[0]) if scores else ["strategy"], lineterminator="\n")
+    writer.writeheader()
+    for row in scores:
+        writer.writerow({key: f"{value:.7g}" if isinstance(value, float) else value for key, value in row.items()})
+    write_atomically(file, lambda stream: stream.write(text.getvalue().encode("utf-8")))

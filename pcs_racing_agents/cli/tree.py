@@ -1,0 +1,145 @@
+"""``pcs-racing tree``: play game trees, or the cheaper ego trees, into a folder."""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.config import UTILITIES
+from pcs_racing.game.game import RaceGame, make_game
+from pcs_racing_agents.cli.estimates import announce, cores_of, ego_seconds, tree_seconds
+from pcs_racing_agents.cli.options import Commands, add_command, add_preset, add_track
+from pcs_racing_agents.jobs.jobs import Progress, add_executor_options, executor_from, show_progress
+from pcs_racing_agents.trees import StoredTrees, build_ego_trees, build_trees
+from pcs_racing_agents.trees.ego import OPPONENTS
+from pcs_racing_agents.trees.paths import check_size
+from pcs_racing_agents.trees.roots import default_seeds
+from pcs_racing_agents.trees.tree import TreeStatistics
+
+__all__ = ["add", "tree_table"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "tree",
+        "play game trees: every move of both players, for pairs of starting policies",
+        "pcs-racing tree --pairs 8 --out out/trees",
+        "pcs-racing tree --archive default --track Tarnfjord --pairs 20 --out out/trees",
+        "pcs-racing tree --archive default --track Tarnfjord --preset contest --pairs 10 --seeds 4 --out out/contest",
+        "pcs-racing tree --archive default --track Tarnfjord --ego 640 --out out/ego",
+    )
+    parser.add_argument(
+        "--archive", default="default", help="name of a shipped archive, or its folder (default: default)"
+    )
+    add_track(parser)
+    add_preset(parser)
+    parser.add_argument("--moves", type=int, metavar="M", help="moves of each player (default: 4)")
+    parser.add_argument("--step", type=float, metavar="S", help="driving per move in s (default: 8)")
+    parser.add_argument("--epsilon", type=float, nargs="+", metavar="E", help="length of a move (default: 0.5)")
+    parser.add_argument("--utility", choices=list(UTILITIES), help="what the end is worth (default: the preset's)")
+    parser.add_argument(
+        "--stay", action=argparse.BooleanOptionalAction, help="whether there is a move that keeps the policy"
+    )
+    parser.add_argument("--pairs", type=int, default=20, metavar="N", help="pairs of starting policies (default: 20)")
+    parser.add_argument(
+        "--seeds", type=int, metavar="S", help="noise seeds of a pair (default: 4 where there is noise, else 1)"
+    )
+    parser.add_argument(
+        "--ego", type=int, metavar="N", help="play N ego trees instead: all moves of car 0 against one line of car 1"
+    )
+    parser.add_argument(
+        "--opponent",
+        choices=list(OPPONENTS),
+        default="random",
+        help="car 1 of ego trees: " + "; ".join(f"{name}: {meaning}" for name, meaning in OPPONENTS.items()),
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="root of all that is drawn (default: 0)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write, or to go on with")
+    add_executor_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Play, and say what it took."""
+    game = _game(arguments)
+    moves = len(game.move_names)
+    if arguments.ego is None:
+        check_size(moves, game.config.moves)
+        seeds = default_seeds(game) if arguments.seeds is None else arguments.seeds
+        seconds = tree_seconds(game.config, moves, arguments.pairs, seeds)
+    else:
+        seconds = ego_seconds(game.config, moves, arguments.ego)
+    print(f"{game.track.name}, archive {game.archive.name}, preset {game.config.race.name}, {moves} moves", flush=True)
+    begin = time.monotonic()
+    played: list[int] = []
+
+    def progress(done: int, total: int, what: str) -> None:
+        played.append(done)
+        shown(done, total, what)
+
+    with executor_from(arguments) as executor:
+        announce(seconds, cores_of(arguments))
+        common: dict[str, Any] = {"seed": arguments.seed, "executor": executor, "progress": progress}
+        if arguments.ego is None:
+            shown: Progress = show_progress("trees")
+            trees = build_trees(game, arguments.out, pairs=arguments.pairs, seeds_per_pair=arguments.seeds, **common)
+            print(tree_table(trees))
+            count, unit = len(trees), "trees"
+        else:
+            if arguments.seeds is not None:
+                raise InputError(f"--seeds {arguments.seeds} does not go with --ego: every ego tree has its own noise")
+            shown = show_progress("batches of ego trees")
+            ego = build_ego_trees(game, arguments.out, roots=arguments.ego, opponent=arguments.opponent, **common)
+            count, unit = len(ego), "ego trees"
+            print(f"{int(ego.driven.sum())} segments driven, {ego.driven.mean():.1f} for each root")
+    new = (played[-1] - played[0]) / played[-1] * count
+    spent = time.monotonic() - begin
+    took = f"{spent:.1f} s, {spent / new:.3g} s each" if new > 0.0 else "all of them were there already"
+    print(f"{count} {unit} in {arguments.out}: {took}")
+
+
+def _game(arguments: argparse.Namespace) -> RaceGame:
+    given = {
+        "moves": arguments.moves,
+        "step_seconds": arguments.step,
+        "epsilon": None if arguments.epsilon is None else tuple(arguments.epsilon),
+        "utility": arguments.utility,
+        "stay": arguments.stay,
+    }
+    changes = {key: value for key, value in given.items() if value is not None}
+    return make_game(arguments.track, arguments.archive, arguments.preset, **changes)
+
+
+def tree_table(trees: StoredTrees) -> str:
+    """Return a table of what each tree cost, and of what it saved."""
+    rows: list[tuple[str, ...]] = [
+        ("tree", "policies", "start", "side", "seeds", "driven", "of shared", "of replayed", "crashes", "repeats")
+    ]
+    total = []
+    for i, tree in enumerate(trees):
+        s = tree.statistics
+        total.append(s)
+        first, second = tree.policies
+        rows.append((str(i), f"{first} {second}", f"{tree.start_s:.1f} m", str(tree.side), str(s.seeds), *_shares(s)))
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    driven, live, shared, replayed = (sum(getattr(s, key) for s in total) for key in TreeStatistics._fields[1:5])
+    lines += [
+        f"{driven} segments driven of {live} different ones: {driven / shared:.0%} of the {shared} of trees that share "
+        f"only beginnings, {driven / replayed:.1%} of the {replayed} of races from the start",
+        "driven: segments; crashes, repeats: histories of moves that end in a crash, or repeat another's policies",
+    ]
+    return "\n".join(lines)
+
+
+def _shares(s: TreeStatistics) -> tuple[str, ...]:
+    return (
+        str(s.driven),
+        f"{s.driven / s.shared:.1%}",
+        f"{s.driven / s.replayed:.1%}",
+        f"{s.crashed:.1%}",
+        f"{s.duplicates:.1%}",
+    )

@@ -1,0 +1,207 @@
+"""``pcs-racing view``: a page that lists the races of a tournament and plays them."""
+
+import argparse
+import os
+import sys
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.cli.options import Commands, add_command, output_file
+
+if TYPE_CHECKING:
+    from pcs_racing_agents.view.contests import Results
+    from pcs_racing_agents.view.race_choice import Pick
+    from pcs_racing_agents.view.race_columns import RaceColumns
+    from pcs_racing_agents.view.view_page import ViewContent
+
+__all__ = ["add"]
+
+REPLAYS = 60
+MOST_REPLAYS = 2000
+LONE_FILE = "there is no job.yaml beside this file that says how its races were driven, so they can't be driven again"
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "view",
+        "list the races of a tournament on a page, and watch them",
+        "pcs-racing view out/mine",
+        "pcs-racing view out/mine --races 12 40 --out chosen.html",
+        "pcs-racing view out/mine --serve",
+    )
+    parser.add_argument(
+        "results", type=Path, metavar="RESULTS", help="folder of a tournament or a study, or its results.csv"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the page to write (default: view.html there)")
+    parser.add_argument(
+        "--replays",
+        type=int,
+        metavar="N",
+        help=f"races to put into the page, chosen by rule (default: {REPLAYS}; with --races or --serve: 0)",
+    )
+    parser.add_argument("--races", type=int, nargs="+", default=[], metavar="K", help="races to put into the page")
+    parser.add_argument(
+        "--serve", action="store_true", help="write nothing; serve the page from this machine, any race to be watched"
+    )
+    parser.add_argument("--port", type=int, metavar="P", help="with --serve: the port (default: a free one)")
+    parser.add_argument("--no-open", action="store_true", help="do not open the page in a browser")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write the page, or serve it."""
+    from pcs_racing_agents.tournament.result_lines import read_lines
+    from pcs_racing_agents.view.race_columns import race_columns
+
+    target = _check(arguments)
+    results, file = _find(arguments.results)
+    lines = results.rows if results is not None else read_lines(file)
+    columns = race_columns(lines)
+    picks = _picks(arguments, columns, results)
+    if arguments.serve:
+        assert results is not None  # _picks has checked
+        _serve(arguments, columns, results, picks)
+        return
+    from pcs_racing.base.files import write_atomically
+    from pcs_racing_agents.view.view_page import view_page
+
+    content = _content(arguments, columns, results, picks)
+    page = view_page(content).encode()
+    write_atomically(target, lambda stream: stream.write(page))
+    print(f"{len(columns)} races, {len(picks)} of them to be watched, {len(page) / 1e6:.1f} MB")
+    if results is None:
+        print(f"{LONE_FILE}; the page lists them")
+    print(f"page: {target}")
+    if not arguments.no_open:
+        _open(target.resolve().as_uri())
+
+
+def _check(arguments: argparse.Namespace) -> Path:
+    """Refuse options that do not go together, before any work; return where the page goes."""
+    if arguments.serve and arguments.out is not None:
+        raise InputError("--out goes without --serve: a page that is served is not written")
+    if arguments.port is not None and not arguments.serve:
+        raise InputError("--port goes with --serve")
+    if arguments.replays is not None and not 0 <= arguments.replays <= MOST_REPLAYS:
+        raise InputError(f"--replays is {arguments.replays}; it must be from 0 to {MOST_REPLAYS}")
+    if len(arguments.races) > MOST_REPLAYS:
+        raise InputError(f"--races names {len(arguments.races)} races; a page holds at most {MOST_REPLAYS}")
+    if not arguments.results.exists():
+        raise InputError(f"there is no {arguments.results}; give the folder of a tournament or a study")
+    place = arguments.results
+    if arguments.out is None and place.is_file():
+        name = "view.html" if place.name == "results.csv" else f"{place.stem}-view.html"
+        return output_file(place.with_name(name), ".html")
+    return output_file(arguments.out or place / "view.html", ".html")
+
+
+def _find(place: Path) -> "tuple[Results | None, Path]":
+    """Return the races of a folder, or of a file; None where nobody knows how a file's races were driven."""
+    from pcs_racing_agents.view.contests import open_results
+
+    folder = place
+    if place.is_file():
+        if place.suffix != ".csv":
+            raise InputError(f"{place} is no results file; give a folder, or the results.csv in it")
+        # The races of a study's ratings have a folder of their own, of the same name as their file.
+        beside = place.resolve().parent if place.name == "results.csv" else place.resolve().with_suffix("")
+        if not (beside / "job.yaml").is_file():
+            return None, place
+        folder = place.parent if place.name == "results.csv" else place.with_suffix("")
+    elif not (place / "job.yaml").is_file() and (place / "results.csv").is_file():
+        return None, place / "results.csv"
+    results = open_results(folder)
+    ratings = results.tournament and results.study is not None
+    return results, folder.with_suffix(".csv") if ratings else folder / "results.csv"
+
+
+def _picks(arguments: argparse.Namespace, columns: "RaceColumns", results: "Results | None") -> "list[Pick]":
+    """Return which races the page is to hold."""
+    from pcs_racing_agents.view.race_choice import Pick, choose_races
+
+    if results is None:
+        if arguments.replays or arguments.races or arguments.serve:
+            raise InputError(f"can't drive races of {arguments.results} again: {LONE_FILE[:1].lower()}{LONE_FILE[1:]}")
+        return []
+    for number in arguments.races:
+        if not 0 <= number < len(columns):
+            raise InputError(f"--races names {number}; there are races 0 to {len(columns) - 1}")
+    default = 0 if arguments.races or arguments.serve else REPLAYS
+    count = default if arguments.replays is None else arguments.replays
+    asked = {number: Pick(number, "a race that was asked for") for number in arguments.races}
+    chosen = {pick.race: pick for pick in choose_races(columns, count)}
+    return list({**asked, **chosen, **asked}.values())
+
+
+def _content(
+    arguments: argparse.Namespace, columns: "RaceColumns", results: "Results | None", picks: "Sequence[Pick]"
+) -> "ViewContent":
+    """Drive the chosen races, and return what the page shows."""
+    from pcs_racing_agents.jobs.jobs import show_progress
+    from pcs_racing_agents.view.race_replays import RaceDriver
+    from pcs_racing_agents.view.view_page import ViewContent
+
+    title = arguments.results.resolve()
+    name = title.parent.name if title.name == "results.csv" else title.name
+    if results is None:
+        return ViewContent(name, columns, str(arguments.results), why_not=f"{LONE_FILE[:1].upper()}{LONE_FILE[1:]}.")
+    driver, progress = RaceDriver(results), show_progress()
+    driven = []
+    try:
+        for race in driver.drive_all([pick.race for pick in picks]):
+            driven.append(race)
+            progress(len(driven), len(picks), race.circuit)
+    except InputError as error:
+        raise InputError(f"{error} (--replays 0 lists the races without any to be watched)") from None
+    return ViewContent(
+        name,
+        columns,
+        str(arguments.results),
+        start=_kind_of_start(results),
+        picks=picks,
+        driven=driven,
+        circuits=driver.circuits,
+        space=driver.space,
+    )
+
+
+def _kind_of_start(results: "Results") -> str:
+    """Return how the races start, as far as the folder tells."""
+    if results.study is not None:
+        return results.study.config.game.race.start
+    game = results.settings.get("game")
+    race = game.get("race") if isinstance(game, dict) else None
+    return str(race.get("start", "side-by-side")) if isinstance(race, dict) else "side-by-side"
+
+
+def _serve(arguments: argparse.Namespace, columns: "RaceColumns", results: "Results", picks: "Sequence[Pick]") -> None:
+    """Serve the page until the viewer ends the command."""
+    from dataclasses import replace
+
+    from pcs_racing_agents.view.race_replays import RaceDriver
+    from pcs_racing_agents.view.view_page import view_page
+    from pcs_racing_agents.view.view_server import RaceService, make_server
+
+    page = view_page(replace(_content(arguments, columns, results, picks), serve=True))
+    service = RaceService(RaceDriver(results), len(columns))
+    with make_server(page, service.answer, arguments.port or 0) as server:
+        address = f"http://127.0.0.1:{server.server_address[1]}/"
+        print(f"{len(columns)} races at {address} (Ctrl-C ends it)", flush=True)
+        if not arguments.no_open:
+            _open(address)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print("ended", file=sys.stderr)
+
+
+def _open(address: str) -> None:
+    """Open a browser, where there is a screen for one: Python would start one that runs in this terminal instead."""
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        return
+    webbrowser.open(address)

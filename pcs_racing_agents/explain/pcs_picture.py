@@ -1,0 +1,133 @@
+"""The Policy Characteristic Space as a picture: everything explored, the archive, and where moves lead."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing_agents.pictures.style import COLOURS, INK, SOFT, new_figure, picture, place_labels, short, tidy
+
+__all__ = ["archive_picture", "draw_archive", "draw_arrow", "in_units", "plane"]
+
+Floats = NDArray[np.float64]
+
+
+def plane(archive: PolicyArchive) -> tuple[int, int]:
+    """Return the axes that go to the right and up: as in the paper, the second and the first."""
+    return min(1, len(archive.characteristics) - 1), 0
+
+
+def in_units(archive: PolicyArchive, normalised: ArrayLike) -> Floats:
+    """Return points in the characteristics' units, shape (..., G), from normalised coordinates."""
+    return archive.nadir + np.asarray(normalised, np.float64) * (archive.ideal - archive.nadir)
+
+
+def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, faint: bool = False) -> None:
+    """Draw an archive's policies above everything explored, in the characteristics' units.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    archive : PolicyArchive
+    colour_bar : bool
+        Whether to explain the colour of the policies, their crash rate, where it is known.
+    faint : bool
+        Draw it as the background of something else: all policies grey.
+    """
+    right, up = plane(archive)
+    everything, policies = archive.explored_coordinates, archive.coordinates
+    if len(everything):
+        axes.plot(everything[:, right], everything[:, up], ".", color="#c3ccd6", ms=3.2, mew=0.0, rasterized=True)
+    options: dict[str, Any] = {"s": 30, "zorder": 3, "linewidths": 0.5, "edgecolors": "white"}
+    if faint or archive.own_crash is None:
+        axes.scatter(policies[:, right], policies[:, up], color="#8b97a5" if faint else COLOURS[0], **options)
+    else:
+        shares = 100.0 * archive.own_crash
+        dots = axes.scatter(policies[:, right], policies[:, up], c=shares, cmap="cividis", vmin=0.0, **options)
+        if colour_bar:
+            bar = axes.figure.colorbar(dots, ax=axes, shrink=0.75, aspect=24, pad=0.02)
+            bar.set_label("own crashes, % of races")
+            bar.outline.set_visible(False)
+            bar.ax.tick_params(length=0)
+    kinds = get_characteristics(archive.characteristics)
+    axes.set_xlabel(f"{kinds[right].name}, {kinds[right].unit}")
+    axes.set_ylabel(f"{kinds[up].name}, {kinds[up].unit}")
+    tidy(axes)
+    _limit(axes, archive)
+
+
+def _limit(axes: Any, archive: PolicyArchive) -> None:
+    """Show the archive with most of what was explored; a few explored policies may be worlds away."""
+    right, up = plane(archive)
+    for axis, setter in ((right, axes.set_xlim), (up, axes.set_ylim)):
+        low, high = archive.nadir[axis], archive.ideal[axis]
+        reach = high - low
+        explored = archive.explored_coordinates[:, axis]
+        if len(explored):
+            tails = np.quantile(explored, [0.02, 0.98])
+            low, high = max(min(low, tails[0]), low - reach), min(max(high, tails[1]), high + reach)
+        setter(low - 0.08 * reach, high + 0.08 * reach)
+
+
+def draw_arrow(axes: Any, start: ArrayLike, end: ArrayLike, colour: str, **options: Any) -> None:
+    """Draw an arrow between two points of a plane."""
+    style = {"arrowstyle": "-|>,head_width=0.25,head_length=0.5", "color": colour, "lw": 1.6, "shrinkA": 4.0}
+    arrow = {**style, "shrinkB": 3.0, "mutation_scale": 10.0, **options}
+    axes.annotate("", xy=np.asarray(end), xytext=np.asarray(start), arrowprops=arrow, zorder=4)
+
+
+@picture
+def archive_picture(
+    archive: PolicyArchive, *, epsilon: float | tuple[float, ...] = 0.35, policy: int | None = None
+) -> Any:
+    """Draw an archive, and where the moves of one of its policies lead.
+
+    Parameters
+    ----------
+    archive : PolicyArchive
+    epsilon : float or tuple of float
+        How far moves go, in normalised units.
+    policy : int, optional
+        Whose moves to draw; by default those of the policy in the middle.
+
+    Raises
+    ------
+    InputError
+        If there is no such policy.
+    ModuleNotFoundError
+        If matplotlib is not installed.
+    """
+    start = archive.select("middle") if policy is None else policy
+    if not 0 <= start < len(archive):
+        raise InputError(f"policy is {start}; archive {archive.name!r} has 0 to {len(archive) - 1}")
+    figure = new_figure(7.2, 5.2)
+    axes = figure.subplots()
+    draw_archive(axes, archive)
+    right, up = plane(archive)
+    points = archive.coordinates
+    here = points[start, [right, up]]
+    axes.plot(*here, "o", ms=9, mfc="none", mec=COLOURS[1], mew=1.6, zorder=5)
+    leads_to = archive.move_table(epsilon)[start]
+    nowhere, ends, labels = [], [], []
+    for target in dict.fromkeys(leads_to.tolist()):
+        names = [name for name, end in zip(archive.move_names(epsilon), leads_to, strict=True) if end == target]
+        if target == start:
+            nowhere = names
+            continue
+        ends.append(points[target, [right, up]])
+        labels.append(", ".join(names))
+        draw_arrow(axes, here, ends[-1], COLOURS[1])
+    told = f"{len(archive)} policies"
+    if len(archive.explored_coordinates):
+        told += f", grey: {len(archive.explored_coordinates)} explored"
+    axes.set_title(f"Archive {short(archive.name)}, preset {archive.preset}: {told}")
+    text = f"arrows: moves of policy {start}"
+    if nowhere:
+        text += f"; {', '.join(nowhere)} keep{'s' if len(nowhere) == 1 else ''} it"
+    axes.text(1.0, 1.0, text, transform=axes.transAxes, ha="right", va="top", color=SOFT, fontsize=8.5)
+    shafts = [here + share * (end - here) for end in ends for share in (0.25, 0.5, 0.75)]
+    place_labels(axes, ends, labels, [INK] * len(ends), avoid=[*points[:, [right, up]], *shafts])
+    return figure

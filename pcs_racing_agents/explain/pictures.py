@@ -1,0 +1,218 @@
+"""The pictures of a race: its way through the Policy Characteristic Space, on the track, move by move, and the lead."""
+
+from typing import Any
+
+import numpy as np
+
+from pcs_racing.base.packing import join_segments
+from pcs_racing_agents.explain.explain import Explanation
+from pcs_racing_agents.explain.pcs_picture import draw_archive, draw_arrow, in_units, plane
+from pcs_racing_agents.pictures.style import CARS, EDGE, INK, SOFT, new_figure, picture, short, tidy
+
+__all__ = ["draw_lead", "draw_space", "draw_track", "draw_worth", "explanation_picture"]
+
+
+@picture
+def explanation_picture(explanation: Explanation) -> Any:
+    """Draw all pictures of a race on one sheet.
+
+    Parameters
+    ----------
+    explanation : Explanation
+
+    Returns
+    -------
+    matplotlib Figure
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If matplotlib is not installed.
+    """
+    told = [step for step in explanation.steps if step.values is not None or step.chances is not None]
+    heights = [4.6, 1.9, 2.0] if told else [4.6, 2.0]
+    figure = new_figure(11.0, sum(heights) + 0.6)
+    rows = figure.subfigures(len(heights), 1, height_ratios=heights)
+    space, track = rows[0].subplots(1, 2, width_ratios=[1.0, 1.15])
+    draw_space(space, explanation)
+    draw_track(track, explanation)
+    if told:
+        draw_worth(rows[1], explanation)
+    draw_lead(rows[-1].subplots(), explanation)
+    replay = explanation.replay
+    figure.suptitle(
+        f"{replay.title}, {replay.track_name}, {explanation.race} rules: {replay.outcome}", x=0.01, ha="left"
+    )
+    return figure
+
+
+def draw_space(axes: Any, explanation: Explanation) -> None:
+    """Draw the archive, the moves as arrows with their numbers, and what was seen of the opponent before each."""
+    archive, steps = explanation.archive, explanation.steps
+    mine, theirs = CARS[explanation.car], CARS[1 - explanation.car]
+    draw_archive(axes, archive, faint=True)
+    right, up = plane(archive)
+    points = archive.coordinates[:, [right, up]]
+    estimates = np.array([step.opponent for step in steps]).reshape(-1, len(archive.characteristics))
+    seen = in_units(archive, estimates)[:, [right, up]]
+    _include(axes, seen)
+    axes.plot(seen[:, 0], seen[:, 1], color=theirs, lw=0.9, alpha=0.6, zorder=4)
+    for k, place in enumerate(seen):
+        _number(axes, place, k + 1, theirs)
+    kept: dict[int, list[str]] = {}
+    for k, step in enumerate(steps):
+        if step.next_policy == step.policy:
+            kept.setdefault(step.policy, []).append(str(k + 1))
+            continue
+        before, after = points[step.policy], points[step.next_policy]
+        draw_arrow(axes, before, after, mine)
+        _number(axes, before + 0.5 * (after - before), k + 1, mine)
+    for policy in dict.fromkeys([step.policy for step in steps[:1]] + [step.next_policy for step in steps]):
+        axes.plot(*points[policy], "o", ms=7, color=mine, mec="white", mew=0.8, zorder=5)
+    for policy, numbers in kept.items():
+        axes.annotate(
+            f"{', '.join(numbers)}: kept",
+            points[policy],
+            xytext=(8, -8),
+            textcoords="offset points",
+            va="top",
+            color=mine,
+            fontsize=8.5,
+            zorder=7,
+        )
+    names = explanation.names
+    axes.set_title("Moves in the Policy Characteristic Space")
+    axes.text(0.99, 0.99, f"{short(names[explanation.car])}: arrows", **_corner(axes, mine))
+    axes.text(0.99, 0.94, f"{short(names[1 - explanation.car])}: as measured before each move", **_corner(axes, theirs))
+
+
+def draw_track(axes: Any, explanation: Explanation) -> None:
+    """Draw where both cars drove, and where they were at each move."""
+    replay = explanation.replay
+    for loop in join_segments(replay.walls):
+        axes.plot(loop[:, 0], loop[:, 1], color="#a5afbb", lw=1.0)
+    per_step = max(1, round(explanation.step_seconds / replay.frame_dt))
+    for car, colour in enumerate(CARS):
+        x, y = replay.cars[:, car, 0], replay.cars[:, car, 1]
+        axes.plot(x, y, color=colour, lw=1.3, alpha=0.75)
+        for k in range(len(explanation.steps)):
+            frame = min((k + 1) * per_step, len(x) - 1)
+            _number(axes, (x[frame], y[frame]), k + 1, colour)
+        axes.plot(x[0], y[0], "s", ms=5, color=colour, mec="white", mew=0.8, zorder=5)
+        axes.plot(x[-1], y[-1], "o", ms=5, color="white", mec=colour, mew=1.6, zorder=5)
+    for event in replay.events:
+        if event.kind == "move":
+            continue
+        frame = min(round(event.time / replay.frame_dt), len(replay.cars) - 1)
+        crash = event.kind == "crash"
+        axes.plot(
+            *replay.cars[frame, event.car, :2],
+            "X" if crash else "^",
+            ms=8 if crash else 7,
+            color="#c22443" if crash else CARS[event.car],
+            mec=INK,
+            mew=0.8,
+            zorder=7,
+        )
+    axes.set_aspect("equal")
+    axes.axis("off")
+    signs = "square: start, ring: end, numbers: moves"
+    kinds = {event.kind for event in replay.events}
+    signs += ", triangle: overtake" if "overtake" in kinds else ""
+    signs += ", cross: crash" if "crash" in kinds else ""
+    axes.set_title(signs, color=SOFT, fontsize=8.5)
+
+
+def draw_worth(figure: Any, explanation: Explanation) -> None:
+    """Draw what the moves were worth to the agent, time by time; without a network the chances that it gave them."""
+    steps = explanation.steps
+    valued = all(step.values is not None for step in steps)
+    panels = figure.subplots(1, explanation.match.moves.shape[2], sharey=True, squeeze=False)[0]
+    for axes in panels[len(steps) :]:
+        axes.set_visible(False)  # moves that a crash left no time for
+    unit = explanation.unit
+    scale = unit.scale if valued and unit is not None else 1.0
+    # Moves that lead to the same policy stay apart: that is part of the picture.
+    for k, (axes, step) in enumerate(zip(panels, steps, strict=False)):
+        bars = scale * step.values if valued and step.values is not None else np.asarray(step.chances)
+        places = np.arange(len(bars))
+        colours = [CARS[explanation.car] if i == step.move else "#b9c3ce" for i in places]
+        axes.barh(places, bars, color=colours, height=0.66)
+        axes.axvline(0.0, color=INK, lw=0.8)
+        axes.set_yticks(np.arange(len(explanation.moves)), explanation.moves)
+        axes.set_ylim(len(explanation.moves) - 0.5, -0.5)
+        if step.move >= len(bars):
+            axes.annotate("made", (0.0, step.move), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
+        axes.set_title(f"{k + 1}: {step.time:g} s", fontsize=9)
+        axes.locator_params(axis="x", nbins=4)
+        tidy(axes, "x")
+        axes.spines["left"].set_visible(False)
+    if valued:
+        what = unit.text.removeprefix("of a ") + "s" if unit is not None and unit.text == "of a win" else ""
+        what = what or (unit.text if unit is not None else "")
+        figure.supxlabel(
+            f"what each move is worth{f', {what}' if what else ''}; coloured: made", fontsize=9, color=SOFT
+        )
+    else:
+        figure.supxlabel("chance of each move; coloured: made", fontsize=9, color=SOFT)
+
+
+def draw_lead(axes: Any, explanation: Explanation) -> None:
+    """Draw the lead over time, with the moves of both cars where they were made."""
+    replay, lead = explanation.replay, explanation.lead
+    time = np.arange(len(lead)) * replay.frame_dt
+    mine, theirs = CARS[explanation.car], CARS[1 - explanation.car]
+    axes.fill_between(time, lead, 0.0, where=lead >= 0.0, color=mine, alpha=0.18, lw=0.0, interpolate=True)
+    axes.fill_between(time, lead, 0.0, where=lead <= 0.0, color=theirs, alpha=0.18, lw=0.0, interpolate=True)
+    axes.plot(time, lead, color=INK, lw=1.4)
+    axes.axhline(0.0, color="#a5afbb", lw=0.8)
+    low, high = min(float(lead.min()), -1.0), max(float(lead.max()), 1.0)
+    reach = high - low
+    axes.set_ylim(low - 0.2 * reach, high + 0.2 * reach)
+    for step in explanation.steps:
+        axes.axvline(step.time, color=EDGE, lw=1.0, zorder=0)
+        label = {"fontsize": 8.5, "ha": "left"}
+        axes.text(step.time + 0.15, high + 0.17 * reach, explanation.moves[step.move], color=mine, va="top", **label)
+        if step.opponent_move >= 0:
+            axes.text(
+                step.time + 0.15,
+                low - 0.17 * reach,
+                explanation.moves[step.opponent_move],
+                color=theirs,
+                va="bottom",
+                **label,
+            )
+    axes.set_xlim(0.0, explanation.step_seconds * (explanation.match.moves.shape[2] + 1))
+    axes.set_xlabel("time, s")
+    axes.set_ylabel("lead, m")
+    tidy(axes, "y")
+
+
+def _number(axes: Any, place: Any, number: int, colour: str) -> None:
+    """Draw a number in a circle."""
+    axes.annotate(
+        str(number),
+        (float(place[0]), float(place[1])),
+        ha="center",
+        va="center",
+        fontsize=7.0,
+        color="white",
+        fontweight="bold",
+        zorder=6,
+        bbox={"boxstyle": "circle,pad=0.18", "facecolor": colour, "edgecolor": "white", "linewidth": 0.8},
+    )
+
+
+def _include(axes: Any, points: Any) -> None:
+    """Widen a picture so that it holds some points."""
+    for column, limits, setter in ((0, axes.get_xlim(), axes.set_xlim), (1, axes.get_ylim(), axes.set_ylim)):
+        margin = 0.05 * (limits[1] - limits[0])
+        if len(points):
+            setter(
+                min(limits[0], float(points[:, column].min()) - margin),
+                max(limits[1], float(points[:, column].max()) + margin),
+            )
+
+
+def _corner(axes: Any, colour: str) -> dict[str, Any]:
+    return {"transform": axes.transAxes, "ha": "right", "va": "top", "fontsize": 8.5, "color": colour}

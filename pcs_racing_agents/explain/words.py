@@ -1,0 +1,163 @@
+"""A race in words: what the agent saw before each move, what it did, what that was worth, and what came of it."""
+
+import numpy as np
+
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing_agents.explain.explain import Explanation, Step
+
+__all__ = ["ADJECTIVES", "CLEAR", "lead_words", "opponent_words", "story", "what_was_done", "why"]
+
+CLEAR = 0.1
+"""Normalised distance from the archive's middle from which on a driver is called one thing or the other."""
+LEVEL = 0.3  # m of lead, about a car's length, below which cars are side by side
+
+ADJECTIVES = {
+    "aggressiveness": ("aggressive", "restrained"),
+    "pace": ("fast", "slow"),
+    "speed": ("fast", "slow"),
+    "restraint": ("careful", "daring"),
+    "smoothness": ("smooth", "restless"),
+    "blocking": ("blocking", "not blocking"),
+}
+"""What a driver with much and with little of a characteristic is called."""
+
+
+def story(explanation: Explanation) -> str:
+    """Return the whole race as text: a head, a paragraph for each move, and the end."""
+    me, other = explanation.names[explanation.car], explanation.names[1 - explanation.car]
+    number = f" (car {explanation.car})"  # cars of one name bring it along
+    lines = [
+        f"{me.removesuffix(number)}{number} against {other} on {explanation.replay.track_name}, "
+        f"{explanation.race} rules: {explanation.replay.outcome}"
+    ]
+    if explanation.blind:
+        lines.append(f"{me} never looks at the opponent: what is seen below had no say in its moves.")
+    for k, step in enumerate(explanation.steps):
+        lines += [
+            f"{step.time:5.1f} s  saw: {opponent_words(explanation, step)}; {lead_words(step.lead)}.",
+            f"         did: {what_was_done(explanation, step)}.",
+        ]
+        reason = why(explanation, step)
+        if reason:
+            lines.append(f"         why: {reason}.")
+        lines.append(f"         then: {_what_followed(explanation, k)}.")
+    if not explanation.steps:
+        lines.append("The race was over before the first move.")
+    return "\n".join(lines)
+
+
+def opponent_words(explanation: Explanation, step: Step) -> str:
+    """Say what the opponent looked like: ``"opponent restrained (aggressiveness 0.21 below the middle)"``."""
+    names = [axis.name for axis in get_characteristics(explanation.archive.characteristics)]
+    away = step.opponent - explanation.middle
+    found, numbers = [], []
+    for name, distance in zip(names, away, strict=True):
+        much, little = ADJECTIVES.get(name, (f"high in {name}", f"low in {name}"))
+        if abs(distance) >= CLEAR:
+            found.append(much if distance > 0.0 else little)
+        side = "above" if distance > 0.0 else "below"
+        numbers.append(f"{name} {abs(distance):.2f} {side} the middle")
+    return f"opponent {' and '.join(found) or 'in the middle of the archive'} ({', '.join(numbers)})"
+
+
+def lead_words(lead: float) -> str:
+    """Say who is ahead."""
+    if abs(lead) < LEVEL:
+        return "level"
+    return f"{'ahead' if lead > 0.0 else 'behind'} by {abs(lead):.1f} m"
+
+
+def what_was_done(explanation: Explanation, step: Step) -> str:
+    """Say which move was made and what it changed."""
+    name = explanation.moves[step.move]
+    chance = "" if step.chances is None or step.chances[step.move] > 0.999 else _drawn(step)
+    if step.next_policy == step.policy:
+        kept = f"kept policy {step.policy}"
+        return f"{name}{chance}, {kept}" if name == "stay" else f"{name}{chance}, no policy lies that way: {kept}"
+    points = explanation.archive.normalised
+    axes = get_characteristics(explanation.archive.characteristics)
+    changes = ", ".join(
+        f"{axis.name} {before:.2f} to {after:.2f}"
+        for axis, before, after in zip(axes, points[step.policy], points[step.next_policy], strict=True)
+    )
+    return f"{name}{chance}, from policy {step.policy} to {step.next_policy} ({changes})"
+
+
+def _drawn(step: Step) -> str:
+    chances = step.chances
+    assert chances is not None
+    return f" (drawn with a chance of {chances[step.move]:.0%})"
+
+
+def why(explanation: Explanation, step: Step) -> str:
+    """Say what the move was worth compared with others; empty where the agent does not tell."""
+    values, unit = step.values, explanation.unit
+    if values is None or unit is None:
+        return ""
+    names = explanation.moves
+    best = int(np.argmax(values))
+    if explanation.habit is not None and step.usual is not None:
+        return _why_habit(explanation, step, best)
+    if step.move >= len(values):
+        return f"its network has no value for {names[step.move]}"
+    others = [i for i in range(len(values)) if i != step.move]
+    if not others:
+        return "there is no other move"
+    stay = len(names) - 1
+    second = max(others, key=lambda i: values[i])
+    against = stay if stay < len(values) and step.move != stay and names[stay] == "stay" else second
+    told = _worth(explanation, values[step.move] - values[against])
+    text = f"worth {told} than {'staying' if names[against] == 'stay' else names[against]}"
+    if against != second:
+        text += f", {_worth(explanation, values[step.move] - values[second])} than {names[second]}"
+    if unit.text == "" and values[step.move] == values[best]:
+        text = f"the highest value of all moves, {text}"
+    return text
+
+
+def _why_habit(explanation: Explanation, step: Step, best: int) -> str:
+    """Why an agent left its habit, or did not."""
+    habit, values, usual = explanation.habit, step.values, step.usual
+    assert habit is not None
+    assert values is not None
+    assert usual is not None
+    worth = values[usual] if usual < len(values) else 0.0
+    gain = _worth(explanation, values[best] - worth)
+    margin = _amount(explanation, habit.margin)
+    names = explanation.moves
+    if step.move != usual:
+        return f"worth {gain} than {names[usual]}, what {habit.name} would do, and that is above the margin of {margin}"
+    if best == usual:
+        return f"what {habit.name} would do, and the best move too"
+    return (
+        f"keeps to {habit.name}: the best move, {names[best]}, promises {gain}, which is not above the margin of "
+        f"{margin}"
+    )
+
+
+def _worth(explanation: Explanation, difference: float) -> str:
+    return f"{_amount(explanation, abs(difference))} {'more' if difference >= 0.0 else 'less'}"
+
+
+def _amount(explanation: Explanation, value: float) -> str:
+    """Return a difference of two values with its unit; without one only its size beside others means anything."""
+    unit = explanation.unit
+    assert unit is not None
+    digits = {"of a win": ".3f", "": ".3g"}.get(unit.text, ".2f")
+    return f"{unit.scale * value:{digits}} {unit.text}".rstrip()
+
+
+def _what_followed(explanation: Explanation, k: int) -> str:
+    """Say what the next piece of racing brought."""
+    step, replay = explanation.steps[k], explanation.replay
+    end = step.time + explanation.step_seconds
+    frame = min(round(end / replay.frame_dt), len(replay.cars) - 1)
+    gained = float(explanation.lead[frame]) - step.lead
+    events = [
+        f"{'it' if event.car == explanation.car else 'the opponent'} {event.text} at {event.time:.1f} s"
+        for event in replay.events
+        if event.kind != "move" and step.time < event.time <= end + 1e-9
+    ]
+    change = "no change" if abs(gained) < 0.05 else f"{'gained' if gained > 0.0 else 'lost'} {abs(gained):.1f} m"
+    change += f", {lead_words(float(explanation.lead[frame]))}"
+    return "; ".join([change, *events])

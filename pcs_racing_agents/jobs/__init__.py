@@ -1,0 +1,1 @@
+"""Long work: tasks, executors, folders that resume, progress, settings."""

@@ -1,0 +1,120 @@
+"""Chunk files: the result of one task of a long job, as plain arrays that know if they are whole and whose they are.
+
+A chunk is an ordinary ``.npz`` file. Its zip comment holds two SHA-256 digests: one of the task that it answers, and
+one of the file itself, which is compared before anything in the file is interpreted.
+"""
+
+import hashlib
+import io
+import struct
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.reading import read_limited, unpack_arrays
+
+__all__ = ["Arrays", "fingerprint", "read_chunk", "write_chunk"]
+
+Arrays = dict[str, NDArray[Any]]
+
+_MARK = b"pcs-racing chunk "
+_COMMENT = len(_MARK) + 128
+_MAX_BYTES = 4_000_000_000
+
+
+def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
+    """Write a chunk; nobody ever reads half of it.
+
+    Parameters
+    ----------
+    path : Path
+    arrays : dict of ndarray
+        No objects. Equal arrays make equal files.
+    task : str
+        Digest of the task, 64 hexadecimal digits (:func:`fingerprint`).
+    """
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    body = buffer.getvalue()[:-2] + struct.pack("<H", _COMMENT)  # a zip file ends with the length of its comment
+    comment = _MARK + task.encode() + _digest(body, task).encode()
+    write_atomically(path, lambda file: (file.write(body), file.write(comment)))
+
+
+def read_chunk(path: Path, task: str | None = None) -> Arrays:
+    """Read a chunk after checking that every byte of it is as it was written.
+
+    Parameters
+    ----------
+    path : Path
+    task : str, optional
+        Digest of the task that it must answer.
+
+    Raises
+    ------
+    InputError
+        If it is missing, damaged, or answers another task; the message begins with the path.
+    """
+    try:
+        content = read_limited(path, _MAX_BYTES, "a chunk")
+    except OSError as error:
+        raise InputError(f"{path} can't be read: {error.strerror}") from None
+    body, comment = content[:-_COMMENT], content[-_COMMENT:]
+    written_for = comment[len(_MARK) : len(_MARK) + 64].decode("latin-1")
+    if not comment.startswith(_MARK) or _digest(body, written_for).encode() != comment[len(_MARK) + 64 :]:
+        raise InputError(f"{path} is damaged: it is not what was written")
+    if task is not None and written_for != task:
+        raise InputError(f"{path} belongs to another task or another run")
+    try:
+        return unpack_arrays(content, _MAX_BYTES)
+    except InputError as error:
+        raise InputError(f"{path} holds no arrays: {error}") from None
+
+
+def _digest(body: bytes, task: str) -> str:
+    return hashlib.sha256(body + task.encode("latin-1")).hexdigest()
+
+
+def fingerprint(*values: Any) -> str:
+    """SHA-256 of plain values, arrays, sequences, mappings and dataclasses of them, in hexadecimal.
+
+    Equal values give equal digests in every process. An object that has a ``content_hash`` stands for that, and
+    anything else (a function, say) for its type alone.
+    """
+    digest = hashlib.sha256()
+    _feed(digest, values)
+    return digest.hexdigest()
+
+
+def _feed(digest: Any, value: Any) -> None:
+    kind = f"{type(value).__module__}.{type(value).__qualname__}"
+    content = getattr(value, "content_hash", None)
+    if isinstance(value, np.ndarray | np.generic) and value.dtype != object:
+        array = np.asarray(value)
+        digest.update(f"array {array.dtype.str} {array.shape};".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    elif value is None or isinstance(value, bool | int | float | complex | str | bytes | Path):
+        text = repr(value) if not isinstance(value, Path) else str(value)
+        digest.update(f"{kind if not isinstance(value, Path) else 'path'} {len(text)} {text};".encode())
+    elif isinstance(content, str) and content:
+        digest.update(f"{kind} {content};".encode())
+    elif isinstance(value, list | tuple):
+        digest.update(f"sequence {len(value)};".encode())
+        for item in value:
+            _feed(digest, item)
+    elif isinstance(value, Mapping):
+        digest.update(f"mapping {len(value)};".encode())
+        for key in sorted(value, key=repr):
+            _feed(digest, key)
+            _feed(digest, value[key])
+    elif is_dataclass(value) and not isinstance(value, type):
+        digest.update(f"{kind};".encode())
+        for field in fields(value):
+            _feed(digest, getattr(value, field.name))
+    else:
+        digest.update(f"{kind};".encode())

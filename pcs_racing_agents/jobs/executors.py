@@ -1,0 +1,286 @@
+"""Where the tasks of a long job run: in this thread, in threads, in processes, or on a dask cluster."""
+
+import argparse
+import logging
+import os
+import platform
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from functools import lru_cache, partial
+from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import connection, get_context, parent_process
+from pathlib import Path
+from pickle import dumps, loads
+from typing import Any
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.race.driving import default_threads
+from pcs_racing_agents.jobs.folders import JobError, package_version
+
+__all__ = [
+    "EXECUTORS",
+    "add_executor_options",
+    "executor_from",
+    "is_lost",
+    "make_executor",
+    "sent_once",
+    "tasks_in_flight",
+]
+
+EXECUTORS = {
+    "serial": "one task after the other",
+    "threads": "threads of this process; compiled code holds no lock",
+    "processes": "processes of this machine",
+    "dask": "workers of a dask cluster (--scheduler), or as many processes",
+}
+
+ANSWER_SECONDS = 5.0
+"""How long to wait for a scheduler to answer."""
+CONNECT_ATTEMPTS = 3
+"""How often to ask dask for a client, if its own thread does not start."""
+WORKER_SECONDS = 60.0
+"""How long to wait for its first worker."""
+LARGE = 100_000
+"""Functions of more bytes travel once, not with every task."""
+
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_log = logging.getLogger("pcs_racing_agents")
+
+
+@contextmanager
+def make_executor(
+    kind: str = "threads", workers: int | None = None, address: str | None = None
+) -> Iterator[Executor | None]:
+    """Provide an executor for as long as a ``with`` block lasts.
+
+    Parameters
+    ----------
+    kind : {"serial", "threads", "processes", "dask"}
+        See :data:`EXECUTORS`. Processes are spawned, so a script needs ``if __name__ == "__main__":``.
+    workers : int, optional
+        How many; as many as this process may use cores by default. A running dask cluster has its own.
+    address : str, optional
+        Of a running dask scheduler, like ``tcp://host:8786``; without it a cluster of processes is started here.
+
+    Yields
+    ------
+    Executor or None
+        None for "serial".
+
+    Raises
+    ------
+    InputError
+        If the kind or the number is impossible, no scheduler answers, it has no workers, or a worker runs on other
+        versions than this process.
+    ModuleNotFoundError
+        If dask is asked for and not installed.
+    """
+    if kind not in EXECUTORS:
+        raise InputError(f"executor is {kind!r}; it must be one of {', '.join(EXECUTORS)}")
+    if workers is not None and (
+        isinstance(workers, bool) or not isinstance(workers, int) or not 1 <= workers <= 10_000
+    ):
+        raise InputError(f"workers is {workers!r}; it must be a whole number from 1 to 10000")
+    if address is not None and kind != "dask":
+        raise InputError(f"a scheduler's address ({address}) goes with the executor dask, not with {kind}")
+    count = workers or default_threads()
+    if kind == "serial":
+        yield None
+    elif kind == "dask":
+        with _dask(count, address) as executor:
+            yield executor
+    elif kind == "threads":
+        with _shut_down(ThreadPoolExecutor(count, "pcs-racing")) as executor:
+            yield executor
+    else:
+        with _one_thread_each(), _shut_down(ProcessPoolExecutor(count, get_context("spawn"), _prepare)) as executor:
+            yield executor
+
+
+def tasks_in_flight(executor: Executor | None) -> int:
+    """How many tasks to hand to an executor before waiting for the first: enough that no worker waits for the next."""
+    if executor is None:
+        return 1
+    client = getattr(executor, "_client", None)  # dask's; its workers come and go
+    workers = sum(client.ncores().values()) if client is not None else getattr(executor, "_max_workers", 16)
+    return max(2, 2 * workers)
+
+
+def is_lost(error: BaseException) -> bool:
+    """Whether an error says that workers are gone, rather than that a task failed."""
+    return isinstance(error, BrokenExecutor | CancelledError) or type(error).__module__.startswith("distributed.")
+
+
+@contextmanager
+def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Callable[..., Any]]:
+    """Return what to submit instead of a function so that a large one (a game, with its track) travels only once.
+
+    Threads get the function itself. Other processes of this machine read it from a temporary file; a dask cluster
+    passes it from worker to worker, and makes it again where the worker that had it is gone.
+    """
+    client = getattr(executor, "_client", None)
+    if client is None and not isinstance(executor, ProcessPoolExecutor):
+        yield partial(executor.submit, function)
+        return
+    packed = dumps(function)
+    if len(packed) < LARGE:
+        yield partial(executor.submit, function)
+    elif client is not None:
+        import dask
+
+        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "4GB"}):  # large, but only once
+            sent = client.submit(loads, packed, pure=False)
+        yield partial(executor.submit, _call, sent)
+    else:
+        with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
+            file = Path(folder) / "function"
+            file.write_bytes(packed)
+            yield partial(executor.submit, _call_packed, str(file))
+
+
+def _call(function: Callable[..., Any], *arguments: Any) -> Any:
+    return function(*arguments)
+
+
+def _call_packed(file: str, *arguments: Any) -> Any:
+    return _unpacked(file)(*arguments)
+
+
+@lru_cache(maxsize=4)  # of a wave of a few circuits
+def _unpacked(file: str) -> Any:
+    return loads(Path(file).read_bytes())
+
+
+@contextmanager
+def _shut_down(executor: Executor) -> Iterator[Executor]:
+    """Like the executor's own context, but tasks that have not begun are dropped when something is raised."""
+    try:
+        yield executor
+    except BaseException:
+        executor.shutdown(wait=True, cancel_futures=True)
+        raise
+    executor.shutdown(wait=True)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Keep linear algebra to one thread in processes started now: several of them would fight for the cores."""
+    before = {key: os.environ.get(key) for key in _ONE_THREAD}
+    os.environ.update({key: "1" for key in _ONE_THREAD if before[key] is None})
+    try:
+        yield
+    finally:
+        for key, value in before.items():
+            if value is None:
+                os.environ.pop(key, None)
+
+
+def _prepare() -> None:
+    """Prepare a worker process: the parent hears Ctrl-C, and a worker whose parent was killed ends, too."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    connection.wait([sentinel])
+    os._exit(1)
+
+
+@contextmanager
+def _dask(workers: int, address: str | None) -> Iterator[Executor]:
+    try:
+        import dask
+        from dask.distributed import Client, LocalCluster
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError(
+            'the executor dask needs dask.distributed: pip install "pcs-racing[cluster]"'
+        ) from None
+    if address is None:
+        quiet = {"dashboard": False, "dashboard_address": ":0"}  # the usual port may be taken by another cluster
+        with (
+            _one_thread_each(),
+            dask.config.set({"distributed.comm.timeouts.connect": "120s"}),  # a busy machine starts workers slowly
+            LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, scheduler_kwargs=quiet) as cluster,
+            Client(cluster) as client,
+        ):
+            yield client.get_executor(pure=False)
+        return
+    with _client(Client, address) as client:
+        try:
+            client.wait_for_workers(1, timeout=WORKER_SECONDS)
+        except TimeoutError:
+            raise InputError(
+                f"the dask scheduler at {address} has no workers; start some: dask worker {address} --nthreads 1"
+            ) from None
+        _check_workers(client.run(worker_identity))
+        yield client.get_executor(pure=False)
+
+
+def _client(make: Callable[..., Any], address: str) -> Any:
+    """Connect to a scheduler; dask gives its own thread ten seconds to start, too few on a busy machine."""
+    for _ in range(CONNECT_ATTEMPTS):
+        try:
+            return make(address, timeout=ANSWER_SECONDS)
+        except AssertionError:  # what dask says then
+            continue
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(f"no dask scheduler answers at {address}: {error}") from None
+    raise JobError("dask's own thread does not start: this machine is too busy; start the same again to go on")
+
+
+def worker_identity() -> dict[str, str]:
+    """What must be the same on all machines for results to be the same to the byte, by name; "" if not installed."""
+    from llvmlite import binding
+
+    def installed(name: str) -> str:
+        try:
+            return version(name)
+        except PackageNotFoundError:
+            return ""
+
+    return {
+        "pcs-racing": package_version(),
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        **{name: installed(name) for name in ("numpy", "numba", "llvmlite", "torch", "stable-baselines3")},
+        "processor": os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name(),
+    }
+
+
+def _check_workers(found: dict[str, dict[str, str]]) -> None:
+    """Compare workers, by address, with this process."""
+    here = worker_identity()
+    for address, there in found.items():
+        for what, value in there.items():
+            if value == here[what] or "" in (value, here[what]):  # who needs what is missing says so
+                continue
+            if what != "processor":
+                raise InputError(
+                    f"the worker at {address} has {what} {value}, not {here[what]}; install the same there"
+                )
+            _log.warning(
+                "the worker at %s has a processor of another kind (%s, here %s): what is trained or searched there may "
+                "differ in the last bit from what one machine makes",
+                address,
+                value,
+                here[what],
+            )
+
+
+def add_executor_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that :func:`executor_from` reads."""
+    kinds = "; ".join(f"{kind}: {meaning}" for kind, meaning in EXECUTORS.items())
+    parser.add_argument("--executor", choices=list(EXECUTORS), default="threads", help=f"{kinds} (default: threads)")
+    parser.add_argument("--workers", type=int, metavar="N", help="threads or processes (default: the cores there are)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a running dask scheduler, like tcp://host:8786")
+
+
+def executor_from(arguments: argparse.Namespace) -> AbstractContextManager[Executor | None]:
+    """Return the executor that the options ask for, as a context."""
+    return make_executor(arguments.executor, arguments.workers, arguments.scheduler)

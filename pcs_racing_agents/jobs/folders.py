@@ -1,0 +1,223 @@
+"""Folders that one process at a time works in, and that remember what for: the manifest and the lock of a job."""
+
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, is_dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import yaml
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.reading import plain_yaml, read_limited
+
+__all__ = ["GO_ON", "JobError", "claim_folder", "clear_half_written", "hold_folder", "package_version", "read_job"]
+
+FORMAT = "pcs-racing job"
+VERSION = 1
+GO_ON = "what is done is kept: mend that and start the same again to go on"
+_MAX_BYTES = 10_000_000
+_HALF_WRITTEN = re.compile(r"\..+\.[0-9a-f]{8}")
+
+
+class JobError(InputError):
+    """Long work can't go on here and now; what is done is kept, and the message says how to go on."""
+
+
+@contextmanager
+def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Make a folder for some work, or take up the one where the same work was left, and keep other processes out.
+
+    Yields
+    ------
+    Mapping
+        The settings as plain values.
+
+    Raises
+    ------
+    InputError
+        If the folder holds something else; nothing is touched then.
+    JobError
+        If another process works in it, or it can't be written to.
+    """
+    manifest = {
+        "format": FORMAT,
+        "version": VERSION,
+        "kind": kind,
+        "package": package_version(),
+        "settings": _plain(settings, "settings"),
+    }
+    text = yaml.safe_dump(manifest, sort_keys=False, allow_unicode=True, width=110)
+    manifest = yaml.safe_load(text)  # as a later run will read it
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _check_same(folder, manifest)
+        lock = _take_lock(folder)
+    except OSError as error:
+        raise _unusable(folder, error) from None
+    with lock:
+        try:
+            if not _check_same(folder, manifest):  # again: another process may have begun in between
+                write_atomically(folder / "job.yaml", lambda file: file.write(text.encode("utf-8")))
+            clear_half_written(folder)
+        except OSError as error:
+            raise _unusable(folder, error) from None
+        try:
+            yield manifest["settings"]
+        finally:
+            lock.truncate(0)
+
+
+@contextmanager
+def hold_folder(folder: Path) -> Iterator[None]:
+    """Make a folder and keep other processes from working in it, without a manifest: for short work done in one go.
+
+    Raises
+    ------
+    JobError
+        If another process works in it, or it can't be written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = _take_lock(folder)
+        clear_half_written(folder)
+    except OSError as error:
+        raise _unusable(folder, error) from None
+    with lock:
+        try:
+            yield
+        finally:
+            lock.truncate(0)
+            if sys.platform != "win32":
+                (folder / ".lock").unlink(missing_ok=True)
+
+
+def clear_half_written(folder: Path) -> None:
+    """Delete what killed runs had begun to write here or in ``chunks`` (see :mod:`pcs_racing.base.files`)."""
+    for file in [*folder.glob(".*"), *folder.glob("chunks/.*")]:
+        if _HALF_WRITTEN.fullmatch(file.name):
+            file.unlink(missing_ok=True)
+
+
+def read_job(file: Path) -> Any:
+    """Return what the manifest of a job holds, whatever that is.
+
+    Raises
+    ------
+    InputError
+        If it is too large or no YAML; the message does not always name the file.
+    OSError
+        If it can't be read.
+    """
+    return plain_yaml(read_limited(file, _MAX_BYTES, "a manifest of a job"))
+
+
+def package_version() -> str:
+    """Version of the installed package; ``"0"`` in a checkout that is not installed."""
+    try:
+        return version("pcs-racing")
+    except PackageNotFoundError:
+        return "0"
+
+
+def _unusable(folder: Path, error: OSError) -> JobError:
+    return JobError(f"can't work in the folder {folder}: {error.strerror} ({error.filename or folder})")
+
+
+def _check_same(folder: Path, manifest: Mapping[str, Any]) -> bool:
+    """Return whether a folder holds this very work; False if it is empty."""
+    file = folder / "job.yaml"
+    if not file.exists():
+        others = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith("."))
+        if others:
+            raise InputError(f"{folder} holds {others[0]} but no job.yaml; choose a new or an empty folder")
+        return False
+    try:
+        found = read_job(file)
+    except InputError:
+        found = None
+    if not isinstance(found, dict) or found.get("format") != FORMAT:
+        raise InputError(f"{file} is no manifest of a job; choose a new or an empty folder")
+    for key, what in (("version", "format version"), ("kind", "kind"), ("package", "package version")):
+        if found.get(key) != manifest[key]:
+            raise InputError(
+                f"{folder} holds another run: its {what} is {found.get(key)!r}, not {manifest[key]!r}; choose another "
+                "folder"
+            )
+    difference = _difference(found.get("settings"), manifest["settings"], "")
+    if difference is not None:
+        raise InputError(f"{folder} holds another run: {difference}; choose another folder, or those settings")
+    return True
+
+
+def _difference(found: Any, wanted: Any, where: str) -> str | None:
+    """Say where two plain values first differ."""
+    if isinstance(found, dict) and isinstance(wanted, dict):
+        for key in [*found, *(key for key in wanted if key not in found)]:
+            inner = f"{where}.{key}" if where else str(key)
+            if key not in wanted:
+                return f"its {inner} is {found[key]!r}, which these settings do not have"
+            if key not in found:
+                return f"it has no {inner}, which is {wanted[key]!r} in these settings"
+            difference = _difference(found[key], wanted[key], inner)
+            if difference is not None:
+                return difference
+        return None
+    same = yaml.safe_dump(found) == yaml.safe_dump(wanted)  # NaN is like NaN here, and 1 is not like true
+    return None if same else f"its {where or 'settings'} is {found!r}, not {wanted!r}"
+
+
+def _plain(value: Any, where: str) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist(), where)
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value), where)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item, where) for item in value]
+    if value is None or type(value) in (bool, int, float, str):
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    raise InputError(f"{where} is {value!r}; the settings of a job must be texts, numbers, lists and mappings")
+
+
+def _take_lock(folder: Path) -> IO[bytes]:
+    """Lock a file until it is closed or the process ends, however it ends, and write the process's number into it."""
+    lock = open(folder / ".lock", "a+b")  # noqa: SIM115 - it stays open as long as the work lasts
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            lock.seek(1_000_000)  # beyond the number, which others are to read
+            msvcrt.locking(lock.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not (folder / ".lock").exists() or not os.path.samestat(
+                os.fstat(lock.fileno()), (folder / ".lock").stat()
+            ):  # whoever held it has just put it away
+                lock.close()
+                return _take_lock(folder)
+        lock.truncate(0)
+        lock.write(f"{os.getpid()}\n".encode())
+        lock.flush()
+    except (BlockingIOError, PermissionError):
+        lock.seek(0)
+        owner = lock.read(20).decode("ascii", "replace").strip()
+        lock.close()
+        raise JobError(
+            f"{folder} is in use by process {owner or '(unknown)'}; wait until it ends, or choose another folder"
+        ) from None
+    except OSError:
+        lock.close()
+        raise
+    return lock

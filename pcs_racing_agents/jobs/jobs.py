@@ -1,0 +1,324 @@
+"""The one seam for long work: tasks that run anywhere, results kept in chunk files, and a stopped job that goes on.
+
+A job is a folder. ``job.yaml`` says what is being made there, ``chunks/`` holds the result of every task done so far,
+and a lock keeps a second process out. Whoever opens the folder again with the same settings takes the work up where it
+was left, be it after Ctrl-C, a crash or ``kill -9``; the results are the same to the byte, whoever computed them:
+
+    with open_job("out/trees", "trees", {"seed": 0}) as job, make_executor("threads") as executor:
+        results = job.run("tree", build, tasks, executor=executor, progress=show_progress("trees"))
+"""
+
+import logging
+import re
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.jobs.chunk_files import Arrays, fingerprint, read_chunk, write_chunk
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from, make_executor
+from pcs_racing_agents.jobs.folders import GO_ON, JobError, claim_folder, package_version
+from pcs_racing_agents.jobs.progress import Progress, show_line, show_progress
+from pcs_racing_agents.jobs.tasks import Work, completed
+
+__all__ = [
+    "Arrays",
+    "Job",
+    "JobError",
+    "Part",
+    "Progress",
+    "add_executor_options",
+    "chunk_file",
+    "executor_from",
+    "make_executor",
+    "open_job",
+    "package_version",
+    "read_chunk",
+    "run_parts",
+    "show_line",
+    "show_progress",
+]
+
+T = TypeVar("T")
+
+_log = logging.getLogger("pcs_racing_agents")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A folder in which long work is done; made by :func:`open_job`.
+
+    Attributes
+    ----------
+    folder : Path
+    kind : str
+        What is being made.
+    settings : Mapping
+        Everything that the results depend on, as plain values.
+    """
+
+    folder: Path
+    kind: str
+    settings: Mapping[str, Any]
+
+    def file(self, name: str, index: int) -> Path:
+        """Return the path of a task's chunk."""
+        return chunk_file(self.folder, name, index)
+
+    def run(
+        self,
+        name: str,
+        function: Callable[[T], Mapping[str, Any]],
+        tasks: Sequence[T],
+        *,
+        executor: Executor | None = None,
+        progress: Progress | None = None,
+        keep: bool = True,
+    ) -> list[Arrays]:
+        """Return the results of all tasks; those that an earlier run has done are read from its chunks.
+
+        Parameters
+        ----------
+        name : str
+            Of this part of the work: small letters, digits, ``-`` and ``_``. Chunks are called ``NAME-00012.npz``.
+        function : callable
+            ``function(task)`` returns arrays (or numbers) by name; for other processes it must be defined in a module.
+        tasks : sequence
+            What tells a task from another must be in the task: a chunk made for another one is not used.
+        executor : Executor, optional
+            Where the tasks run (:func:`make_executor`); in this thread by default. It has no influence on the results.
+        progress : callable, optional
+            Called as ``progress(done, len(tasks), name)`` when the chunks are counted and after every task.
+        keep : bool
+            Whether to return the results; without them (an empty list) memory does not grow with the tasks.
+
+        Returns
+        -------
+        list of dict of ndarray
+            In the order of the tasks.
+
+        Raises
+        ------
+        JobError
+            If a chunk can't be written, or the executor is broken.
+        InputError
+            If the name is impossible or the function returns something else than arrays.
+        """
+        return run_parts([Part(self, name, function, tasks)], executor=executor, progress=progress, keep=keep)[0]
+
+    def run_chains(
+        self,
+        name: str,
+        function: Callable[[tuple[T, Arrays | None]], Mapping[str, Any]],
+        tasks: Sequence[T],
+        *,
+        executor: Executor | None = None,
+        told: Callable[[int, Arrays], None] | None = None,
+    ) -> list[Arrays]:
+        """Do work of which each piece goes on where the piece before it has stopped; the chains run side by side.
+
+        Parameters
+        ----------
+        name : str
+            As for :meth:`run`; the last state of chain 12 is kept in ``NAME-00012.npz``.
+        function : callable
+            ``function((task, state))`` returns the next state: arrays by name, among them ``finished``. The first piece
+            of a chain gets the state None.
+        tasks : sequence
+            One for each chain.
+        executor : Executor, optional
+            Where the pieces are done. A worker that dies takes at most a piece of each chain with it.
+        told : callable, optional
+            Called as ``told(index, state)`` with the state of every chain that was begun earlier, and after every
+            piece.
+
+        Returns
+        -------
+        list of dict of ndarray
+            The last state of every chain.
+
+        Raises
+        ------
+        JobError, InputError
+            As for :meth:`run`.
+        """
+        marks = self._marks(name, tasks)
+        states = [self._found(name, index, mark) for index, mark in enumerate(marks)]
+        last: list[Arrays] = [{} if state is None else state for state in states]
+        ready: deque[Work[int]] = deque()
+
+        def go_on(index: int, state: Arrays | None) -> None:
+            if state is not None and told is not None:
+                told(index, state)
+            if state is None or not state["finished"]:
+                ready.append(Work(index, function, (tasks[index], state)))
+
+        for index, state in enumerate(states):
+            go_on(index, state)
+        for index, value in completed(lambda: ready.popleft() if ready else None, executor, name):
+            last[index] = self._keep(name, index, value, marks[index])
+            go_on(index, last[index])
+        return last
+
+    def read(self, name: str, index: int) -> Arrays:
+        """Read a task's result.
+
+        Raises
+        ------
+        InputError
+            If it is not there, or damaged.
+        """
+        return read_chunk(self.file(name, index))
+
+    def _marks(self, name: str, tasks: Sequence[Any]) -> list[str]:
+        """Digests of all that the results of tasks depend on."""
+        if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
+            raise InputError(f"the name of a part of a job is {name!r}; use small letters, digits, - and _")
+        identity = fingerprint(self.kind, self.settings, package_version(), name)
+        return [fingerprint(identity, index, task) for index, task in enumerate(tasks)]
+
+    def _keep(self, name: str, index: int, value: Any, mark: str) -> Arrays:
+        """Write what a task returned to its chunk."""
+        arrays = _plain_arrays(value, f"task {index} of {name}")
+        path = self.file(name, index)
+        try:
+            path.parent.mkdir(exist_ok=True)
+            write_chunk(path, arrays, mark)
+        except OSError as error:
+            raise JobError(f"can't write {path}: {error.strerror}; {GO_ON}") from None
+        return arrays
+
+    def _found(self, name: str, index: int, mark: str) -> Arrays | None:
+        path = self.file(name, index)
+        if not path.exists():
+            return None
+        try:
+            return read_chunk(path, mark)
+        except InputError as error:
+            _log.warning("%s; it is made again", error)
+            return None
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Tasks of a job that do not depend on each other; the arguments of :meth:`Job.run` as a value.
+
+    Attributes
+    ----------
+    job : Job
+    name : str
+    function : callable
+    tasks : sequence
+    """
+
+    job: Job
+    name: str
+    function: Callable[[Any], Mapping[str, Any]]
+    tasks: Sequence[Any]
+
+
+def run_parts(
+    parts: Sequence[Part],
+    *,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    keep: bool = True,
+) -> list[list[Arrays]]:
+    """Return the results of several parts of work, of one job or of several, that are done side by side.
+
+    No worker waits at the end of a part for the others: the tasks of the next one follow at once.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    executor, keep
+        As for :meth:`Job.run`.
+    progress : callable, optional
+        Called as ``progress(done, total, name of a part)``, counting the tasks of all parts.
+
+    Returns
+    -------
+    list of list of dict of ndarray
+        For each part what :meth:`Job.run` returns.
+
+    Raises
+    ------
+    JobError, InputError
+        As for :meth:`Job.run`.
+    """
+    results: list[list[Arrays]] = [[{}] * len(part.tasks) if keep else [] for part in parts]
+    marks = [part.job._marks(part.name, part.tasks) for part in parts]
+    missing = []
+    for i, part in enumerate(parts):
+        for index, mark in enumerate(marks[i]):
+            found = part.job._found(part.name, index, mark)
+            if found is None:
+                missing.append(Work((i, index), part.function, part.tasks[index]))
+            elif keep:
+                results[i][index] = found
+    total = sum(len(part.tasks) for part in parts)
+    done = total - len(missing)
+    names = list(dict.fromkeys(part.name for part in parts))
+    if progress is not None:
+        progress(done, total, names[0] if names else "")
+    what = " to ".join(dict.fromkeys((names[0], names[-1]))) if names else ""
+    for (i, index), value in completed(partial(next, iter(missing), None), executor, what):
+        arrays = parts[i].job._keep(parts[i].name, index, value, marks[i][index])
+        if keep:
+            results[i][index] = arrays
+        done += 1
+        if progress is not None:
+            progress(done, total, parts[i].name)
+    return results
+
+
+def chunk_file(folder: str | Path, name: str, index: int) -> Path:
+    """Return the path of a task's chunk in a job's folder; :func:`read_chunk` reads it."""
+    return Path(folder) / "chunks" / f"{name}-{index:05d}.npz"
+
+
+def _plain_arrays(value: Any, what: str) -> Arrays:
+    arrays = {str(key): np.asarray(item) for key, item in value.items()} if isinstance(value, Mapping) else None
+    if arrays is None or any(array.dtype == object for array in arrays.values()):
+        raise InputError(f"{what} returned {type(value).__name__}; it must return arrays and numbers by name")
+    return arrays
+
+
+# Opening a folder
+
+
+@contextmanager
+def open_job(folder: str | Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Job]:
+    """Make a folder for long work, or take up work of the same kind and settings that was left there.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A new or empty folder, or one that this function made.
+    kind : str
+        What is being made.
+    settings : Mapping
+        Everything that the results depend on: texts, numbers, lists and mappings (arrays, tuples, paths and dataclasses
+        become these).
+
+    Yields
+    ------
+    Job
+
+    Raises
+    ------
+    InputError
+        If the folder holds something else, work of another kind or package version, or with other settings (the first
+        that differs is named); nothing is touched then.
+    JobError
+        If another process works in the folder, or it can't be written to.
+    """
+    with claim_folder(Path(folder), kind, settings) as plain:
+        yield Job(Path(folder), kind, plain)

@@ -1,0 +1,1 @@
+"""Learning: PPO, and answers learned from branched games."""

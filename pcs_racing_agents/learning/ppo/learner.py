@@ -1,0 +1,264 @@
+"""PPO of Stable-Baselines3 as a value: made from settings, taken apart into arrays, and put together again.
+
+Stable-Baselines3 draws from the random generators that a whole process shares. :func:`own_randomness` lends them to a
+learner and gives them back as they were.
+"""
+
+import random
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.planners.network import INPUTS
+from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.learning.ppo.parts import Part
+from pcs_racing_agents.learning.ppo.plain_state import pack, unpack
+from pcs_racing_agents.learning.ppo.settings import DriveSettings, Settings
+from pcs_racing_agents.networks.layers import Layers
+from pcs_racing_agents.networks.torch_alone import torch_alone
+
+if TYPE_CHECKING:
+    from stable_baselines3 import PPO
+
+__all__ = [
+    "Learner",
+    "actor_layers",
+    "check_packages",
+    "learn_once",
+    "make_learner",
+    "own_randomness",
+    "restore_learner",
+    "store_learner",
+]
+
+FIGURES = ("approx_kl", "clip_fraction", "entropy_loss", "explained_variance", "value_loss")
+"""What is kept of every update, by the names of Stable-Baselines3."""
+
+
+class Learner(NamedTuple):
+    """A model and what it needs beside it.
+
+    Attributes
+    ----------
+    model : PPO
+    rate : Rate
+    limit : float
+        Largest weight that the policy may have.
+    """
+
+    model: "PPO"
+    rate: "Rate"
+    limit: float
+
+
+class Rate:
+    """A learning rate that falls in a straight line, by the steps made and not by those of the current call."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.first, self.last, self.total = settings.learning_rate, settings.final_learning_rate, settings.steps
+        self.steps = 0
+
+    def __call__(self, _: float) -> float:
+        share = min(self.steps / self.total, 1.0)
+        return self.first + share * (self.last - self.first)
+
+
+def check_packages() -> None:
+    """Check that what trains is installed.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If it is not; the message says how to install it.
+    """
+    try:
+        import stable_baselines3  # noqa: F401
+    except ImportError:
+        raise ModuleNotFoundError('PPO needs Stable-Baselines3: pip install "pcs-racing[learning]"') from None
+
+
+@contextmanager
+def own_randomness() -> Iterator[None]:
+    """Keep the process's random generators as they were; in between they and torch belong to one thread alone."""
+    with torch_alone() as torch:
+        kept = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
+        try:
+            yield
+        finally:
+            random.setstate(kept[0])
+            np.random.set_state(kept[1])  # noqa: NPY002
+            torch.set_rng_state(kept[2])
+
+
+def make_learner(settings: Settings, parts: Sequence[Part], seed: int, activation: str, limit: float) -> Learner:
+    """Make a learner that has learned nothing yet.
+
+    Parameters
+    ----------
+    settings : Settings
+    parts : sequence of Part
+        What it is to drive in.
+    seed : int
+    activation : {"relu", "tanh"}
+        Between the layers.
+    limit : float
+        Largest weight of the policy.
+    """
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.logger import Logger
+    from torch import nn
+
+    from pcs_racing_agents.learning.ppo.vec_env import PartsVecEnv
+
+    rate = Rate(settings)
+    envs = PartsVecEnv(parts, seed, settings.reward_scale)
+    policy: dict[str, Any] = {
+        "net_arch": {"pi": list(settings.hidden), "vf": list(settings.value_hidden)},
+        "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[activation],
+    }
+    smooth: dict[str, Any] = {}
+    if isinstance(settings, DriveSettings):
+        noise = settings.noise
+        if settings.noise_steps:
+            # One deviation for each neuron of the last hidden layer, whose outputs are about a half in size.
+            noise /= 0.5 * np.sqrt(settings.hidden[-1] if settings.hidden else len(INPUTS))
+            smooth = {"use_sde": True, "sde_sample_freq": settings.noise_steps}
+        policy["log_std_init"] = float(np.log(noise))
+    seen = settings.rollout * envs.num_envs
+    batches = -(-seen // settings.batch_size)
+    with warnings.catch_warnings():  # of batches of unequal size: the last is hardly smaller
+        warnings.simplefilter("ignore", UserWarning)
+        model = PPO(
+            "MlpPolicy",
+            envs,
+            seed=seed,
+            learning_rate=rate,
+            n_steps=settings.rollout,
+            batch_size=-(-seen // batches),
+            n_epochs=settings.epochs,
+            gamma=settings.discount,
+            gae_lambda=settings.gae_lambda,
+            clip_range=settings.clip_range,
+            ent_coef=settings.entropy,
+            vf_coef=settings.value_weight,
+            max_grad_norm=settings.max_gradient,
+            policy_kwargs=policy,
+            device="cpu",
+            **smooth,
+        )
+    model.set_logger(Logger(None, []))
+    return Learner(model, rate, limit)
+
+
+def learn_once(learner: Learner) -> dict[str, float]:
+    """Drive as far as one update needs, and make it; returns :data:`FIGURES` and the mean reward of a step.
+
+    Raises
+    ------
+    InputError
+        If a weight has become infinite or NaN.
+    """
+    import torch
+
+    model = learner.model
+    learner.rate.steps = model.num_timesteps
+    trouble = False
+    try:
+        model.learn(model.n_steps * model.n_envs, reset_num_timesteps=False, log_interval=None)  # type: ignore[arg-type]
+    except ValueError as error:  # torch's distributions refuse NaN
+        if isinstance(error, InputError):
+            raise
+        trouble = True
+    with torch.no_grad():
+        for parameter in _actor(model):
+            parameter.clamp_(-learner.limit, learner.limit)
+    if trouble or not all(torch.isfinite(parameter).all() for parameter in model.policy.parameters()):
+        raise InputError(
+            f"a weight is no longer a number after {model.num_timesteps} steps; take a learning_rate below "
+            f"{learner.rate.first:g}"
+        )
+    values = model.logger.name_to_value
+    return {
+        **{key: float(values[f"train/{key}"]) for key in FIGURES},
+        "reward": float(np.mean(model.rollout_buffer.rewards)),
+    }
+
+
+def actor_layers(learner: Learner) -> Layers:
+    """Copies of the layers of the policy."""
+    parameters = [parameter.detach().numpy().copy() for parameter in _actor(learner.model)]
+    return Layers(tuple(parameters[::2]), tuple(parameters[1::2]))
+
+
+def _actor(model: "PPO") -> list[Any]:
+    """Weights and biases of the policy in turn, from the first layer to the last."""
+    policy: Any = model.policy
+    return [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]
+
+
+# As arrays
+
+
+def store_learner(learner: Learner) -> Arrays:
+    """Everything that the rest of the training depends on, between two updates."""
+    import torch
+
+    model = learner.model
+    keys, position, has_gauss, gauss = np.random.get_state()[1:]  # type: ignore[index]  # noqa: NPY002
+    arrays: Arrays = {
+        "steps": np.array(model.num_timesteps),
+        "updates": np.array(model._n_updates),
+        "observations": np.asarray(model._last_obs),
+        "episode_starts": np.asarray(model._last_episode_starts),
+        "random.torch": torch.get_rng_state().numpy().copy(),
+        "random.numpy": np.asarray(keys),
+        "random.numpy_rest": np.array([position, has_gauss, gauss], np.float64),
+    }
+    arrays |= {f"policy.{key}": tensor.numpy().copy() for key, tensor in model.policy.state_dict().items()}
+    for i, state in model.policy.optimizer.state_dict()["state"].items():
+        arrays |= {f"adam.{i}.{key}": np.asarray(tensor.numpy()).copy() for key, tensor in state.items()}
+    envs: Any = model.env
+    return arrays | {f"envs.{key}": array for key, array in pack(envs.get_state()).items()}
+
+
+def restore_learner(learner: Learner, arrays: Arrays) -> None:
+    """Go on from what :func:`store_learner` returned, in a learner made with equal settings.
+
+    Raises
+    ------
+    InputError
+        If it is the state of another learner.
+    """
+    import torch
+
+    model = learner.model
+    envs: Any = model.env
+    envs.reset()
+    envs.set_state(unpack(_under(arrays, "envs"), envs.get_state()))
+    try:
+        model.policy.load_state_dict({key: torch.from_numpy(value) for key, value in _under(arrays, "policy").items()})
+    except RuntimeError as error:
+        raise InputError(f"the state is one of another network: {error}") from None
+    optimiser = model.policy.optimizer
+    state: dict[int, dict[str, Any]] = {}
+    for key, value in _under(arrays, "adam").items():
+        index, _, name = key.partition(".")
+        state.setdefault(int(index), {})[name] = torch.from_numpy(value)
+    optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+    model.num_timesteps = int(arrays["steps"])
+    model._n_updates = int(arrays["updates"])
+    model._last_obs = arrays["observations"]
+    model._last_episode_starts = arrays["episode_starts"]
+    # The generators last: what was done above may have drawn from them.
+    position, has_gauss, gauss = arrays["random.numpy_rest"]
+    np.random.set_state(("MT19937", arrays["random.numpy"], int(position), int(has_gauss), gauss))  # noqa: NPY002
+    torch.set_rng_state(torch.from_numpy(arrays["random.torch"]))
+
+
+def _under(arrays: Arrays, prefix: str) -> Arrays:
+    """Those arrays whose names begin with a prefix, without it."""
+    return {key.removeprefix(f"{prefix}."): value for key, value in arrays.items() if key.startswith(f"{prefix}.")}

@@ -1,0 +1,14 @@
+"""Learning from branched races: what every move leads to, from the same moment and with the same noise."""
+
+from pcs_racing_agents.learning.responses.branches import Branches, branch_games
+from pcs_racing_agents.learning.responses.ensemble import merge_networks
+from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response, load_response_settings
+
+__all__ = [
+    "Branches",
+    "ResponseSettings",
+    "branch_games",
+    "learn_response",
+    "load_response_settings",
+    "merge_networks",
+]

@@ -1,0 +1,72 @@
+"""Several networks as one: the mean of small networks is itself a network, a wider one with blocks in its layers."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.networks import RegretNetwork
+
+__all__ = ["merge_networks"]
+
+
+def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwork:
+    """Return a network that puts out the mean of what these put out.
+
+    Raises
+    ------
+    InputError
+        If there is none, or they differ in the game, the target, the number of layers or the scaling of the inputs.
+    """
+    if len(networks) == 0:
+        raise InputError("there is no network to merge; give at least one")
+    first = networks[0]
+    for network in networks:
+        for key in ("identity", "target", "clipped"):
+            if getattr(network, key) != getattr(first, key):
+                raise InputError(f"networks {first.name!r} and {network.name!r} differ in {key}; they can't be merged")
+        if len(network.weights) != len(first.weights):
+            raise InputError(f"networks {first.name!r} and {network.name!r} have different numbers of layers")
+    if first.clipped and len(networks) > 1:
+        raise InputError("the mean of clipped networks is no network; merge networks that are not clipped")
+    weights, biases = [], []
+    last = len(first.weights) - 1
+    for layer in range(last + 1):
+        # The members see inputs in scales of their own; the merged network sees those of the first.
+        blocks, shifts = zip(*(_layer(network, layer, first) for network in networks), strict=True)
+        if layer == last:
+            share = np.float64(1.0 / len(networks))
+            weights.append(np.concatenate(blocks, axis=1) * share)
+            biases.append(np.sum(shifts, axis=0) * share)
+        else:
+            weights.append(np.concatenate(blocks, axis=0) if layer == 0 else _diagonal(blocks))
+            biases.append(np.concatenate(shifts))
+    if last == 0:
+        weights = [np.mean([_layer(network, 0, first)[0] for network in networks], axis=0)]
+    return replace(
+        first,
+        name=name,
+        weights=tuple(weight.astype(np.float32) for weight in weights),
+        biases=tuple(bias.astype(np.float32) for bias in biases),
+        training={**first.training, "members": len(networks)},
+    )
+
+
+def _layer(network: RegretNetwork, layer: int, like: RegretNetwork) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    weight, bias = network.weights[layer].astype(np.float64), network.biases[layer].astype(np.float64)
+    if layer > 0:
+        return weight, bias
+    ratio = like.scale.astype(np.float64) / network.scale
+    shift = (like.mean.astype(np.float64) - network.mean) / network.scale
+    return weight * ratio, bias + (weight * shift).sum(axis=1)
+
+
+def _diagonal(blocks: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    out = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
+    row = column = 0
+    for block in blocks:
+        out[row : row + len(block), column : column + block.shape[1]] = block
+        row, column = row + len(block), column + block.shape[1]
+    return out

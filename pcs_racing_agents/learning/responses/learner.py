@@ -1,0 +1,259 @@
+"""Learning to answer opponents: what each move adds, step by step from the last one back, on branched games.
+
+At the last step every move is tried in games against a pool of opponents, and a network learns from what was seen
+what each move adds there. Then at the step before, the branches being played on by that network, and so on. It is
+fitted Q-iteration (Ernst et al. 2005) over a finite horizon with one pass per round, on advantages whose noise common
+random numbers take away. Nothing of the circuit is in what the network sees, so it can be used on any.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.game import RaceGame
+from pcs_racing_agents.agents.agent import Agent, Competitor
+from pcs_racing_agents.agents.blind import Blend
+from pcs_racing_agents.agents.network import FromNetwork
+from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.jobs.configuration import check_wholes, load_settings
+from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
+from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes
+from pcs_racing_agents.learning.responses.branches import WORTH, branch_games
+from pcs_racing_agents.learning.responses.ensemble import merge_networks
+from pcs_racing_agents.networks import GameIdentity, RegretNetwork, Rows, game_identity, join_rows, train_network
+from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.tournament.matches import game_between
+
+__all__ = ["ResponseSettings", "learn_response", "load_response_settings"]
+
+BLOCK = 256  # games branched in one task: about a second of work
+
+
+@dataclass(frozen=True)
+class ResponseSettings:
+    """How an answer to opponents is learned.
+
+    Attributes
+    ----------
+    starts : int
+        Games that are branched at every step of a round, on each circuit and against each opponent of the pool.
+    rounds : int
+        Passes from the last step to the first. In the first, games reach a step by random moves, in later ones every
+        other game by the network so far.
+    worth : {"win", "utility"}
+        What an outcome is worth: a race won, or the game's utility.
+    members : int
+        Networks that the answer is the mean of.
+    hidden : tuple of int
+        Widths of each member's hidden layers.
+    learning_rate, weight_decay, batch_size, epochs, patience
+        As in :class:`pcs_racing_agents.networks.settings.TrainSettings`.
+    seed : int
+        Root of the games and of the networks.
+
+    Raises
+    ------
+    ConfigError
+        If a value is impossible.
+    """
+
+    starts: int = 1024
+    rounds: int = 2
+    worth: str = "win"
+    members: int = 4
+    hidden: tuple[int, ...] = (64, 64)
+    learning_rate: float = 3e-3
+    weight_decay: float = 1e-3
+    batch_size: int = 512
+    epochs: int = 60
+    patience: int = 12
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.worth not in WORTH:
+            raise ConfigError(f"worth is {self.worth!r}; it must be one of {', '.join(WORTH)}")
+        check_wholes(self, starts=(4, 1_000_000), rounds=(1, 20), members=(1, 32), seed=(0, 2**62))
+        self.train_settings(0)
+
+    def train_settings(self, member: int) -> TrainSettings:
+        """Return how one of the networks is fitted."""
+        return TrainSettings(
+            hidden=self.hidden,
+            learning_rate=self.learning_rate,
+            weight_decay=self.weight_decay,
+            batch_size=self.batch_size,
+            epochs=self.epochs,
+            patience=self.patience,
+            rows_per_epoch=50_000,
+            seed=self.seed * 64 + member,
+        )
+
+
+def load_response_settings(source: str | Path | ResponseSettings | None = None, **changes: Any) -> ResponseSettings:
+    """Return settings from a name, a YAML file or settings, with some fields changed.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or a value impossible.
+    UnknownNameError
+        If the name is no configuration and no file.
+    """
+    return load_settings("response", ResponseSettings(), source, **changes)
+
+
+class BranchTask(NamedTuple):
+    """Games that are branched together.
+
+    Attributes
+    ----------
+    game, opponent : int
+        Index of the circuit's game, and of the opponent in its pool.
+    step, round : int
+    first, last : int
+        Numbers of the games.
+    root : int
+        Seed of all games of this circuit, opponent, step and round.
+    """
+
+    game: int
+    opponent: int
+    step: int
+    round: int
+    first: int
+    last: int
+    root: int
+
+
+def learn_response(
+    games: Sequence[RaceGame],
+    pool: Sequence[Competitor],
+    setting: Setting,
+    settings: ResponseSettings,
+    job: Job,
+    *,
+    name: str = "adaptive",
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> RegretNetwork:
+    """Learn what each move adds against a pool of opponents.
+
+    Parameters
+    ----------
+    games : sequence of RaceGame
+        One on each circuit, all of one archive and one set of rules.
+    pool : sequence of Competitor
+        Opponents, all met equally often on all circuits.
+    setting : Setting
+        Archive and rules, as agents know them.
+    settings : ResponseSettings
+    job : Job
+        Where branches are kept: a stopped run goes on with them.
+    name : str
+        Of the network.
+    executor : Executor, optional
+    progress : callable, optional
+
+    Returns
+    -------
+    RegretNetwork
+        Its values are advantages over the mean of all moves, in shares of races won (or in units of utility).
+
+    Raises
+    ------
+    InputError
+        If the games are not all alike.
+    """
+    if len(games) == 0 or len(pool) == 0:
+        raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")
+    identity = game_identity(games[0])
+    # Opponents may keep their policy whatever the rules; the learner has the moves that the rules offer.
+    chances = (np.arange(len(setting.moves)) < len(identity.moves)) / len(identity.moves)
+    random_moves = _agent("random-moves", Blend(chances), setting, settings.seed)
+    arenas = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
+    for game in games:
+        if game_identity(game) != identity:
+            raise InputError(f"the game on {game.track.name!r} differs from the first in archive, moves or rules")
+    rows: list[Rows] = []
+    network: RegretNetwork | None = None
+
+    def fit(members: int) -> RegretNetwork:
+        learn = partial(_learn, join_rows(rows), identity, name)
+        wanted = [settings.train_settings(i) for i in range(members)]
+        found = dict(completed(each(learn, wanted), in_other_processes(executor), f"learning {name}"))
+        return merge_networks([found[i] for i in range(members)], name)
+
+    steps = games[0].config.moves
+    for round_ in range(settings.rounds):
+        behaviours = [random_moves] if network is None else [random_moves, _follow(network, setting)]
+        for step in reversed(range(steps)):
+            # At the last step nothing is left to be decided afterwards.
+            continuation = random_moves if network is None else _follow(network, setting)
+            tasks = _tasks(len(games), len(pool), settings, step, round_)
+            work = partial(_branch, arenas, pool, behaviours, continuation, settings.worth, len(identity.moves))
+            found = job.run(f"round-{round_}-step-{step}", work, tasks, executor=executor, progress=progress)
+            rows += [_rows(arrays, task) for arrays, task in zip(found, tasks, strict=True) if len(arrays["game"])]
+            last = round_ == settings.rounds - 1 and step == 0
+            network = fit(settings.members if last else min(settings.members, 2))
+    assert network is not None
+    rest = {key: value for key, value in network.training.items() if key != "rows"}
+    summary = {"rows": sum(len(part) for part in rows), "worth": settings.worth, **rest}
+    return replace(network, training=summary)
+
+
+def _learn(rows: Rows, identity: GameIdentity, name: str, settings: TrainSettings) -> RegretNetwork:
+    return train_network(rows, identity, settings, name=name, target="advantage")[0]
+
+
+def _agent(name: str, strategy: Any, setting: Setting, seed: int) -> Agent:
+    return Agent(name, strategy, setting, seed)
+
+
+def _follow(network: RegretNetwork, setting: Setting) -> Agent:
+    return _agent(network.name, FromNetwork(network, "argmax", len(setting.moves)), setting, 0)
+
+
+def _tasks(games: int, opponents: int, settings: ResponseSettings, step: int, round_: int) -> list[BranchTask]:
+    tasks = []
+    for i in range(games):
+        for j in range(opponents):
+            spawn = np.random.SeedSequence(settings.seed, spawn_key=(i, j, step, round_))
+            root = int(spawn.generate_state(1, np.uint64)[0] >> np.uint64(1))
+            for first in range(0, settings.starts, BLOCK):
+                tasks.append(BranchTask(i, j, step, round_, first, min(first + BLOCK, settings.starts), root))
+    return tasks
+
+
+def _branch(
+    arenas: Sequence[Sequence[RaceGame]],
+    pool: Sequence[Competitor],
+    behaviours: Sequence[Competitor],
+    continuation: Competitor,
+    worth: str,
+    count: int,
+    task: BranchTask,
+) -> Arrays:
+    keys = race_seeds(task.root, task.last)[task.first :]
+    arena, opponent = arenas[task.game][task.opponent], pool[task.opponent]
+    found = branch_games(arena, opponent, keys, task.step, behaviours, continuation, worth, count)
+    return {"observations": found.observations, "outcomes": found.outcomes, "game": found.game}
+
+
+def _rows(arrays: Arrays, task: BranchTask) -> Rows:
+    outcomes = arrays["outcomes"]
+    # Every game is a starting pair of its own: all rows of a game are learned from, or all validated on.
+    number = ((task.round * 100 + task.step) * 1000 + task.game * 50 + task.opponent) * 1_000_000
+    return Rows(
+        observations=arrays["observations"],
+        targets=(outcomes - outcomes.mean(axis=1, keepdims=True)).astype(np.float32),
+        weights=np.ones(len(outcomes)),
+        pair=number + task.first + arrays["game"],
+        step=np.full(len(outcomes), task.step),
+    )

@@ -1,0 +1,28 @@
+"""The regret approximator: training rows, the network, and how it is trained and judged."""
+
+from pcs_racing_agents.networks.identity import GameIdentity, game_identity
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.networks.network_files import list_networks, load_network
+from pcs_racing_agents.networks.rows import Rows, join_rows
+from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
+from pcs_racing_agents.networks.targets import TARGETS, best_moves, node_targets, solve_for
+from pcs_racing_agents.networks.training import train_network
+from pcs_racing_agents.networks.tree_rows import tree_rows
+
+__all__ = [
+    "TARGETS",
+    "GameIdentity",
+    "RegretNetwork",
+    "Rows",
+    "TrainSettings",
+    "best_moves",
+    "game_identity",
+    "join_rows",
+    "list_networks",
+    "load_network",
+    "load_train_settings",
+    "node_targets",
+    "solve_for",
+    "train_network",
+    "tree_rows",
+]

@@ -1,0 +1,99 @@
+"""What the moves of ego trees are worth, and the training rows made of it.
+
+What a move is worth depends on what follows. ``"best"`` takes the best that could have followed: it knows the
+opponent's moves and the noise to come, as no driver does, so it is an upper bound. A continuation policy that sees
+observations only is not flattered; working backwards with one that was learned from the rows of later steps is fitted
+value iteration.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.trees.ego import EgoTrees
+
+if TYPE_CHECKING:
+    from pcs_racing_agents.networks.rows import Rows
+
+__all__ = ["Continuation", "ego_rows", "ego_values"]
+
+Floats = NDArray[np.float64]
+
+Continuation = str | Callable[[NDArray[np.float32]], ArrayLike]
+
+
+def ego_values(trees: EgoTrees, continuation: Continuation = "best") -> list[tuple[Floats, Floats]]:
+    """Return what every move is worth, and what every situation is, if play goes on in a certain way.
+
+    Parameters
+    ----------
+    trees : EgoTrees
+    continuation : "best" or callable
+        How car 0 goes on: as would have been best, or with the probabilities ``continuation(observations (n, D)) ->
+        (n, A)``.
+
+    Returns
+    -------
+    list of (ndarray (R, A**k, A), ndarray (R, A**k))
+        For each step ``k`` the worth of each move, and the return of the continuation from there.
+
+    Raises
+    ------
+    InputError
+        If the continuation returns something else than probabilities.
+    """
+    if isinstance(continuation, str) and continuation != "best":
+        raise InputError(f'continuation is {continuation!r}; it must be "best" or a function of observations')
+    value = np.asarray(trees.payoffs, np.float64)
+    values: list[tuple[Floats, Floats]] = []
+    for level in range(trees.moves - 1, -1, -1):
+        q = value.reshape(len(trees), -1, trees.options)
+        if callable(continuation):
+            seen = trees.observations(level)
+            given = np.asarray(continuation(seen.reshape(-1, seen.shape[-1])), np.float64)
+            if given.shape != (q.size // trees.options, trees.options) or not np.isfinite(given).all():
+                raise InputError(
+                    f"the continuation returned shape {given.shape} for {q.size // trees.options} observations; it "
+                    f"must return finite probabilities of {trees.options} moves"
+                )
+            if (given < 0.0).any() or not np.allclose(given.sum(axis=1), 1.0, atol=1e-4):
+                raise InputError("the continuation's probabilities must be 0 or above and sum up to 1")
+            value = (q * given.reshape(q.shape)).sum(axis=-1)
+        else:
+            value = q.max(axis=-1)
+        values.append((q, value))
+    return values[::-1]
+
+
+def ego_rows(trees: EgoTrees, continuation: Continuation = "best") -> "Rows":
+    """Return training rows: what car 0 saw, and what each move was worth (:func:`ego_values`).
+
+    Situations that histories of the same policies share are one row; its weight is the probability to get there with
+    moves at random. Races that are over give none.
+
+    Raises
+    ------
+    InputError
+        If no race goes on after the first step, or the continuation is impossible.
+    """
+    from pcs_racing_agents.networks.rows import Rows, pair_number
+
+    parts = []
+    for level, (q, _) in enumerate(ego_values(trees, continuation)):
+        paths = trees.paths[level]
+        first = np.zeros(paths.shape, np.bool_)
+        weight = np.zeros(paths.shape)
+        for r, numbers in enumerate(paths):
+            _, begin, times = np.unique(numbers, return_index=True, return_counts=True)
+            first[r, begin] = True
+            weight[r, begin] = times / paths.shape[1]
+        at = np.nonzero(first & ~trees.over[level])
+        pair = pair_number(trees.policies)[at[0]]
+        parts.append((trees.observations(level)[at], q[at], weight[at], pair, np.full(len(pair), level, np.int64)))
+    observations, targets, weights, pair, step = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    if len(targets) == 0:
+        raise InputError("every race is over before the first move; no ego tree gives a row")
+    return Rows(observations, targets, weights, pair, step)

@@ -1,0 +1,166 @@
+"""From ego trees to a trained network: backwards from the last move, so that no target knows what no driver could.
+
+What a move is worth depends on what follows. At the last move nothing does; a network learns from it. At the move
+before, the branches go on as that network says, and so on: fitted Q-iteration over a finite horizon (Ernst et al.,
+2005).
+"""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.jobs.jobs import Progress
+from pcs_racing_agents.networks.identity import GameIdentity
+from pcs_racing_agents.networks.metrics import Play, RowScore, constant_plays, follow, score_rows
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.networks.rows import draw_pairs, pair_number
+from pcs_racing_agents.networks.settings import TrainSettings, settings_for_trees
+from pcs_racing_agents.networks.training import Fit, train_network
+
+if TYPE_CHECKING:
+    from pcs_racing_agents.trees import EgoTrees
+
+__all__ = ["TrainedOnEgo", "check_ego_target", "ego_score_table", "score_ego", "take_roots", "train_on_ego"]
+
+TARGET = "static-q"
+BEST = "best in hindsight"
+
+
+class TrainedOnEgo(NamedTuple):
+    """A network trained on ego trees.
+
+    Attributes
+    ----------
+    network : RegretNetwork
+    fit : Fit
+        Of the last of its trainings.
+    rows : list of RowScore
+        Choices on the rows of the held-out roots, or of the validation pairs where none is held out.
+    roots : dict of str to ndarray, shape (roots,)
+        What the network and other strategies get in each held-out root; empty if none are.
+    """
+
+    network: RegretNetwork
+    fit: Fit
+    rows: list[RowScore]
+    roots: dict[str, NDArray[np.float64]]
+
+
+def train_on_ego(
+    trees: "EgoTrees",
+    identity: GameIdentity,
+    settings: TrainSettings,
+    *,
+    name: str,
+    about: dict[str, str | int | float | bool] | None = None,
+    learning: Progress | None = None,
+) -> TrainedOnEgo:
+    """Train a network on ego trees and judge it on others.
+
+    With ``settings.continuation = "best"`` there is one training, on targets in which the best follows every move; it
+    knows the opponent's moves and the noise to come. With "learned" there is one for every move, from the last to the
+    first.
+
+    Parameters
+    ----------
+    trees : EgoTrees
+    identity : GameIdentity
+        The game that they belong to.
+    settings : TrainSettings
+        Its target must be "static-q"; its weights and numbers of rows per tree play no role.
+    name : str
+        Of the network.
+    about : dict, optional
+        What else the network should know of its training, texts and numbers by name.
+    learning : callable, optional
+        Called as ``progress(epoch, epochs, what)``.
+
+    Raises
+    ------
+    InputError
+        If the target is another one, or the roots come from fewer than three starting pairs.
+    """
+    from pcs_racing_agents.trees import ego_rows
+
+    check_ego_target(settings)
+    settings = settings_for_trees(settings)
+    numbers = pair_number(trees.policies)
+    different = len(np.unique(numbers))
+    if different < 3:
+        raise InputError(
+            f"the roots come from {different} starting pairs; it takes 3: to learn, to stop and to judge by"
+        )
+    held_out = np.zeros(len(numbers), np.bool_)
+    if settings.test_share > 0.0:
+        chosen = draw_pairs(numbers, settings.test_share, np.random.SeedSequence(settings.seed, spawn_key=(3,)))
+        held_out = np.isin(numbers, chosen[: different - 2])
+    learned = take_roots(trees, ~held_out)
+
+    def fit(continuation: str | Play, first: int) -> tuple[RegretNetwork, Fit]:
+        rows = ego_rows(learned, continuation)
+        return train_network(rows.take(rows.step >= first), identity, settings, name=name, progress=learning)
+
+    if settings.continuation == "best":
+        network, result = fit("best", 0)
+    else:
+        network, result = fit("best", trees.moves - 1)  # nothing follows the last move
+        for first in reversed(range(trees.moves - 1)):
+            network, result = fit(follow(network), first)
+    judged, roots = ego_rows(take_roots(trees, held_out) if held_out.any() else learned, follow(network)), {}
+    if not held_out.any():
+        judged = judged.take(np.isin(judged.pair, result.validation_pairs))
+    scores = score_rows(network, judged)
+    summary = {"roots": len(trees), "test_roots": int(held_out.sum()), **dict(network.training), **(about or {})}
+    summary["test_agreement"] = float(f"{scores[0].agreement:.4g}")
+    if held_out.any():
+        plays = {name: follow(network), **constant_plays(identity.moves)}
+        roots = score_ego(plays, take_roots(trees, held_out))
+        summary["test_utility"] = float(f"{roots[name].mean():.4g}")
+    return TrainedOnEgo(replace(network, training=summary), result, scores, roots)
+
+
+def check_ego_target(settings: TrainSettings) -> None:
+    """Check that the target is one that ego trees give.
+
+    Raises
+    ------
+    InputError
+        If it is another one.
+    """
+    if settings.target != TARGET:
+        raise InputError(f"target is {settings.target!r}; ego trees have one player and give {TARGET!r} alone")
+
+
+def take_roots(trees: "EgoTrees", indices: ArrayLike) -> "EgoTrees":
+    """Return some roots, by index or by a mask over roots."""
+    chosen = np.asarray(indices)
+    return type(trees).from_arrays({key: array[chosen] for key, array in trees.arrays().items()}, "the roots")
+
+
+def score_ego(plays: dict[str, Play], trees: "EgoTrees") -> dict[str, NDArray[np.float64]]:
+    """Return what strategies get in each root against its opponent, shape (R,) each.
+
+    Random moves, and the best that could have been done if one had known all that was to come, stand beside them.
+    """
+    from pcs_racing_agents.trees import ego_values
+
+    def random(observations: NDArray[np.float32]) -> NDArray[np.float64]:
+        return np.full((len(observations), trees.options), 1.0 / trees.options)
+
+    everyone: dict[str, str | Play] = {**plays, "random moves": random, BEST: "best"}
+    return {name: ego_values(trees, play)[0][1][:, 0] for name, play in everyone.items()}
+
+
+def ego_score_table(rows: str, roots: dict[str, NDArray[np.float64]]) -> str:
+    """Add what strategies got to a table of choices, as text for people."""
+    if not roots:
+        return rows
+    count, width = len(next(iter(roots.values()))), max(len(name) for name in roots)
+    lines = [rows, "", f"utility in {count} held-out roots (standard error over roots):"]
+    for name, values in roots.items():
+        error = values.std(ddof=1) / np.sqrt(count) if count > 1 else np.nan
+        lines.append(f"  {name.ljust(width)}  {values.mean():9.3f} ({error:.3f})")
+    return "\n".join(lines)

@@ -1,0 +1,182 @@
+"""From folders of trees to a trained network and what it is worth: solve, make rows, train, judge."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.jobs.jobs import Progress
+from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes, run_one
+from pcs_racing_agents.networks.identity import GameIdentity
+from pcs_racing_agents.networks.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.networks.rows import Rows, draw_pairs, join_rows, pair_number
+from pcs_racing_agents.networks.settings import TrainSettings, settings_for_trees
+from pcs_racing_agents.networks.targets import get_target, solve_for
+from pcs_racing_agents.networks.training import Fit, train_network
+from pcs_racing_agents.networks.tree_rows import PlayedTree, tree_rows
+
+__all__ = ["Trained", "train_on_trees", "trees_identity"]
+
+
+class Trained(NamedTuple):
+    """A network trained on trees.
+
+    Attributes
+    ----------
+    network : RegretNetwork
+        Its scores on the held-out trees are among what it knows of its training.
+    fit : Fit
+    rows : list of RowScore
+        Choices on the rows of the held-out trees, or of the validation pairs where no tree is held out.
+    trees : dict of str to ndarray, shape (trees, 4)
+        What the network and other strategies lose on the held-out trees, :class:`TreeScore`; empty if none are.
+    """
+
+    network: RegretNetwork
+    fit: Fit
+    rows: list[RowScore]
+    trees: dict[str, NDArray[np.float64]]
+
+
+def trees_identity(settings: Any) -> GameIdentity:
+    """Return the game that stored trees belong to, of :attr:`pcs_racing_agents.trees.StoredTrees.settings`."""
+    epsilon = settings["rules"]["epsilon"]
+    return GameIdentity(
+        elements=tuple(settings["encoding"]),
+        moves=tuple(settings["move_names"]),
+        epsilon=tuple(epsilon) if isinstance(epsilon, list | tuple) else (epsilon,),
+        archive=settings["archive"]["name"],
+        archive_sha256=settings["archive"]["sha256"],
+        preset=settings["preset"],
+    )
+
+
+def train_on_trees(
+    tree_at: Callable[[int], PlayedTree],
+    pairs: ArrayLike,
+    identity: GameIdentity,
+    settings: TrainSettings,
+    *,
+    name: str,
+    about: dict[str, str | int | float | bool] | None = None,
+    executor: Executor | None = None,
+    solving: Progress | None = None,
+    learning: Progress | None = None,
+) -> Trained:
+    """Train a network on trees and judge it on others.
+
+    Parameters
+    ----------
+    tree_at : callable
+        Returns tree ``i``; asked when it is needed, once or (of trees held out) twice. A tree in which the race is over
+        before the first move teaches nothing and is passed over.
+    pairs : array of int, shape (trees, 2)
+        Starting policies of each tree.
+    identity : GameIdentity
+        The game that they belong to.
+    settings : TrainSettings
+    name : str
+        Of the network.
+    about : dict, optional
+        What else the network should know of its training, texts and numbers by name.
+    executor : Executor, optional
+        Where trees are solved, each as a task, and where the network learns, in another process if there is one. It has
+        no influence on the result.
+    solving, learning : callable, optional
+        Called as ``progress(done, total, what)`` after every tree and every epoch (in this process).
+
+    Raises
+    ------
+    JobError
+        If the executor is broken.
+    InputError
+        If the trees come from too few starting pairs: 2, or 3 with some held out.
+    """
+    settings = settings_for_trees(settings)
+    numbers = pair_number(pairs)
+    held_out = np.zeros(len(numbers), np.bool_)
+    different, least = len(np.unique(numbers)), 3 if settings.test_share > 0.0 else 2
+    if different < least:
+        raise InputError(
+            f"the trees come from {different} starting pairs; it takes {least}: some to learn from, some to stop by"
+            f"{', and some to judge by' if least == 3 else ''}"
+        )
+    if settings.test_share > 0.0:
+        chosen = draw_pairs(numbers, settings.test_share, np.random.SeedSequence(settings.seed, spawn_key=(3,)))
+        held_out = np.isin(numbers, chosen[: different - 2])
+    solve = _Solver(settings, len(identity.moves) - 1 if identity.moves[-1] == "stay" else None)
+    rows: list[Rows | None] = [None] * len(held_out)
+    tasks = each(solve, (tree_at(i) for i in range(len(held_out))))
+    for done, (i, found) in enumerate(completed(tasks, executor, "solving trees"), start=1):
+        rows[i] = found
+        if solving is not None:
+            solving(done, len(held_out), f"solved for {settings.target}")
+    known = join_rows([part for part, out in zip(rows, held_out, strict=True) if part is not None and not out])
+    judged = [part for part, out in zip(rows, held_out, strict=True) if part is not None and out]
+    test = [i for i, part in enumerate(rows) if part is not None and held_out[i]]
+    elsewhere = in_other_processes(executor)
+    learn = _Learner(known, identity, name, learning if elsewhere is None else None)
+    network, fit = run_one(learn, settings, elsewhere, "learning")
+    kept_back = join_rows(judged) if judged else known.take(np.isin(known.pair, fit.validation_pairs))
+    scores, trees = score_rows(network, kept_back), {}
+    summary = {"trees": len(held_out), "test_trees": len(test), **dict(network.training), **(about or {})}
+    summary["test_agreement"] = float(f"{scores[0].agreement:.4g}")
+    if test:
+        trees = score_trees({name: follow(network), **constant_plays(identity.moves)}, (tree_at(i) for i in test))
+        for key, value in zip(TreeScore._fields, trees[name].mean(axis=0), strict=True):
+            summary[f"test_{key}"] = float(f"{value:.4g}")
+    return Trained(replace(network, training=summary), fit, scores, trees)
+
+
+@dataclass(frozen=True)
+class _Solver:
+    """What makes rows of a tree, here or in another process.
+
+    Attributes
+    ----------
+    settings : TrainSettings
+    stay : int, optional
+        Index of the move "stay", which the trees do not know.
+    """
+
+    settings: TrainSettings
+    stay: int | None
+
+    def __call__(self, race_tree: PlayedTree) -> Rows | None:
+        """Return the rows; None if the race is over before the first move."""
+        if np.all(race_tree.over[0]):
+            return None
+        settings = self.settings
+        tree = race_tree.game_tree()
+        solution = solve_for(tree, settings.target, iterations=settings.iterations, variant=settings.variant)
+        return tree_rows(
+            race_tree,
+            solution,
+            settings.target,
+            opponent=settings.opponent,
+            stay=self.stay,
+            row_weights=settings.row_weights or "uniform",
+            rows_per_step=settings.rows_per_step,
+            seed=settings.seed,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Learner:
+    """What learns from rows, here or in another process; they travel with it, once."""
+
+    rows: Rows
+    identity: GameIdentity
+    name: str
+    progress: Progress | None
+
+    def __call__(self, settings: TrainSettings) -> tuple[RegretNetwork, Fit]:
+        clipped = get_target(settings.target).clipped
+        return train_network(
+            self.rows, self.identity, settings, name=self.name, clipped=clipped, progress=self.progress
+        )

@@ -1,0 +1,237 @@
+"""How well a network plays: agreement with its targets, and the value that following it loses on trees it never saw.
+
+A small error of the values can cost much, and a large one nothing; what counts is the move that is made of them.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.networks.rows import Rows
+from pcs_racing_agents.networks.targets import best_moves
+from pcs_racing_agents.networks.tree_rows import PlayedTree
+from pcs_racing_agents.solvers import (
+    ExactResult,
+    GameTree,
+    Profile,
+    best_response,
+    play_value,
+    solve_exact,
+    uniform_profile,
+)
+
+__all__ = [
+    "Play",
+    "RowScore",
+    "TreeScore",
+    "constant_plays",
+    "follow",
+    "play_profile",
+    "score_rows",
+    "score_table",
+    "score_tree",
+    "score_trees",
+]
+
+Play = Callable[[NDArray[np.float32]], NDArray[np.floating]]
+"""Probabilities of the moves, shape (R, A), for observations (R, D)."""
+
+
+class RowScore(NamedTuple):
+    """How a network's choices compare with the targets of rows.
+
+    Attributes
+    ----------
+    step : int
+        Moves made so far; -1 for all rows together, each with its weight.
+    rows : int
+    agreement : float
+        Weighted share of rows in which the chosen move has the highest target.
+    chance : float
+        Same for moves drawn at random (above 1 / A where several moves are equally good).
+    constant : float
+        Same for the one move that does best on these very rows.
+    shortfall : float
+        Weighted mean of the highest target minus the chosen move's.
+    error : float
+        Weighted mean squared error of the network's values (of the clipped ones if it clips).
+    """
+
+    step: int
+    rows: int
+    agreement: float
+    chance: float
+    constant: float
+    shortfall: float
+    error: float
+
+
+class TreeScore(NamedTuple):
+    """What following a strategy is worth on one tree, mean of both roles, in units of the utility.
+
+    Attributes
+    ----------
+    lost_to_best_response : float
+        Value of the game minus what the strategy gets from an opponent that knows it: half its NashConv.
+    lost_to_equilibrium : float
+        Value of the game minus what it gets from an opponent that plays its equilibrium.
+    off_in_self_play : float
+        How far from the value of the game it is what car 0 gets if both cars follow it.
+    against_random : float
+        What it gets from an opponent that moves at random.
+    """
+
+    lost_to_best_response: float
+    lost_to_equilibrium: float
+    off_in_self_play: float
+    against_random: float
+
+
+def score_rows(network: RegretNetwork, rows: Rows) -> list[RowScore]:
+    """Compare choices with targets: first on all rows, then on those of each step."""
+    values = network(rows.observations)
+    choice = network.choose(rows.observations, rows.mask)
+    good = best_moves(rows.targets, rows.mask)
+    targets = np.maximum(rows.targets, 0.0) if network.clipped else rows.targets
+    short = np.where(rows.mask, rows.targets, -np.inf).max(axis=1) - rows.targets[np.arange(len(rows)), choice]
+    error = np.sum(rows.mask * (values - targets) ** 2, axis=1) / rows.mask.sum(axis=1)
+    chance = np.sum(good & rows.mask, axis=1) / rows.mask.sum(axis=1)
+    result = []
+    for step in (-1, *np.unique(rows.step)):
+        here = (rows.step == step) | (step < 0)
+        share = rows.weights[here] / (rows.weights[here].sum() or 1.0)
+        result.append(
+            RowScore(
+                step=int(step),
+                rows=int(here.sum()),
+                agreement=float(share @ good[here, choice[here]]),
+                chance=float(share @ chance[here]),
+                constant=float((share @ good[here]).max()),
+                shortfall=float(share @ short[here].astype(np.float64)),
+                error=float(share @ error[here].astype(np.float64)),
+            )
+        )
+    return result
+
+
+def follow(network: RegretNetwork) -> Play:
+    """Return the strategy that makes the network's choice with certainty; of target "nash", one that draws from it."""
+
+    def play(observations: NDArray[np.float32]) -> NDArray[np.float64]:
+        choice = np.eye(len(network.moves))[network.choose(observations)]
+        if network.target != "nash":
+            return choice
+        odds = np.maximum(network.unclipped(observations).astype(np.float64), 0.0)
+        total = odds.sum(axis=-1, keepdims=True)
+        return np.where(total > 0.0, odds / np.where(total > 0.0, total, 1.0), choice)
+
+    return play
+
+
+def constant_plays(moves: Sequence[str]) -> dict[str, Play]:
+    """Return the strategies that always make the same move, by name."""
+
+    def always(i: int) -> Play:
+        return lambda observations: np.tile(np.eye(len(moves))[i], (len(observations), 1))
+
+    return {f"always {move}": always(i) for i, move in enumerate(moves)}
+
+
+def play_profile(play: Play, race_tree: PlayedTree) -> Profile:
+    """Return what a strategy does in both roles at every node of every seed, shape (S * N_k, A) each."""
+    profile = []
+    for k in range(race_tree.game_tree().depth):
+        seen = race_tree.observations(k)
+        both = [np.asarray(play(seen[:, :, player].reshape(-1, seen.shape[-1])), np.float64) for player in (0, 1)]
+        profile.append((both[0], both[1]))
+    return profile
+
+
+def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | None = None) -> TreeScore:
+    """Judge a strategy on a tree.
+
+    With several seeds of the noise the strategy sees what it sees in each of them; the opponent that answers it, and
+    the equilibrium, know the moves made so far but not the seed.
+
+    Parameters
+    ----------
+    profile : Profile
+        See :func:`play_profile`.
+    race_tree : PlayedTree
+    exact : ExactResult, optional
+        Exact solution of ``race_tree.game_tree()``, if it is at hand.
+    """
+    tree = race_tree.game_tree()
+    exact = solve_exact(tree) if exact is None else exact
+    payoffs = np.asarray(race_tree.payoffs, np.float64)
+    seeds = len(payoffs)
+    each = GameTree.from_payoffs(
+        payoffs.reshape(seeds, *(count for pair in tree.moves for count in pair)), np.full(seeds, 1.0 / seeds)
+    )
+    own = [np.arange(each.nodes(k)) for k in range(each.depth)]
+    shared = [np.tile(np.arange(tree.nodes(k)), seeds) for k in range(each.depth)]
+    both_see = each.with_infosets(list(zip(own, own, strict=True)))
+    losses = np.zeros((2, 3))
+    for player in (0, 1):
+        value = exact.value if player == 0 else -exact.value
+        labels = (own, shared) if player == 0 else (shared, own)
+        game = each.with_infosets(list(zip(*labels, strict=True)))
+        uniform = uniform_profile(game)
+
+        def against(other: Profile, player: int = player) -> Profile:
+            mine, theirs = (profile, other) if player == 0 else (other, profile)
+            return [(first[0], second[1]) for first, second in zip(mine, theirs, strict=True)]
+
+        sign = 1.0 if player == 0 else -1.0
+        losses[player] = (
+            value + best_response(game, against(uniform), 1 - player).value,
+            value - sign * play_value(game, against(exact.profile)),
+            sign * play_value(game, against(uniform)),
+        )
+    self_play = abs(play_value(both_see, profile) - exact.value)
+    to_best, to_equilibrium, random = losses.mean(axis=0)
+    return TreeScore(float(to_best), float(to_equilibrium), float(self_play), float(random))
+
+
+def score_trees(plays: dict[str, Play], race_trees: Iterable[PlayedTree]) -> dict[str, NDArray[np.float64]]:
+    """Judge strategies on several trees, shape (trees, 4) each in the order of :class:`TreeScore`.
+
+    The equilibrium of each tree and random moves are judged beside them.
+    """
+    scores: dict[str, list[TreeScore]] = {name: [] for name in (*plays, "equilibrium", "random moves")}
+    for race_tree in race_trees:
+        tree = race_tree.game_tree()
+        exact, seeds = solve_exact(tree), len(race_tree.payoffs)
+        profiles = {name: play_profile(play, race_tree) for name, play in plays.items()}
+        for name, once in (("equilibrium", exact.profile), ("random moves", uniform_profile(tree))):
+            profiles[name] = [(np.tile(first, (seeds, 1)), np.tile(second, (seeds, 1))) for first, second in once]
+        for name, profile in profiles.items():
+            scores[name].append(score_tree(profile, race_tree, exact))
+    return {name: np.array(rows, np.float64).reshape(-1, len(TreeScore._fields)) for name, rows in scores.items()}
+
+
+def score_table(rows: Sequence[RowScore], trees: dict[str, NDArray[np.float64]]) -> str:
+    """Scores as text, for people: choices against targets by step, then what strategies lose on the trees."""
+    lines = ["choices on held-out rows:", "   step      rows  agreement  random  best constant  shortfall"]
+    for score in rows:
+        step = "all" if score.step < 0 else str(score.step + 1)
+        lines.append(
+            f"  {step:>5}  {score.rows:>8}  {score.agreement:>8.1%}  {score.chance:>6.1%}  {score.constant:>13.1%}  "
+            f"{score.shortfall:>9.4g}"
+        )
+    if trees:
+        count = len(next(iter(trees.values())))
+        width = max(len(name) for name in trees)
+        lines += [
+            "",
+            f"utility on {count} held-out trees, mean of both roles (standard error over trees):",
+            f"  {'strategy'.ljust(width)}  lost to best reply  lost to equilibrium  off in self-play    against random",
+        ]
+        for name, scores in trees.items():
+            error = scores.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(scores.shape[1], np.nan)
+            cells = [f"{m:.3f} ({e:.3f})" for m, e in zip(scores.mean(axis=0), error, strict=True)]
+            lines.append(f"  {name.ljust(width)}  {cells[0]:>18}  {cells[1]:>19}  {cells[2]:>16}  {cells[3]:>16}")
+    return "\n".join(lines)

@@ -1,0 +1,257 @@
+"""The regret approximator of the paper: a small network from what a driver saw to what each of its moves is worth.
+
+It is made for racing: no torch, a few microseconds for a decision, and a value that never changes. How it is trained
+is in :mod:`pcs_racing_agents.networks.training`, how it is stored in
+:mod:`pcs_racing_agents.networks.network_files`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.game import RaceGame
+from pcs_racing_agents.networks.forward import forward, pack_layers
+from pcs_racing_agents.networks.identity import GameIdentity, check_same_game, game_identity
+
+__all__ = ["GameIdentity", "RegretNetwork"]
+
+Floats = NDArray[np.float32]
+
+MOST_WEIGHTS = 4_000_000
+MOST_LAYERS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class RegretNetwork:
+    """``R_approx(h, e_k)`` of Equation 8 of the paper: all moves' values from one observation.
+
+    ``h`` is encoded in an observation of the game, of a size that does not depend on how long the history is. Between
+    the layers stand ReLUs; after the last one only if ``clipped``.
+
+    Attributes
+    ----------
+    name : str
+    identity : GameIdentity
+        The game that it was made for.
+    target : str
+        What it approximates (:data:`pcs_racing_agents.networks.targets.TARGETS`, or something else).
+    clipped : bool
+        Whether values below 0 are shown as 0, as the paper does with regrets.
+    weights : tuple of ndarray, shape (out, in), float32
+        Of each layer; the first has D inputs, the last A outputs.
+    biases : tuple of ndarray, shape (out,), float32
+    mean, scale : ndarray, shape (D,), float32
+        The first layer sees ``(observation - mean) / scale``.
+    training : Mapping
+        How it was trained and how well it does: texts and numbers by name.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit each other, are too large, or a number is not finite.
+
+    Examples
+    --------
+    >>> from pcs_racing_agents.networks import load_network
+    >>> network = load_network("paper")  # doctest: +SKIP
+    >>> network(game.observation(state))  # doctest: +SKIP
+    """
+
+    name: str
+    identity: GameIdentity
+    target: str
+    clipped: bool
+    weights: tuple[Floats, ...]
+    biases: tuple[Floats, ...]
+    mean: Floats
+    scale: Floats
+    training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        def put(key: str, value: Any) -> None:
+            object.__setattr__(self, key, value)
+
+        for key in ("name", "target"):
+            if not isinstance(getattr(self, key), str) or not getattr(self, key):
+                raise InputError(f"a network's {key} is {getattr(self, key)!r}; it must be a non-empty text")
+        where = f"network {self.name!r}"
+        for key, value in self.training.items():
+            if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
+                raise InputError(f"{where}: training {key!r} is {value!r:.80}; it must be texts and numbers by name")
+        put("training", MappingProxyType(dict(self.training)))
+        sizes = _check_sizes(where, self.identity, self.weights)
+        if len(self.biases) != len(self.weights):
+            raise InputError(f"{where} has {len(self.weights)} layers but {len(self.biases)} biases; give one for each")
+        for key in ("weights", "biases"):
+            shapes = [(above, below) if key == "weights" else (above,) for below, above in pairwise(sizes)]
+            put(
+                key,
+                tuple(
+                    _array(f"{where}: {key} of layer {i}", value, shape)
+                    for i, (value, shape) in enumerate(zip(getattr(self, key), shapes, strict=True))
+                ),
+            )
+        for key in ("mean", "scale"):
+            put(key, _array(f"{where}: {key}", getattr(self, key), (sizes[0],)))
+        if not (self.scale > 0.0).all():
+            raise InputError(f"{where}: scale is {self.scale.min():g} at its smallest; it must be above 0")
+        # The scaling of the inputs is part of the first layer from here on: one pass less for every decision.
+        first = self.weights[0].astype(np.float64) / self.scale
+        bias = self.biases[0] - (first * self.mean).sum(axis=1)
+        layers = [first.astype(np.float32), *self.weights[1:]], [bias.astype(np.float32), *self.biases[1:]]
+        packed_sizes, packed = pack_layers(*layers)
+        put("_sizes", packed_sizes)
+        put("_packed", packed)
+        put("_widest", max(sizes))
+
+    def __repr__(self) -> str:
+        """Show what it is, not its numbers."""
+        shape = "-".join(str(size) for size in self._sizes)  # type: ignore[attr-defined]
+        return (
+            f"<RegretNetwork {self.name!r}: {shape}, {self.target}, archive {self.identity.archive!r}, "
+            f"preset {self.identity.preset!r}>"
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle by value (a read-only mapping can't be pickled)."""
+        values = {**self.__dict__, "training": dict(self.training)}
+        return RegretNetwork, tuple(values[key] for key in self.__dataclass_fields__)
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """Names of the D numbers that it sees."""
+        return self.identity.elements
+
+    @property
+    def moves(self) -> tuple[str, ...]:
+        """Names of the A moves that it values."""
+        return self.identity.moves
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Widths of the hidden layers."""
+        return tuple(len(bias) for bias in self.biases[:-1])
+
+    # What it is for
+
+    def __call__(self, observations: ArrayLike) -> Floats:
+        """Value of each move, shape (..., A), for observations (..., D); see :attr:`clipped`.
+
+        The values of an observation do not depend on what else is in the batch, not even in the last bit.
+
+        Raises
+        ------
+        InputError
+            If the observations have another size or are not finite.
+        """
+        values = self.unclipped(observations)
+        return np.maximum(values, np.float32(0.0)) if self.clipped else values
+
+    def unclipped(self, observations: ArrayLike) -> Floats:
+        """Value of each move before any clipping, shape (..., A)."""
+        x = np.asarray(observations, np.float32)
+        inputs, moves = len(self.identity.elements), len(self.identity.moves)
+        if x.ndim == 0 or x.shape[-1] != inputs:
+            raise InputError(f"observations have shape {x.shape}; network {self.name!r} needs (..., {inputs})")
+        rows = np.ascontiguousarray(x.reshape(-1, inputs))
+        out = np.empty((len(rows), moves), np.float32)
+        scratch = np.empty((2, self._widest), np.float32)  # type: ignore[attr-defined]
+        if not forward(rows, self._sizes, self._packed, scratch, out):  # type: ignore[attr-defined]
+            raise InputError("observations hold NaN or infinity; they must be finite")
+        return out.reshape(*x.shape[:-1], moves)
+
+    def choose(self, observations: ArrayLike, mask: ArrayLike | None = None) -> NDArray[np.int64]:
+        """Index of the move to make, shape (...): the one of highest value (Equation 9 of the paper).
+
+        Where all values are clipped to 0 the paper's choice is arbitrary; here it is the move of the highest value
+        before clipping. Of equal values the first is taken.
+
+        Parameters
+        ----------
+        observations : array_like, shape (..., D)
+        mask : array_like of bool, shape (..., A), optional
+            Moves that may be made, at least one of each row; all of them by default.
+
+        Raises
+        ------
+        InputError
+            If the observations or the mask do not fit, or nothing is allowed.
+        """
+        values = self.unclipped(observations)  # where one is above 0, clipping does not change which is the highest
+        if mask is not None:
+            allowed = np.asarray(mask)
+            if allowed.dtype != np.bool_ or allowed.shape != values.shape:
+                raise InputError(
+                    f"the mask has shape {allowed.shape} and type {allowed.dtype}; it must have {values.shape} and bool"
+                )
+            if not allowed.any(axis=-1).all():
+                raise InputError("the mask allows no move in some row; it must allow one")
+            values = np.where(allowed, values, -np.inf)
+        return np.argmax(values, axis=-1)
+
+    def check_fits(self, game: RaceGame) -> None:
+        """Check that a game shows what this network sees, and offers the moves that it values.
+
+        A game may offer the move "stay" in addition: the network never makes it. Rules of the race that the network was
+        not made for (the preset, the track, the length of a step) are no error: it may be tried there.
+
+        Raises
+        ------
+        InputError
+            If the observation, the moves or the archive are others.
+        """
+        self.check_identity(game_identity(game), "the game")
+
+    def check_identity(self, other: GameIdentity, what: str) -> None:
+        """Check as :meth:`check_fits` does, against what is known of some game.
+
+        Parameters
+        ----------
+        other : GameIdentity
+        what : str
+            What it belongs to, for the message.
+        """
+        check_same_game(self.identity, other, f"network {self.name!r}", what)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write ``weights.safetensors`` and ``manifest.yaml`` into a folder, which is made if need be."""
+        from pcs_racing_agents.networks.network_files import save_network
+
+        return save_network(self, folder)
+
+
+def _check_sizes(where: str, identity: GameIdentity, weights: Sequence[Any]) -> list[int]:
+    """Return the numbers going in, and coming out of each layer."""
+    if not isinstance(identity, GameIdentity):
+        raise InputError(f"{where}: identity is {identity!r}; it must be a GameIdentity")
+    if not 1 <= len(weights) <= MOST_LAYERS:
+        raise InputError(f"{where} has {len(weights)} layers; it must have 1 to {MOST_LAYERS}")
+    sizes = [len(identity.elements)]
+    for i, weight in enumerate(weights):
+        shape = np.shape(weight)
+        if len(shape) != 2 or shape[1] != sizes[-1] or shape[0] == 0:
+            raise InputError(f"{where}: weights of layer {i} have shape {shape}; they must have (any, {sizes[-1]})")
+        sizes.append(shape[0])
+    if sizes[-1] != len(identity.moves):
+        raise InputError(f"{where} puts out {sizes[-1]} values; there are {len(identity.moves)} moves")
+    count = sum((below + 1) * above for below, above in pairwise(sizes))
+    if count > MOST_WEIGHTS:
+        raise InputError(f"{where} has {count} weights; {MOST_WEIGHTS} is the limit")
+    return sizes
+
+
+def _array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
+    array = np.array(value, np.float32)
+    if array.shape != shape:
+        raise InputError(f"{what} have shape {array.shape}; they must have {shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{what} hold NaN or infinity")
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,169 @@
+"""Training rows: what a driver saw, and what each of its moves was worth there.
+
+Rows come from game trees (:mod:`pcs_racing_agents.networks.tree_rows`), but the trainer takes them from anywhere.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+
+__all__ = ["Rows", "draw_pairs", "join_rows", "pair_number", "split_by_pair"]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """R situations of one player each.
+
+    Attributes
+    ----------
+    observations : ndarray, shape (R, D), float32
+        What the player saw (:attr:`pcs_racing.RaceGame.observation_elements`).
+    targets : ndarray, shape (R, A), float32
+        What each move is worth, never clipped; 0 where the mask says that nothing is known.
+    weights : ndarray, shape (R,), float64
+        How much each row counts, 0 or more; not all 0.
+    pair : ndarray, shape (R,), int64
+        Which starting pair the row comes from: rows of one pair are all learned from or all validated on.
+    step : ndarray, shape (R,), int64
+        Moves made so far.
+    mask : ndarray, shape (R, A), bool, optional
+        Which targets are known; at least one in every row. All of them by default.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, a number is not finite, there is no row, or a row has no target.
+    """
+
+    observations: NDArray[np.float32]
+    targets: NDArray[np.float32]
+    weights: NDArray[np.float64]
+    pair: NDArray[np.int64]
+    step: NDArray[np.int64]
+    mask: NDArray[np.bool_] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.targets)
+        if len(shape) != 2 or shape[0] == 0 or shape[1] == 0:
+            raise InputError(f"targets have shape {shape}; they must have (rows, moves), at least one of each")
+        count, moves = shape
+        if self.mask is None:
+            object.__setattr__(self, "mask", np.ones(shape, np.bool_))
+        self._set("observations", np.float32, (count, None))
+        self._set("targets", np.float32, (count, moves))
+        self._set("weights", np.float64, (count,))
+        self._set("pair", np.int64, (count,))
+        self._set("step", np.int64, (count,))
+        self._set("mask", np.bool_, (count, moves))
+        if (self.weights < 0.0).any() or not self.weights.any():
+            raise InputError(f"weights lie in {self.weights.min():g} to {self.weights.max():g}; some must be above 0")
+        if not self.mask.any(axis=1).all():
+            raise InputError(f"row {np.argmin(self.mask.any(axis=1))} has no target; its mask must allow one")
+        if self.targets[~self.mask].any():
+            object.__setattr__(self, "targets", np.where(self.mask, self.targets, np.float32(0.0)))
+
+    def _set(self, key: str, dtype: Any, shape: tuple[int | None, ...]) -> None:
+        given = np.asarray(getattr(self, key))
+        fits = given.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, given.shape, strict=True))
+        kinds = {"f": "fiu", "i": "iu", "b": "b"}[np.dtype(dtype).kind]
+        if not fits or given.dtype.kind not in kinds:
+            wanted = ", ".join("any" if n is None else str(n) for n in shape)
+            raise InputError(
+                f"{key} have shape {given.shape} and type {given.dtype}; they must have ({wanted}) and "
+                f"{np.dtype(dtype)}"
+            )
+        if not np.isfinite(given).all():
+            row = int(np.argwhere(~np.isfinite(given))[0][0])
+            raise InputError(f"{key} are not finite in row {row}")
+        object.__setattr__(self, key, given.astype(dtype, copy=False))
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+    def __repr__(self) -> str:
+        """Show what it is, not its numbers."""
+        size, moves = self.observations.shape[1], self.targets.shape[1]
+        return f"<Rows: {len(self)} of {size} numbers, {moves} moves, {len(np.unique(self.pair))} starting pairs>"
+
+    def take(self, indices: ArrayLike) -> "Rows":
+        """Return some of the rows, by index or by a mask over rows."""
+        chosen = np.asarray(indices)
+        return Rows(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+
+
+def join_rows(parts: Sequence[Rows]) -> Rows:
+    """Return the rows of several sources as one.
+
+    Raises
+    ------
+    InputError
+        If there is no part, or they are of different sizes.
+    """
+    if len(parts) == 0:
+        raise InputError("there are no rows to join; give at least one part")
+    for i, part in enumerate(parts):
+        for key in ("observations", "targets"):
+            found, first = (getattr(rows, key).shape[1] for rows in (part, parts[0]))
+            if found != first:
+                raise InputError(f"part {i} has {key} of {found} numbers, part 0 of {first}; they must be the same")
+    return Rows(**{field.name: np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(Rows)})
+
+
+def pair_number(policies: ArrayLike) -> NDArray[np.int64]:
+    """Number of an unordered pair of starting policies, shape (...) for policies (..., 2).
+
+    The pairs (3, 7) and (7, 3) get the same number: the trees of the two are nearly mirror images, and a network that
+    learned from one should not be judged on the other.
+    """
+    both = np.sort(np.asarray(policies, np.int64), axis=-1)
+    return both[..., 1] * (both[..., 1] + 1) // 2 + both[..., 0]
+
+
+def draw_pairs(pairs: NDArray[np.int64], share: float, seed: np.random.SeedSequence) -> NDArray[np.int64]:
+    """Draw a share of the different pairs, sorted; at least one, and at least one stays behind.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two.
+    """
+    different = np.unique(pairs)
+    if len(different) < 2:
+        raise InputError("all rows come from one starting pair; validation needs rows of at least 2")
+    count = min(max(round(share * len(different)), 1), len(different) - 1)
+    return np.sort(np.random.default_rng(seed).permutation(different)[:count])
+
+
+def split_by_pair(rows: Rows, share: float, seed: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Choose starting pairs to validate on, so that no pair is on both sides.
+
+    Parameters
+    ----------
+    rows : Rows
+    share : float
+        Share of the pairs to validate on, in (0, 1); at least one pair stays on either side.
+    seed : int
+
+    Returns
+    -------
+    held_out : ndarray, shape (R,), bool
+        Which rows are validated on.
+    pairs : ndarray, int64
+        The pairs that they come from, sorted.
+
+    Raises
+    ------
+    InputError
+        If the rows come from fewer than two pairs, or all rows on one side have weight 0.
+    """
+    chosen = draw_pairs(rows.pair, share, np.random.SeedSequence(seed, spawn_key=(0,)))
+    held_out = np.isin(rows.pair, chosen)
+    for side in (held_out, ~held_out):
+        if not rows.weights[side].any():
+            raise InputError("after the split by starting pair one side has weights of 0 only; give more pairs")
+    return held_out, chosen

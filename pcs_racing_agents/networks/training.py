@@ -1,0 +1,244 @@
+"""Fitting a small network to rows: AdamW, validation on starting pairs of its own, and an end when that stops helping.
+
+The same settings and rows give the same network: initial weights and draws come from numpy generators of the
+settings' seed, torch works in one thread meanwhile, and its own random state is neither read nor changed.
+"""
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.jobs import Progress
+from pcs_racing_agents.networks.goals import row_goals, scale_rows
+from pcs_racing_agents.networks.identity import GameIdentity
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.networks.rows import Rows, split_by_pair
+from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.networks.targets import best_moves
+from pcs_racing_agents.networks.torch_alone import torch_alone
+
+__all__ = ["Epoch", "Fit", "fit", "train_network"]
+
+Floats = NDArray[np.float32]
+
+
+class Epoch(NamedTuple):
+    """How an epoch went.
+
+    Attributes
+    ----------
+    epoch : int
+        From 1 on; 0 is the network before any learning.
+    learning_rate : float
+        At its end.
+    training_loss : float
+        Mean over the epoch's draws while it was learning from them; that of epoch 0 is NaN.
+    validation_loss : float
+        Both losses are mean squared errors in units of the targets' root mean square.
+    validation_agreement : float
+        Weighted share of the validation rows in which the network's choice is a move of the highest target.
+    validation_shortfall : float
+        Weighted mean of how much less the chosen move's target is than the highest, in units of the target.
+    """
+
+    epoch: int
+    learning_rate: float
+    training_loss: float
+    validation_loss: float
+    validation_agreement: float
+    validation_shortfall: float
+
+
+class Fit(NamedTuple):
+    """What came of fitting a network.
+
+    Attributes
+    ----------
+    weights, biases, mean, scale
+        See :class:`pcs_racing_agents.networks.RegretNetwork`.
+    epochs : tuple of Epoch
+    best : int
+        Index of the epoch that the weights are from: that of the lowest validation loss.
+    validation_pairs : ndarray, int64
+        Starting pairs that were not learned from.
+    """
+
+    weights: tuple[Floats, ...]
+    biases: tuple[Floats, ...]
+    mean: Floats
+    scale: Floats
+    epochs: tuple[Epoch, ...]
+    best: int
+    validation_pairs: NDArray[np.int64]
+
+
+def train_network(
+    rows: Rows,
+    identity: GameIdentity,
+    settings: TrainSettings,
+    *,
+    name: str,
+    target: str | None = None,
+    clipped: bool = False,
+    progress: Progress | None = None,
+) -> tuple[RegretNetwork, Fit]:
+    """Train a network for a game.
+
+    Parameters
+    ----------
+    rows : Rows
+        Whatever they come from.
+    identity : GameIdentity
+        The game that they come from.
+    settings : TrainSettings
+    name : str
+        Of the network.
+    target : str, optional
+        What the rows' targets are; by default the settings' target.
+    clipped : bool
+        Whether the network learns and shows targets below 0 as 0.
+    progress : callable, optional
+        Called after every epoch as ``progress(epoch, epochs, what)``; an early stop makes ``epochs`` smaller.
+
+    Returns
+    -------
+    network : RegretNetwork
+    fit : Fit
+
+    Raises
+    ------
+    InputError
+        If rows and game do not fit, or the rows come from one starting pair only.
+    ModuleNotFoundError
+        If torch is not installed.
+    """
+    for key, names in (("observations", identity.elements), ("targets", identity.moves)):
+        found = getattr(rows, key).shape[1]
+        if found != len(names):
+            raise InputError(f"the rows' {key} have {found} numbers; the game has {len(names)}")
+    result = fit(rows, settings, clipped=clipped, progress=progress)
+    best = result.epochs[result.best]
+    summary: dict[str, str | int | float | bool] = {
+        "rows": len(rows),
+        "starting_pairs": len(np.unique(rows.pair)),
+        "validation_pairs": len(result.validation_pairs),
+        "epochs": result.epochs[-1].epoch,
+        **{key: value if key == "epoch" else float(f"{value:.6g}") for key, value in best._asdict().items()},
+    }
+    summary["best_epoch"] = summary.pop("epoch")
+    hidden = ", ".join(str(width) for width in settings.hidden)
+    for key, value in plain_settings(settings).items():
+        if value is not None:
+            summary[f"setting_{key}"] = hidden if key == "hidden" else value
+    network = RegretNetwork(
+        name=name,
+        identity=identity,
+        target=settings.target if target is None else target,
+        clipped=clipped,
+        weights=result.weights,
+        biases=result.biases,
+        mean=result.mean,
+        scale=result.scale,
+        training=summary,
+    )
+    return network, result
+
+
+def fit(rows: Rows, settings: TrainSettings, *, clipped: bool = False, progress: Progress | None = None) -> Fit:
+    """Fit a network to rows; see :func:`train_network`."""
+    with torch_alone() as torch:
+        return _fit(torch, rows, settings, clipped, progress)
+
+
+def _fit(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progress: Progress | None) -> Fit:
+    held_out, pairs = split_by_pair(rows, settings.validation_share, settings.seed)
+    learned, judged = rows.take(~held_out), rows.take(held_out)
+    by = scale_rows(learned, settings, clipped)
+    draws, start = (np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,))) for key in (1, 2))
+
+    def tensors(part: Rows) -> tuple[Any, Any, Any, Any]:
+        x = (part.observations - by.mean) / by.scale
+        arrays = (x, *row_goals(part, by, clipped, settings.below_zero))
+        return tuple(torch.from_numpy(array) for array in arrays)
+
+    def loss(x: Any, goal: Any, weight: Any, one_sided: Any) -> Any:
+        error = forward(x) - goal
+        # Where the goal is a regret clipped to 0, any value below 0 is as good as 0.
+        error = torch.where(one_sided, error.clamp(min=0.0), error)
+        if not settings.differences or clipped:
+            return (weight * error * error).sum(dim=1)
+        # The mean of a row's moves in units of its own spread, and the differences to it in theirs.
+        mean = (weight * error).sum(dim=1, keepdim=True)
+        apart = error - mean
+        return (weight * apart * apart).sum(dim=1) + (by.level * mean[:, 0]) ** 2
+
+    def forward(x: Any) -> Any:
+        for i in range(0, len(layers) - 2, 2):
+            x = torch.relu(torch.nn.functional.linear(x, layers[i], layers[i + 1]))
+        return torch.nn.functional.linear(x, layers[-2], layers[-1])
+
+    def judge(number: int, training_loss: float) -> Epoch:
+        with torch.no_grad():
+            each = loss(*judged_tensors).numpy().astype(np.float64)
+            predicted = forward(judged_tensors[0]).numpy() * by.size + by.centre
+        share = judged.weights / judged.weights.sum()
+        choice = np.argmax(np.where(judged.mask, predicted, -np.inf), axis=1)
+        good, short = best_moves(judged.targets, judged.mask), np.where(judged.mask, judged.targets, -np.inf)
+        picked = np.arange(len(judged)), choice
+        return Epoch(
+            number,
+            optimiser.param_groups[0]["lr"],
+            training_loss,
+            float(share @ each),
+            float(share @ good[picked]),
+            float(share @ (short.max(axis=1) - judged.targets[picked]).astype(np.float64)),
+        )
+
+    sizes = [rows.observations.shape[1], *settings.hidden, rows.targets.shape[1]]
+    layers = []
+    for i, (below, above) in enumerate(pairwise(sizes)):
+        gain = 2.0 if i < len(sizes) - 2 else 1.0  # He et al. 2015; the last layer has no ReLU behind it
+        weight = start.normal(0.0, np.sqrt(gain / below), (above, below)).astype(np.float32)
+        layers += [torch.from_numpy(weight), torch.zeros(above, dtype=torch.float32)]
+    for layer in layers:
+        layer.requires_grad_(True)
+    optimiser = torch.optim.AdamW(layers, lr=settings.learning_rate, weight_decay=settings.weight_decay)
+    learned_tensors, judged_tensors = tensors(learned), tensors(judged)
+    odds = np.cumsum(learned.weights) / learned.weights.sum()
+    count = min(settings.rows_per_epoch, len(learned))
+    epochs, best, since = [judge(0, float("nan"))], 0, 0
+    kept = [layer.detach().clone() for layer in layers]
+    for number in range(1, settings.epochs + 1):
+        drawn = np.minimum(np.searchsorted(odds, draws.random(count), side="right"), len(learned) - 1)
+        total = 0.0
+        for first in range(0, count, settings.batch_size):
+            batch = torch.from_numpy(drawn[first : first + settings.batch_size])
+            each = loss(*(tensor[batch] for tensor in learned_tensors))
+            optimiser.zero_grad()
+            each.mean().backward()
+            optimiser.step()
+            total += float(each.detach().sum())
+        epochs.append(judge(number, total / count))
+        if not np.isfinite(epochs[-1].validation_loss):
+            raise InputError(
+                f"the loss is {epochs[-1].validation_loss} after epoch {number}; take a learning_rate below "
+                f"{settings.learning_rate:g}"
+            )
+        since += 1
+        if epochs[-1].validation_loss < epochs[best].validation_loss:
+            best, since = number, 0
+            kept = [layer.detach().clone() for layer in layers]
+        elif since % max(settings.patience // 4, 1) == 0:
+            optimiser.param_groups[0]["lr"] *= 0.5
+        if progress is not None:
+            total_epochs = number if since == settings.patience else settings.epochs
+            progress(number, total_epochs, f"validation loss {epochs[-1].validation_loss:.4f}")
+        if since == settings.patience:
+            break
+    weights, biases = [layer.numpy() for layer in kept[::2]], [layer.numpy() for layer in kept[1::2]]
+    weights[-1], biases[-1] = weights[-1] * by.size, biases[-1] * by.size + by.centre
+    return Fit(tuple(weights), tuple(biases), by.mean, by.scale, tuple(epochs), best, pairs)

@@ -1,0 +1,183 @@
+"""How all pictures look: colours that colour-blind people can tell apart, little ink, the same bytes every time."""
+
+import io
+import os
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.optional import require
+
+__all__ = [
+    "CARS",
+    "COLOURS",
+    "EDGE",
+    "INK",
+    "SOFT",
+    "new_figure",
+    "picture",
+    "picture_bytes",
+    "place_labels",
+    "save_picture",
+    "short",
+    "spread_labels",
+    "tidy",
+]
+
+INK, SOFT, EDGE = "#17202b", "#5c6877", "#dfe4ea"
+CARS = ("#1b6fd8", "#e08700")
+"""Colours of car 0 and car 1, as in replays."""
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#8c6d31", "#6b7480")
+"""Of anything else that is counted: the palette of Okabe and Ito (2008), then some more; grey comes last."""
+
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "text.color": INK,
+    "axes.edgecolor": "#a5afbb",
+    "axes.labelcolor": SOFT,
+    "axes.labelsize": 9.0,
+    "axes.linewidth": 0.8,
+    "axes.titlesize": 10.0,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "grid.color": EDGE,
+    "grid.linewidth": 0.7,
+    "legend.frameon": False,
+    "text.parse_math": False,
+    "svg.hashsalt": "pcs-racing",
+    "svg.fonttype": "path",
+}
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def picture(draw: Callable[P, T]) -> Callable[P, T]:
+    """Let a function draw in this style, and say what to install where matplotlib is missing."""
+
+    @wraps(draw)
+    def styled(*arguments: P.args, **options: P.kwargs) -> T:
+        require("matplotlib", extra="plots")
+        from matplotlib import rc_context
+
+        with rc_context(_STYLE):
+            return draw(*arguments, **options)
+
+    return styled
+
+
+def new_figure(width: float, height: float) -> Any:
+    """Return an empty figure, sizes in inches; no window belongs to it."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def tidy(axes: Any, grid: str = "both") -> None:
+    """Draw a light grid (``"x"``, ``"y"``, ``"both"`` or ``""``) and no tick marks."""
+    axes.tick_params(length=0)
+    if grid:
+        axes.grid(visible=True, axis=grid)
+
+
+def short(name: str, longest: int = 26) -> str:
+    """Return a name that fits beside a picture: its beginning, where it is long."""
+    return name if len(name) <= longest else f"{name[: longest - 1]}…"
+
+
+def spread_labels(wanted: list[float], gap: float) -> list[float]:
+    """Move labels on a line apart until neighbours are ``gap`` apart, as little as need be; order is kept."""
+    order = sorted(range(len(wanted)), key=lambda i: wanted[i])
+    groups: list[list[float]] = []  # of each: sum of wanted places of the first label, number of labels
+    for i in order:
+        groups.append([wanted[i], 1.0])
+        while len(groups) > 1:
+            (total, count), (before, number) = groups[-1], groups[-2]
+            if total / count - before / number >= gap * number:
+                break
+            groups[-2:] = [[before + total - count * number * gap, number + count]]
+    places = [total / count + gap * k for total, count in groups for k in range(int(count))]
+    found = [0.0] * len(wanted)
+    for i, place in zip(order, places, strict=True):
+        found[i] = place
+    return found
+
+
+def place_labels(
+    axes: Any, points: Sequence[Any], texts: Sequence[str], colours: Sequence[str], avoid: Sequence[Any] = ()
+) -> None:
+    """Write a name beside each point so that names cover neither points nor each other, where there is room.
+
+    Limits and size of the axes must be final. Points to ``avoid`` have no names, but are not to be covered either.
+    """
+    if not len(points):
+        return
+    figure = axes.figure
+    figure.draw_without_rendering()  # lays the figure out
+    scale = 72.0 / figure.dpi
+    anchors = scale * axes.transData.transform([*points, *avoid])
+    frame = scale * axes.get_window_extent().get_points()
+    taken = [(x - 4.0, y - 4.0, x + 4.0, y + 4.0) for x, y in anchors]
+    for (x, y), text, colour in zip(anchors[: len(points)], texts, colours, strict=True):
+        width, height = 5.4 * len(text), 10.0
+        best = None
+        for away in (7.0, 14.0, 22.0, 32.0, 44.0):
+            for side, up in ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0)):
+                left = x + side * away - (width if side < 0 else 0.5 * width if side == 0 else 0.0)
+                low = y + up * away - 0.5 * height
+                box = (left, low, left + width, low + height)
+                inside = box[0] >= frame[0, 0] and box[2] <= frame[1, 0] and frame[0, 1] <= low <= frame[1, 1] - height
+                hits = sum(_overlap(box, other) for other in taken) + (0 if inside else 1000)
+                if best is None or hits < best[0]:
+                    best = (hits, away, left, low + 0.5 * height, box)
+            if best is not None and best[0] == 0:
+                break
+        assert best is not None
+        _, away, left, middle, box = best
+        taken.append(box)
+        arrow = {"arrowstyle": "-", "color": colour, "lw": 0.6, "alpha": 0.6, "shrinkA": 0.0, "shrinkB": 4.0}
+        axes.annotate(
+            text,
+            (x, y),
+            xycoords="figure points",
+            xytext=(left, middle),
+            textcoords="figure points",
+            va="center",
+            ha="left",
+            fontsize=8.5,
+            color=colour,
+            arrowprops=arrow if away > 10.0 else None,
+        )
+
+
+def _overlap(box: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    return box[0] < other[2] and other[0] < box[2] and box[1] < other[3] and other[1] < box[3]
+
+
+@picture
+def picture_bytes(figure: Any, kind: str = "svg") -> bytes:
+    """Return a figure as ``"svg"`` or ``"png"``; the same figure gives the same bytes."""
+    content = io.BytesIO()
+    metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
+    figure.savefig(content, format=kind, dpi=150, metadata=metadata)
+    return content.getvalue()
+
+
+def save_picture(figure: Any, path: str | os.PathLike[str]) -> Path:
+    """Write a figure to a file whose name ends in ``.svg`` or ``.png``."""
+    target = Path(path)
+    content = picture_bytes(figure, target.suffix.lstrip("."))
+    write_atomically(target, lambda file: file.write(content))
+    return target

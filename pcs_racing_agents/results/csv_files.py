@@ -1,0 +1,89 @@
+"""Reading tables that anybody may have written: ordinary files of a limited size, every line as wide as the first."""
+
+import csv
+import io
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.reading import read_limited
+
+__all__ = ["CsvTable", "read_csv"]
+
+MAX_BYTES = 500_000_000
+MAX_COLUMNS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class CsvTable:
+    """A table whose first line names its columns.
+
+    Attributes
+    ----------
+    path : str
+        For messages.
+    columns : tuple of str
+    """
+
+    path: str
+    columns: tuple[str, ...]
+    _data: bytes = field(repr=False)
+
+    def values(self) -> Iterator[tuple[int, list[str]]]:
+        """Go through the table: for every line its number in the file, and its values; empty ones left out.
+
+        Raises
+        ------
+        InputError
+            At a line that has more or fewer values than there are columns, or that is no CSV.
+        """
+        reader = _reader(self._data)
+        try:
+            next(reader, None)
+            for values in reader:
+                if len(values) not in (0, len(self.columns)):
+                    raise InputError(
+                        f"{self.path}, line {reader.line_num} is damaged: it has {len(values)} values, more or fewer "
+                        f"than the {len(self.columns)} that the first line names"
+                    )
+                if values:
+                    yield reader.line_num, values
+        except csv.Error as error:
+            raise InputError(f"{self.path}, line {reader.line_num} is damaged: {error}") from None
+
+    def lines(self) -> Iterator[tuple[int, dict[str, str]]]:
+        """Go through the table as :meth:`values`, with the values by column."""
+        return ((number, dict(zip(self.columns, values, strict=True))) for number, values in self.values())
+
+    def rows(self) -> list[dict[str, str]]:
+        """Return all lines."""
+        return [row for _, row in self.lines()]
+
+
+def read_csv(path: str | os.PathLike[str]) -> CsvTable:
+    """Read a table; an empty file has no columns.
+
+    Raises
+    ------
+    InputError
+        If it can't be read, is no ordinary file, no text, or has more than 500 MB or 1,000 columns.
+    """
+    name = os.fspath(path)
+    try:
+        data = read_limited(path, MAX_BYTES, "a table")
+        data.decode("utf-8-sig")  # all of it is text
+        columns = tuple(next(_reader(data), ()))
+    except OSError as error:
+        raise InputError(f"can't read {name}: {error.strerror}") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{name} is damaged: {error}") from None
+    if len(columns) > MAX_COLUMNS:
+        raise InputError(f"{name} has {len(columns)} columns; a table of races has at most {MAX_COLUMNS}")
+    return CsvTable(name, columns, data)
+
+
+def _reader(data: bytes) -> Any:
+    """A reader that decodes as it goes: the text of a large table would take four times the memory of its bytes."""
+    return csv.reader(io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=""), strict=True)

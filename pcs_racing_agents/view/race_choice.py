@@ -1,0 +1,129 @@
+"""Which races of a tournament to show: spread over agents and outcomes by rule, typical ones first.
+
+A race is told by what it was to one of its agents: a win by switching, a win, a loss, a crash of its own, one of the
+other's, a tie. Agents and outcomes take turns. Within one of these piles opponents and circuits take turns, and of each
+the race with the median lead comes first, then those at a quarter and three quarters, and so on.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing_agents.view.race_columns import RaceColumns
+
+__all__ = ["OUTCOMES", "Pick", "choose_races", "outcomes"]
+
+OUTCOMES = (
+    "a win by switching",
+    "a loss",
+    "a crash of its own",
+    "a win without switching",
+    "a crash of the other's",
+    "a tie, or a crash that is nobody's",
+)
+
+
+class Pick(NamedTuple):
+    """A race that was chosen.
+
+    Attributes
+    ----------
+    race : int
+        Line of the results, from 0.
+    why : str
+        What it is an example of, such as ``"cfr-argmax: a win by switching"``.
+    """
+
+    race: int
+    why: str
+
+
+def outcomes(columns: RaceColumns, car: int) -> NDArray[np.int64]:
+    """Return what each race was to one of its cars: places in ``OUTCOMES``, shape (N,).
+
+    Parameters
+    ----------
+    columns : RaceColumns
+    car : int
+        0 or 1.
+    """
+    crashed = columns.crash > 0
+    own = (columns.fault == 1 + car) | (columns.fault == 3)
+    won, lost = columns.winner == 1 + car, columns.winner == 2 - car
+    switched = columns.switches[car] > 0
+    cases = [crashed & own, crashed & (columns.fault == 2 - car), ~crashed & won & switched, ~crashed & won]
+    return np.select([*cases, ~crashed & lost], [2, 4, 0, 3, 1], 5)
+
+
+def choose_races(columns: RaceColumns, count: int) -> list[Pick]:
+    """Choose races to show; the same ones every time.
+
+    Parameters
+    ----------
+    columns : RaceColumns
+    count : int
+        How many; all, if there are not more.
+
+    Returns
+    -------
+    list of Pick
+        The most telling first.
+    """
+    agents = range(len(columns.agents.words))
+    told = np.array([outcomes(columns, car) for car in range(2)])
+    piles = [
+        (agent, outcome, _in_turns(columns, agent, (told == outcome) & (columns.agents.places == agent)))
+        for outcome in range(len(OUTCOMES))
+        for agent in agents
+    ]
+    picks: dict[int, Pick] = {}
+    while piles and len(picks) < min(count, len(columns)):
+        left = []
+        for agent, outcome, pile in piles:
+            race = next((one for one in pile if one not in picks), None)
+            if race is None:
+                continue
+            left.append((agent, outcome, pile))
+            picks[race] = Pick(race, f"{columns.agents.words[agent]}: {OUTCOMES[outcome]}")
+            if len(picks) >= count:
+                break
+        piles = left
+    return list(picks.values())
+
+
+def _in_turns(columns: RaceColumns, agent: int, chosen: NDArray[np.bool_]) -> Iterator[int]:
+    """Return races of a pile: circuits and opponents take turns, and of each the race with the median lead is first.
+
+    ``chosen`` has shape (2, N): the races of the pile, by the car that the agent drove in them.
+    """
+    cars, races = np.nonzero(chosen)
+    lead = np.where(cars == 0, columns.lead[races], -columns.lead[races])
+    others = columns.agents.places[1 - cars, races]
+    tracks = columns.track.places[races]
+    groups: list[Sequence[int]] = []
+    for pair in sorted({*zip(tracks.tolist(), others.tolist(), strict=True)}, key=lambda pair: pair[::-1]):
+        mine = np.flatnonzero((tracks == pair[0]) & (others == pair[1]))
+        ordered = races[mine][np.argsort(lead[mine], kind="stable")]
+        groups.append([int(ordered[place]) for place in _from_the_middle(len(ordered))])
+    # Start each agent's turn with another group, lest all of them show their race against the same opponent.
+    groups = groups[agent % len(groups) :] + groups[: agent % len(groups)] if groups else []
+    for turn in range(max(map(len, groups), default=0)):
+        for group in groups:
+            if turn < len(group):
+                yield group[turn]
+
+
+def _from_the_middle(count: int) -> list[int]:
+    """Return 0 to ``count`` - 1: the middle, then the middles of both halves, and so on."""
+    order, spans = [], [(0, count)]
+    while spans:
+        following = []
+        for low, high in spans:
+            if low < high:
+                middle = (low + high - 1) // 2
+                order.append(middle)
+                following += [(low, middle), (middle + 1, high)]
+        spans = following
+    return order

@@ -1,0 +1,240 @@
+"""Races driven again to be watched in the viewer: small replays, with the moves in Policy Characteristic Space.
+
+A replay of the viewer is one of :mod:`pcs_racing.race.replay` with less in it: what belongs to the circuit is stored
+once for all races, plans are kept every 0.2 s in centimetres, and what the page does not draw is left out.
+"""
+
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.packing import COARSE, FINE, pack, pack_paths, pack_segments
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.race.replay import Replay, plain_parts
+from pcs_racing.race.start_grid import Starts
+from pcs_racing_agents.agents.observing import opponent, step_count
+from pcs_racing_agents.explain.explain import mark_moves
+from pcs_racing_agents.explain.pcs_picture import in_units, plane
+from pcs_racing_agents.tournament.matches import game_between
+from pcs_racing_agents.tournament.watching import record_match
+from pcs_racing_agents.view.contests import Contest, Results
+
+__all__ = ["PLACES", "DrivenRace", "RaceDriver", "circuit_values", "race_values", "space_values"]
+
+PLACES = 4000  # steps of the picture's width, in which places in it are told
+PLAN_SKIP = 2  # every second plan is kept
+MOST_CONTESTS = 64
+
+Floats = NDArray[np.float64]
+
+
+class DrivenRace(NamedTuple):
+    """A race, ready for the page.
+
+    Attributes
+    ----------
+    race : int
+        Line of the results, from 0.
+    circuit : str
+        Name of its circuit.
+    values : dict
+        Of the race: :func:`race_values`.
+    """
+
+    race: int
+    circuit: str
+    values: dict[str, Any]
+
+
+class RaceDriver:
+    """Drives races of a results folder again, and keeps what belongs to all of them.
+
+    Not for several threads at once.
+
+    Parameters
+    ----------
+    results : Results
+
+    Attributes
+    ----------
+    circuits : dict of str to dict
+        By name, those of the races driven so far: :func:`circuit_values`.
+    space : dict or None
+        The Policy Characteristic Space: :func:`space_values`; None before the first race.
+    """
+
+    def __init__(self, results: Results) -> None:
+        self.results = results
+        self.circuits: dict[str, dict[str, Any]] = {}
+        self.space: dict[str, Any] | None = None
+        self._contests: OrderedDict[tuple[str, ...], Contest] = OrderedDict()
+
+    def drive(self, number: int) -> DrivenRace:
+        """Drive a line of the results again.
+
+        Raises
+        ------
+        InputError
+            If there is no such line, the archive, the circuit or an agent has changed since, or the race comes out
+            otherwise.
+        """
+        row = self.results.row(number)
+        contest = self._contest(row)
+        race = int(row["race"])
+        if not 0 <= race < len(contest.seeds):
+            raise InputError(f"race {number} is number {race} of its pair, which drove {len(contest.seeds)}")
+        start = contest.starts.take([race])
+        _check_start(number, row, start, contest.variants[race])
+        recording = record_match(
+            contest.game,
+            contest.ego,
+            contest.opponent,
+            policies=contest.variants[race],
+            start=start,
+            seed=int(contest.seeds[race]),
+            candidates=False,
+        )
+        match, arena = recording.match, game_between(contest.game, contest.ego, contest.opponent)
+        found = f"{match.lead[0]:.4f}"
+        if found != row["lead"]:
+            raise InputError(
+                f"race {number} came out otherwise than in {self.results.folder}: a lead of {found} m instead of "
+                f"{row['lead']:.40} m; it was driven by another version"
+            )
+        step_seconds = arena.config.step_seconds
+        replay = mark_moves(recording.replay, match, arena.move_names, step_seconds)
+        if self.space is None:
+            self.space = space_values(arena.archive, arena.move_names)
+        self.circuits.setdefault(row["track"], circuit_values(replay))
+        axes = len(arena.archive.characteristics)
+        steps = range(step_count(match.seen[:, 0], axes))
+        # Steps that a crash left no time for are zeros in an observation; whether it was seen is its last number.
+        blocks = match.seen[0, :, :-1].reshape(2, len(steps), -1)
+        seen = np.array([[opponent(match.seen[:, car], axes, step)[0] for step in steps] for car in range(2)])
+        seen = np.where(blocks[..., -1:] > 0.5, seen.astype(np.float64), np.nan)
+        values = race_values(replay)
+        values["space"] = {
+            "step_seconds": step_seconds,
+            "policies": match.policy[0].tolist(),
+            "made": match.moves[0].tolist(),
+            "seen": _places(self.space, in_units(arena.archive, seen)[..., list(plane(arena.archive))]),
+        }
+        return DrivenRace(number, row["track"], values)
+
+    def drive_all(self, numbers: Sequence[int]) -> Iterator[DrivenRace]:
+        """Drive several lines, those of a pair together; they come in the order in which they are driven."""
+        rows = self.results.row
+        order = sorted(numbers, key=lambda number: (_pair(rows(number)), number))
+        for number in order:
+            yield self.drive(number)
+
+    def _contest(self, row: dict[str, str]) -> Contest:
+        """Return the races of a pair; the last few pairs are kept."""
+        key = _pair(row)
+        if key not in self._contests:
+            self._contests[key] = self.results.contest(row)
+            while len(self._contests) > MOST_CONTESTS:
+                self._contests.popitem(last=False)
+        self._contests.move_to_end(key)
+        return self._contests[key]
+
+
+def _pair(row: dict[str, str]) -> tuple[str, ...]:
+    return (row["track"], row["ego"], row["opponent"], row["seed"])
+
+
+def _check_start(number: int, row: dict[str, str], start: Starts, variants: NDArray[np.int64]) -> None:
+    """Tell a line that has been changed from its race before that is driven."""
+    told = [str(row[name]) for name in ("start_s", "side", "ego_variant", "opponent_variant")]
+    drawn = [f"{float(start.s[0]):.4f}", str(int(start.side[0])), *map(str, variants.tolist())]
+    if told != drawn:
+        raise InputError(
+            f"race {number} is not the one that its folder describes: its line tells of start {told[0]:.40} m, side "
+            f"{told[1]:.40} and variants {told[2]:.40} and {told[3]:.40}, the folder of {', '.join(drawn)}"
+        )
+
+
+def race_values(replay: Replay) -> dict[str, Any]:
+    """Return what a replay holds besides its circuit, as plain values for the page's JSON.
+
+    Together with :func:`circuit_values` it is a replay in the format of :mod:`pcs_racing.race.replay`.
+    """
+    drawn = np.concatenate([replay.cars[..., :5], np.zeros((*replay.cars.shape[:2], 2))], axis=-1)
+    values: dict[str, Any] = {
+        **plain_parts(replay),
+        "plan_dt": PLAN_SKIP * replay.plan_dt,
+        "cars": pack(drawn, FINE, [0, 0]),
+        "progress": pack(replay.progress, COARSE, [0, 0]),
+    }
+    if replay.paths is not None:
+        plans = replay.paths[::PLAN_SKIP].copy()
+        plans[..., 2] = np.where(np.isnan(plans[..., 2]), np.nan, 0.0)
+        values["paths"] = pack_paths(plans, COARSE)
+    return values
+
+
+def circuit_values(replay: Replay) -> dict[str, Any]:
+    """Return what a replay says about its circuit, as plain values for the page's JSON."""
+    values = {"walls": pack_segments(replay.walls), "line": pack(replay.line, FINE, [0, 0])}
+    if replay.line_speed is not None:
+        values["line_speed"] = pack(replay.line_speed, COARSE, [0])
+    return values
+
+
+def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]:
+    """Return the Policy Characteristic Space as plain values for the page's JSON.
+
+    Places are told in steps of 1/4000 of the picture, from its left and lower edge.
+
+    Parameters
+    ----------
+    archive : PolicyArchive
+    moves : sequence of str
+        Names of the moves.
+    """
+    columns = plane(archive)
+    kinds = get_characteristics(archive.characteristics)
+    axes = []
+    for column in columns:
+        low, high = _limits(archive, column)
+        axes.append({"name": kinds[column].name, "unit": kinds[column].unit, "low": low, "high": high})
+    space: dict[str, Any] = {"archive": archive.name, "axes": axes, "moves": list(moves)}
+    explored = archive.explored_coordinates[:, list(columns)]
+    low_high = np.array([[axis["low"], axis["high"]] for axis in axes])
+    inside = np.all((explored >= low_high[:, 0]) & (explored <= low_high[:, 1]), axis=1)
+    space["points"] = _places(space, archive.coordinates[:, list(columns)])
+    space["explored"] = pack(np.array(_places(space, explored[inside]), float).reshape(-1, 2), 1)
+    space["crash"] = None if archive.own_crash is None else np.round(100.0 * archive.own_crash, 1).tolist()
+    return space
+
+
+def _limits(archive: PolicyArchive, column: int) -> tuple[float, float]:
+    """Return what to show along an axis: the archive, and most of what was explored where that is not worlds away."""
+    low, high = float(archive.nadir[column]), float(archive.ideal[column])
+    reach = max(high - low, 1e-9)
+    explored = archive.explored_coordinates[:, column]
+    if len(explored):
+        tails = np.quantile(explored, [0.02, 0.98]).tolist()
+        low, high = max(min(low, tails[0]), low - 0.5 * reach), min(max(high, tails[1]), high + 0.5 * reach)
+    return low - 0.08 * reach, high + 0.08 * reach
+
+
+def _places(space: dict[str, Any], points: Floats) -> Any:
+    """Return points (..., 2) in units of the axes as nested lists of whole steps; null where they are NaN."""
+    low, high = (np.array([axis[key] for axis in space["axes"]]) for key in ("low", "high"))
+    steps = PLACES * (points - low) / (high - low)
+    nothing = np.isnan(steps).any(axis=-1)
+    whole = np.rint(np.clip(np.nan_to_num(steps), -1e6, 1e6)).astype(np.int64).tolist()
+    return _without(whole, nothing.tolist())
+
+
+def _without(values: Any, nothing: Any) -> Any:
+    """Replace the innermost lists that are nothing by None."""
+    if isinstance(nothing, bool):
+        return None if nothing else values
+    return [_without(value, empty) for value, empty in zip(values, nothing, strict=True)]

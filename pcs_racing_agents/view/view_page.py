@@ -1,0 +1,122 @@
+"""The page that lists races and plays them: one file, nothing loaded, nothing sent.
+
+Its parts are ``view.html`` (the list), ``pcs_racing/replay.html`` (the player, as it is, in a frame of its own) and
+``beside.html`` (what the player shows beside the track).
+"""
+
+import html
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from typing import Any
+
+from pcs_racing.race.replay import safe_json
+from pcs_racing_agents.view.race_choice import Pick
+from pcs_racing_agents.view.race_columns import RaceColumns, packed_columns
+from pcs_racing_agents.view.race_replays import DrivenRace
+
+__all__ = ["ViewContent", "safe_json", "view_page"]
+
+_SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class ViewContent:
+    """What a page shows.
+
+    Attributes
+    ----------
+    title : str
+    columns : RaceColumns
+        The races.
+    results : str
+        Where they lie, as it is to be written in a command.
+    start : str
+        ``"side-by-side"``, or another kind of start, in which one car is in front.
+    picks : sequence of Pick
+        Why those races were chosen that can be watched.
+    driven : sequence of DrivenRace
+        These races.
+    circuits : mapping of str to dict
+        Of these races, by name.
+    space : mapping, optional
+        The Policy Characteristic Space.
+    why_not : str
+        Why no race can be driven again; ``""`` where they can.
+    serve : bool
+        Whether a server (:mod:`pcs_racing_agents.view.view_server`) drives the others when they are asked for.
+    """
+
+    title: str
+    columns: RaceColumns
+    results: str = ""
+    start: str = "side-by-side"
+    picks: Sequence[Pick] = ()
+    driven: Sequence[DrivenRace] = ()
+    circuits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    space: Mapping[str, Any] | None = None
+    why_not: str = ""
+    serve: bool = False
+
+
+def view_page(content: ViewContent) -> str:
+    """Return the page.
+
+    A link may name filters, a race and a moment, such as ``view.html#agent=adaptive&crash=own&race=12&t=9.5``.
+
+    Parameters
+    ----------
+    content : ViewContent
+    """
+    list_page, player, beside = (_template(*place) for place in _TEMPLATES)
+    shared = {name: text.strip() for name, text in _SHARED.findall(player)}
+    driven = {race.race: race for race in content.driven}
+    columns, where = content.columns, shlex.quote(content.results)
+    commands = [f"pcs-racing view {where} --serve", f"pcs-racing view {where} --races {{race}}"]
+    tracks, races = len(columns.track.words), len(columns)
+    agents = len(columns.agents.words)
+    rules = ", ".join(word for word in columns.preset.words if word)
+    data = {
+        "title": content.title,
+        "about": f"{races:,} race{_s(races)}, {agents} agent{_s(agents)}, {tracks} circuit{_s(tracks)}"
+        + (f", {rules} rules" if rules else ""),
+        **packed_columns(columns),
+        "sides": ["left", "right"] if content.start == "side-by-side" else ["front", "rear"],
+        "replays": [[pick.race, pick.why] for pick in content.picks if pick.race in driven],
+        "circuits": [[name, dict(values)] for name, values in content.circuits.items()],
+        "space": None if content.space is None else dict(content.space),
+        "serve": content.serve,
+        "commands": [] if content.why_not else commands,
+        "why_not": content.why_not,
+    }
+    parts = {
+        "<!--title-->": html.escape(content.title),
+        "<!--connect-->": "'self'" if content.serve else "'none'",
+        "/*colours*/": shared["colours"],
+        "/*reading*/": shared["reading"],
+        "<!--races-->": safe_json(data),
+        "<!--player-->": safe_json(player.replace("<!--beside-->", beside)),
+        "<!--replays-->": "\n".join(
+            f'<script type="application/json" id="race-{number}">{safe_json(race.values)}</script>'
+            for number, race in driven.items()
+        ),
+    }
+    # In one pass: a name that spells a placeholder is not one.
+    return re.sub("|".join(map(re.escape, parts)), lambda match: parts[match.group()], list_page)
+
+
+_TEMPLATES = (
+    ("pcs_racing_agents.view", "view.html"),
+    ("pcs_racing", "replay.html"),
+    ("pcs_racing_agents.view", "beside.html"),
+)
+
+
+def _template(package: str, name: str) -> str:
+    return files(package).joinpath(name).read_text(encoding="utf-8")
+
+
+def _s(count: int) -> str:
+    return "" if count == 1 else "s"

@@ -1,0 +1,106 @@
+"""Own sine, arctangent and so on: how near they are to the truth, computed in long double."""
+
+import numpy as np
+import pytest
+
+from pcs_racing.base.elementary import (
+    arcsine,
+    arctangent,
+    arctangent2,
+    exponential,
+    headings,
+    hyperbolic_tangent,
+    lengths,
+    sine_cosine,
+    sines_cosines,
+    tangent,
+)
+
+exact = np.longdouble
+needs_more_digits = pytest.mark.skipif(
+    np.finfo(exact).eps > 1e-18, reason="long double has no more digits than double here"
+)
+
+
+def ulps(found: float, true: np.longdouble) -> float:
+    """Error in units of the last place of the true value."""
+    return float(abs(exact(found) - true) / exact(np.spacing(abs(float(true)))))
+
+
+def spread(low: float, high: float, count: int = 2000) -> np.ndarray:
+    """Numbers of an interval, both its ends and the neighbourhood of 0 among them."""
+    rng = np.random.default_rng(1)
+    inside = rng.uniform(low, high, count)
+    return np.concatenate([[low, high], inside, inside[:200] * 1e-3, inside[:200] * 1e-9])
+
+
+@needs_more_digits
+@pytest.mark.parametrize(
+    ("own", "true", "values", "most"),
+    [
+        (lambda x: sine_cosine(x)[0], np.sin, spread(-0.785, 0.785), 1.0),
+        (lambda x: sine_cosine(x)[1], np.cos, spread(-0.785, 0.785), 1.0),
+        (tangent, np.tan, spread(-1.5, 1.5), 3.0),
+        (arctangent, np.arctan, spread(-6.0, 6.0), 1.0),
+        (arctangent, np.arctan, spread(-1e6, 1e6), 1.0),
+        (arcsine, np.arcsin, spread(-1.0, 1.0), 3.0),
+        (exponential, np.exp, spread(-5.0, 5.0), 2.0),
+        (exponential, np.exp, spread(-700.0, 700.0), 2.0),
+        (hyperbolic_tangent, np.tanh, spread(-0.7, 0.7), 2.0),
+        (hyperbolic_tangent, np.tanh, spread(-30.0, 30.0), 2.0),
+    ],
+)
+def test_the_error_is_that_of_the_docstring(own, true, values, most):
+    assert max(ulps(own(x), true(exact(x))) for x in values) <= most
+
+
+@needs_more_digits
+def test_sine_and_cosine_of_many_turns():
+    angles = spread(-1000.0, 1000.0)
+    sines, cosines = sines_cosines(angles)
+    assert np.abs(sines - np.sin(angles.astype(exact))).max() < 1.5e-16
+    assert np.abs(cosines - np.cos(angles.astype(exact))).max() < 1.5e-16
+
+
+@needs_more_digits
+def test_directions_in_all_quadrants():
+    vectors = np.random.default_rng(2).normal(size=(2000, 2)) * [[1.0, 0.1]]
+    for (x, y), found in zip(vectors, headings(vectors), strict=True):
+        assert ulps(found, np.arctan2(exact(y), exact(x))) <= 2.0
+
+
+@pytest.mark.parametrize("y", [-1.0, 0.0, 2.0])
+@pytest.mark.parametrize("x", [-3.0, 0.0, 1.0])
+def test_directions_along_the_axes(x, y):
+    assert arctangent2(y, x) == pytest.approx(np.arctan2(y, x), abs=0.0, rel=1e-15)
+
+
+def test_exponentials_at_the_ends_of_the_range():
+    assert exponential(0.0) == 1.0
+    assert exponential(-746.0) == exponential(-np.inf) == 0.0
+    assert exponential(710.0) == exponential(np.inf) == np.inf
+    assert exponential(-745.0) == 5e-324
+    assert exponential(709.7) == pytest.approx(1.6549840276802644e308, rel=1e-15)
+    assert np.isnan(exponential(np.nan))
+
+
+def test_no_number_stays_none():
+    for found in (*sine_cosine(np.nan), arctangent(np.nan), hyperbolic_tangent(np.nan)):
+        assert np.isnan(found)
+
+
+def test_what_is_odd_is_odd_to_the_bit():
+    for x in spread(0.0, 3.0, 200):
+        assert sine_cosine(-x) == (-sine_cosine(x)[0], sine_cosine(x)[1])
+        assert arctangent(-x) == -arctangent(x)
+        assert hyperbolic_tangent(-x) == -hyperbolic_tangent(x)
+
+
+def test_hyperbolic_tangents_stay_within_one():
+    assert hyperbolic_tangent(400.0) == hyperbolic_tangent(np.inf) == 1.0
+    assert hyperbolic_tangent(-400.0) == -1.0
+
+
+def test_lengths_of_vectors_of_any_shape():
+    assert lengths(np.array([3.0, 4.0])) == 5.0
+    assert lengths(np.array([[[3.0, 4.0], [0.0, -2.0]]])).tolist() == [[5.0, 2.0]]

@@ -1,0 +1,145 @@
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.packing import (
+    join_segments,
+    pack,
+    pack_costs,
+    pack_paths,
+    pack_segments,
+    unpack,
+    unpack_costs,
+    unpack_paths,
+    unpack_segments,
+)
+
+arrays = hnp.arrays(
+    float,
+    hnp.array_shapes(min_dims=1, max_dims=4, min_side=0, max_side=6),
+    elements=st.floats(-1e8, 1e8, allow_subnormal=False),
+)
+
+
+@given(arrays, st.sampled_from([1, 100, 1000]), st.data())
+def test_numbers_come_back_to_within_half_a_step(values, per_unit, data):
+    axes = data.draw(st.lists(st.integers(0, values.ndim - 1), max_size=4))
+    packed = json.loads(json.dumps(pack(values, per_unit, axes)))
+    back = unpack(packed)
+    assert back.shape == values.shape
+    assert np.all(np.abs(back - values) <= 0.5 / per_unit + 1e-7)
+    assert pack(back, per_unit, axes) == packed  # what has been rounded stays as it is
+
+
+def test_small_differences_take_one_character_each():
+    x = np.arange(1000) * 0.25
+    assert len(pack(x, 1000, [0, 0])["data"]) < 1010
+    assert len(pack(x, 1000)["data"]) > 2500
+
+
+def test_known_text():
+    # 0, -1, 1, 15, 16: the last one needs a second character.
+    assert pack(np.array([0, -1, 1, 15, 16]), 1)["data"] == "ABCegB"
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+def test_numbers_without_a_step_are_refused(value):
+    with pytest.raises(InputError, match="finite"):
+        pack(np.array([1.0, value]), 1000)
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        ("shape", [3]),
+        ("shape", [-2]),
+        ("shape", [True, 2]),
+        ("shape", [10**9, 10**9]),
+        ("shape", "2"),
+        ("shape", [1] * 7),
+        ("per_unit", 0),
+        ("per_unit", float("nan")),
+        ("per_unit", "1000"),
+        ("differences", [1]),
+        ("differences", [-1]),
+        ("differences", [0] * 9),
+        ("data", "A"),
+        ("data", "AAA"),
+        ("data", "Ag"),
+        ("data", "A<"),
+        ("data", "Aé"),
+        ("data", "A" + "_" * 10 + "A"),
+        ("data", None),
+        ("more", 1),
+    ],
+)
+def test_broken_text_is_refused(part, value):
+    packed = pack(np.array([1.0, 2.0]), 1)
+    with pytest.raises(InputError, match=r"speed"):
+        unpack(packed | {part: value}, "speed")
+
+
+def test_segments_join_to_loops():
+    square = np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [0, 1, 0, 0]], float)
+    lone = np.array([[5.0, 5.0, 6.0, 6.0]])
+    loop, open_end = join_segments(np.vstack([square, lone]))
+    assert loop.tolist() == [[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]
+    assert open_end.tolist() == [[5, 5], [6, 6]]
+    assert join_segments(np.empty((0, 4))) == []
+
+
+@given(hnp.arrays(float, st.tuples(st.integers(0, 30), st.just(4)), elements=st.sampled_from([0.0, 0.5, 1.0, 1.5])))
+def test_segments_come_back_in_some_order(segments):
+    packed = pack_segments(segments)
+    back = unpack_segments(packed, "walls")
+    assert sorted(map(tuple, back)) == sorted(map(tuple, segments))
+    assert pack_segments(back) == packed
+
+
+def test_paths_of_different_lengths():
+    paths = np.random.default_rng(1).uniform(-50, 50, (4, 2, 5, 3, 2))
+    paths[0, 0, 1, 2:] = np.nan
+    paths[3, 1, 4] = np.nan
+    back = unpack_paths(pack_paths(paths, 100), "candidates")
+    assert np.array_equal(np.isnan(back), np.isnan(paths))
+    assert np.nanmax(np.abs(back - paths)) <= 0.005 + 1e-9
+
+
+@given(
+    hnp.arrays(float, (2, 3), elements=st.floats(-1e6, 1e6) | st.just(np.inf) | st.floats(0, 1e-3)),
+)
+def test_costs_keep_their_order_and_their_rejections(costs):
+    back = unpack_costs(json.loads(json.dumps(pack_costs(costs))), "costs")
+    assert np.array_equal(np.isinf(back), np.isinf(costs))
+    finite = np.isfinite(costs)
+    order = np.argsort(costs[finite], kind="stable")
+    assert np.all(np.diff(back[finite][order]) >= 0)
+    if finite.any():
+        size = np.median(costs[finite] - costs[finite].min())
+        reach = np.ptp(costs[finite])
+        assert np.all(np.abs(back[finite] - costs[finite]) <= 0.006 * size + 1e-8 * reach + 1e-8)
+
+
+@pytest.mark.parametrize(
+    ("points", "counts", "words"),
+    [
+        (np.zeros((4, 3)), [4], "walls must have points of shape"),
+        (np.zeros((4, 2)), [3], "walls.counts must be at least 2 each and sum to the 4 points"),
+        (np.zeros((4, 2)), [3, 1], "at least 2 each"),
+    ],
+)
+def test_segments_that_do_not_fit_their_counts_are_refused(points, counts, words):
+    packed = {"points": pack(points, 100), "counts": pack(np.array(counts), 1)}
+    with pytest.raises(InputError, match=words):
+        unpack_segments(packed, "walls")
+
+
+def test_paths_without_their_counts_are_refused():
+    packed = pack_paths(np.zeros((2, 3, 4, 2)), 100)
+    with pytest.raises(InputError, match=r"paths\.counts must have one number for each path of paths\.points"):
+        unpack_paths({**packed, "counts": pack(np.ones(3), 1)}, "paths")

@@ -1,0 +1,148 @@
+import io
+import os
+import zipfile
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcs_racing import InputError
+from pcs_racing.base.reading import plain_yaml, read_limited, unpack_arrays
+
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**62), 2**62) | st.floats(allow_nan=False) | st.text(max_size=10),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=10,
+)
+
+
+@given(plain)
+def test_what_yaml_writes_is_read_as_yaml_reads_it(value):
+    text = yaml.safe_dump(value, allow_unicode=True)
+    assert plain_yaml(text.encode()) == yaml.safe_load(text)
+
+
+def bomb(line: str, count: int = 40) -> str:
+    return "\n".join(["a0: &a0 {k: v}", *(line.format(i, i - 1) for i in range(1, count))])
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (bomb("a{0}: &a{0} [*a{1}, *a{1}]"), "stand for too much"),
+        (bomb("a{0}: &a{0} {{<<: [*a{1}, *a{1}]}}"), "stand for too much"),
+        ("a: &a [*a]", "stand for too much"),
+        ("[" * 60 + "]" * 60, "nested"),
+        ("[" * 100_000, "nested too deeply"),
+        ("seed: " + "9" * 5000, "has 5000 characters"),
+        ("seed: 0x" + "f" * 5000, "has 5002 characters"),
+        ("seed: " + "1:" * 200 + "1", "has 401 characters"),
+        ("day: 2020-13-45", "month"),
+        ("!!int ''", "index"),
+        ("!!bool maybe", "maybe"),
+        ("!!timestamp x", "NoneType"),
+        ("!!python/object/apply:os.system [ls]", "constructor"),
+        (b"\xff\xfe\xfa", "utf"),
+        ("a: *b", "undefined alias"),
+        ("? [1]\n: 2", "unhashable"),
+        ("\x00", "special characters"),
+    ],
+)
+def test_other_texts_are_refused_in_one_line(text, why):
+    with pytest.raises(InputError, match=why) as caught:
+        plain_yaml(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_names_that_stand_for_little_are_read():
+    assert plain_yaml("a: &a [1, 2]\nb: [*a, *a]\nc: {<<: {d: 1}}") == {
+        "a": [1, 2],
+        "b": [[1, 2], [1, 2]],
+        "c": {"d": 1},
+    }
+    assert plain_yaml("") is None
+
+
+def npz(**arrays: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def test_arrays_are_read_as_numpy_reads_them():
+    arrays = {
+        "matrix": np.arange(6.0).reshape(2, 3),
+        "fortran": np.asfortranarray(np.arange(6, dtype=np.int8).reshape(2, 3)),
+        "scalar": np.array(2.5),
+        "empty": np.zeros((0, 3), np.float32),
+        "texts": np.array(["a", "bcd"]),
+        "truths": np.array([True, False]),
+    }
+    found = unpack_arrays(npz(**arrays))
+    assert list(found) == list(arrays)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(found[name], array)
+        assert found[name].dtype == array.dtype
+        assert found[name].flags.writeable
+
+
+def member(header: str, body: bytes = b"") -> bytes:
+    """A file with one array whose header says anything."""
+    text = header.encode().ljust(118) + b"\n"
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as file:
+        file.writestr("a.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + body)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"", "zip"),
+        (b"PK\x03\x04 and no more", "zip"),
+        (npz(a=np.zeros(9))[:-30], "zip"),
+        (member("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"), "something else is there"),
+        (member("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 10000000000000), }"), "something else is there"),
+        (member("{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }"), "something else is there"),
+        (member("{'descr': '<U500000000', 'fortran_order': False, 'shape': (), }"), "something else is there"),
+        (
+            member("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }", b"cos\nsystem\n(S'ls'\ntR."),
+            "of type object",
+        ),
+        (member("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (1,), }", bytes(8)), "of type"),
+        (member("__import__('os')"), "."),
+    ],
+)
+def test_other_files_of_arrays_are_refused(content, why):
+    with pytest.raises(InputError, match=why):
+        unpack_arrays(content)
+
+
+def test_a_small_file_that_unpacks_to_much_is_refused():
+    content = npz(a=np.zeros(1_000_000))
+    assert len(content) < 20_000
+    with pytest.raises(InputError, match="more than 1000000 bytes"):
+        unpack_arrays(content, 1_000_000)
+
+
+def test_files_are_read_up_to_a_limit(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(bytes(10))
+    assert read_limited(path, 10, "a test") == bytes(10)
+    with pytest.raises(InputError, match="more than 9 bytes; that is not a test"):
+        read_limited(path, 9, "a test")
+    with pytest.raises(OSError, match="No such file"):
+        read_limited(tmp_path / "none", 9, "a test")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_pipes_and_devices_are_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "zeros").symlink_to("/dev/zero")
+    for name in ("pipe", "zeros"):
+        with pytest.raises(InputError, match="no ordinary file"):
+            read_limited(tmp_path / name, 9, "a test")
+    with pytest.raises((InputError, OSError)):
+        read_limited(tmp_path, 9, "a test")

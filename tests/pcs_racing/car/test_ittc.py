@@ -1,0 +1,164 @@
+"""The minimum iTTC against dense scans, dense samples of walls, and cases that can be worked out by hand."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+
+from pcs_racing.car.ittc import minimum_ittc, segment_ittc
+from pcs_racing.track.track import load_track
+
+HALF = (0.29, 0.155)
+HORIZON = 10.0
+ANGLES = np.linspace(-np.pi, np.pi, 20_000, endpoint=False)
+
+coordinate = st.floats(-20.0, 20.0)
+
+
+def sides(x, y, psi):
+    """The four sides (4, 4) of a car's rectangle."""
+    c, s = np.cos(psi), np.sin(psi)
+    box = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * HALF @ np.array([[c, s], [-s, c]]) + [x, y]
+    return np.hstack([box, np.roll(box, -1, axis=0)])
+
+
+def cast(segments, x, y):
+    """Exact range of 20,000 beams to the nearest of some segments."""
+    ranges = np.full(len(ANGLES), np.inf)
+    cos, sin = np.cos(ANGLES), np.sin(ANGLES)
+    for ax, ay, bx, by in segments - [x, y, x, y]:
+        across = cos * (by - ay) - sin * (bx - ax)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            hit = (ax * by - ay * bx) / across
+            along = (ax * sin - ay * cos) / across
+        hit[~((hit > 0) & (along >= 0) & (along <= 1))] = np.inf
+        ranges = np.minimum(ranges, hit)
+    return ranges
+
+
+def times(ranges, vx, vy):
+    """iTTC of each beam: its range over the speed at which it closes."""
+    closing = vx * np.cos(ANGLES) + vy * np.sin(ANGLES)
+    return np.where(closing > 0.0, ranges / np.where(closing > 0.0, closing, 1.0), np.inf)
+
+
+def situations(track, count, seed):
+    """Random lidars and opponents on a track: x, y, vx, vy, s, opponent's x, y, psi, vx, vy."""
+    rng = np.random.default_rng(seed)
+    s = rng.uniform(0.0, track.length, count)
+    x, y, psi = track.to_cartesian(np.column_stack([s, rng.uniform(-0.9, 0.9, count)])).T
+    course = psi + rng.normal(0.0, 0.5, count) + np.pi * (rng.random(count) < 0.1)
+    v = rng.uniform(0.1, 8.0, count)
+    gap = rng.uniform(0.7, 6.0, count) * rng.choice([-1, 1], count)
+    ox, oy, opsi = track.to_cartesian(np.column_stack([s + gap, rng.uniform(-0.8, 0.8, count)])).T
+    opsi = opsi + rng.normal(0.0, 0.5, count)
+    ov = rng.uniform(0.0, 8.0, count)
+    at = track.to_frenet(np.column_stack([x, y]))[:, 0]
+    motion = [v * np.cos(course), v * np.sin(course)]
+    return np.column_stack([x, y, *motion, at, ox, oy, opsi, ov * np.cos(opsi), ov * np.sin(opsi)])
+
+
+def measure(track, row, use_opponent=True, horizon=HORIZON):
+    x, y, vx, vy, s, ox, oy, opsi, ovx, ovy = row
+    return minimum_ittc(track.arrays, x, y, vx, vy, s, ox, oy, opsi, *HALF, ovx, ovy, use_opponent, horizon)
+
+
+def test_agrees_with_a_dense_scan_of_walls_and_opponent(oval):
+    nearer = 0
+    for row in situations(oval, 150, seed=0):
+        x, y, vx, vy, _, ox, oy, opsi, ovx, ovy = row
+        walls = min(times(cast(oval.arrays.walls, x, y), vx, vy).min(), HORIZON)
+        opponent = times(cast(sides(ox, oy, opsi), x, y), vx - ovx, vy - ovy).min()
+        assert measure(oval, row, use_opponent=False) == pytest.approx(walls, rel=1e-3)
+        assert measure(oval, row) == pytest.approx(min(walls, opponent), rel=1e-3)
+        assert measure(oval, row) <= min(walls, opponent) + 1e-12
+        nearer += opponent < walls
+    assert 10 < nearer < 140
+
+
+def test_agrees_with_dense_samples_of_every_wall_of_a_real_circuit(real_maps):
+    track = load_track(real_maps / "Spielberg")
+    walls = track.arrays.walls
+    share = np.linspace(0.0, 1.0, 300)[:, None, None]
+    points = walls[:, :2] * (1.0 - share) + walls[:, 2:] * share
+    for row in situations(track, 60, seed=1):
+        if track.wall_distance(row[:2]) < 0.2:
+            continue  # too near for the samples
+        p = points - row[:2]
+        approach = p @ row[2:4]
+        square = (p * p).sum(axis=-1)
+        ahead = approach > 0.0
+        exact = min((square[ahead] / approach[ahead]).min(), HORIZON)
+        found = measure(track, row, use_opponent=False)
+        assert found == pytest.approx(exact, rel=1e-3)
+        assert found <= exact + 1e-12
+
+
+@settings(deadline=None, max_examples=200)
+@given(coordinate, coordinate, coordinate, coordinate, st.floats(-9.0, 9.0), st.floats(-9.0, 9.0))
+@example(0.0, 0.0, -1.0, 0.0, -(2.0**-24), -4.0)
+def test_a_segment_counts_with_its_most_urgent_point(ax, ay, bx, by, vx, vy):
+    speed = np.hypot(vx, vy)
+    assume(speed > 0.1)
+    # A line that is grazed at less than 1e-7 m/s is met in more than a day: that is a matter of rounding.
+    horizon = 1e5
+    found = segment_ittc(ax, ay, bx, by, vx, vy, speed, horizon)
+    share = np.linspace(0.0, 1.0, 4001)
+    x, y = ax + share * (bx - ax), ay + share * (by - ay)
+    approach = vx * x + vy * y
+    ahead = approach > 1e-9
+    sampled = ((x**2 + y**2)[ahead] / approach[ahead]).min() if ahead.any() else np.inf
+    assert found <= min(sampled, horizon) * (1.0 + 1e-9) + 1e-12
+    # No point is more urgent than the straight way to it would be at full speed.
+    step = np.hypot(bx - ax, by - ay) / 4000.0
+    nearest = np.hypot(x, y).min() - step
+    assert found >= nearest / speed - 1e-9
+    if np.isfinite(sampled) and nearest > 0.5:
+        assert found == pytest.approx(sampled, rel=0.02) or sampled > 100.0
+    assert segment_ittc(ax, ay, bx, by, 2 * vx, 2 * vy, 2 * speed, 0.5 * horizon) == pytest.approx(
+        0.5 * found, rel=1e-9
+    )
+
+
+def test_hand_cases_of_a_single_wall():
+    wall = (3.0, -50.0, 3.0, 50.0)
+    assert segment_ittc(*wall, 2.0, 0.0, 2.0, 99.0) == pytest.approx(1.5)  # straight at it: h / v
+    assert segment_ittc(*wall, 0.0, 2.0, 2.0, 99.0) == pytest.approx(3.0)  # alongside: 2 h / v
+    assert segment_ittc(*wall, -2.0, 0.0, 2.0, 99.0) == 99.0  # away from it
+    assert segment_ittc(3.0, 4.0, 3.0, 4.0, 1.0, 0.0, 1.0, 99.0) == pytest.approx(25.0 / 3.0)  # a point
+    assert segment_ittc(-1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 99.0) == 0.0  # on the wall
+
+
+def straight(oval, **changes):
+    """A lidar in the middle of the oval's lower straight at 4 m/s, an opponent 2 m ahead of it that stands."""
+    row = {
+        "x": 0.0,
+        "y": -4.0,
+        "vx": 4.0,
+        "vy": 0.0,
+        "s": 6.0,
+        "ox": 2.0,
+        "oy": -4.0,
+        "opsi": 0.0,
+        "ovx": 0.0,
+        "ovy": 0.0,
+    }
+    return measure(oval, list((row | changes).values()), use_opponent=True)
+
+
+def test_the_opponents_motion_counts(oval):
+    walls = straight(oval, ox=1e3)
+    assert walls == pytest.approx(2.0 * 1.1 / 4.0, rel=0.05)  # twice the side clearance over the speed
+    assert straight(oval) == pytest.approx((2.0 - HALF[0]) / 4.0)
+    assert straight(oval, ovx=-4.0) == pytest.approx((2.0 - HALF[0]) / 8.0)
+    assert straight(oval, ovx=4.0) == walls  # keeps its distance
+    assert straight(oval, ovx=6.0) == walls  # pulls away
+    assert straight(oval, vx=0.0, ox=-2.0, ovx=4.0) == pytest.approx((2.0 - HALF[0]) / 4.0)  # run into from behind
+
+
+def test_the_result_is_capped_at_the_horizon(oval):
+    row = situations(oval, 1, seed=2)[0]
+    row[2:4] = 0.0
+    assert measure(oval, row, use_opponent=False) == HORIZON
+    row[2] = 1e-6
+    assert measure(oval, row, use_opponent=False, horizon=3.0) == 3.0

@@ -1,0 +1,248 @@
+"""Scans against exact cell traversal, opponents in every direction, noise, and bad input."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.car.lidar import Lidar, scan_into
+from pcs_racing.track.track import load_track
+
+LENGTH, WIDTH = 0.58, 0.31
+
+
+def rectangle_ranges(pose, angles, other):
+    """Exact ranges to an opponent's rectangle; infinite where beams miss it."""
+    c, s = np.cos(other[2]), np.sin(other[2])
+    box = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [0.5 * LENGTH, 0.5 * WIDTH] @ np.array([[c, s], [-s, c]])
+    box += np.asarray(other[:2]) - pose[:2]
+    cos, sin = np.cos(angles + pose[2]), np.sin(angles + pose[2])
+    ranges = np.full(len(angles), np.inf)
+    for (ax, ay), (bx, by) in zip(box, np.roll(box, -1, axis=0), strict=True):
+        across = cos * (by - ay) - sin * (bx - ax)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            hit = (ax * by - ay * bx) / across
+            along = (ax * sin - ay * cos) / across
+        ranges = np.where((hit > 0) & (along >= 0) & (along <= 1), np.minimum(ranges, hit), ranges)
+    return ranges
+
+
+def poses_on(track, count, seed=0):
+    rng = np.random.default_rng(seed)
+    sd = np.column_stack([rng.uniform(0, track.length, count), rng.uniform(-0.8, 0.8, count)])
+    return track.to_cartesian(sd) + np.column_stack([np.zeros((count, 2)), rng.uniform(-np.pi, np.pi, count)])
+
+
+def assert_close_to_exact(found, exact):
+    error = np.abs(found - exact)
+    assert np.median(error) <= 0.01
+    assert np.quantile(error, 0.99) <= 0.2
+    assert (error > 1.0).mean() <= 1e-3
+
+
+def test_scans_of_the_reference(real_maps, reference):
+    data = np.load(reference / "scans_spielberg.npz")
+    lidar = Lidar(load_track(real_maps / "Spielberg"))
+    assert np.allclose(lidar.angles, data["beam_angles"], atol=1e-12)
+    found = lidar.scan(data["poses"])
+    exact = np.minimum(data["exact_scans"], 30.0)
+    assert_close_to_exact(found, exact)
+    # Nearer to the truth than the ray march of the established simulator.
+    marched = np.abs(data["gym_scans"] - exact)
+    assert np.median(np.abs(found - exact)) < 0.5 * np.median(marched)
+    assert (np.abs(found - exact) > 1.0).sum() < 0.5 * (marched > 1.0).sum()
+
+
+def test_scans_of_the_reference_with_an_opponent(real_maps, reference):
+    data = np.load(reference / "scans_with_opponent.npz")
+    lidar = Lidar(load_track(real_maps / "Spielberg"))
+    alone = lidar.scan(data["ego_poses"])
+    found = lidar.scan(data["ego_poses"], data["opp_poses"])
+    visible = 0
+    for k, (ego, other) in enumerate(zip(data["ego_poses"], data["opp_poses"], strict=True)):
+        ranges = rectangle_ranges(ego, lidar.angles, other)
+        assert np.allclose(found[k], np.minimum(alone[k], ranges), atol=1e-6)
+        # Theirs is cut short by walls it marched past; where it shows the car, it is the same car.
+        seen = (ranges < alone[k] - 0.5) & (np.abs(ranges - data["gym_scans"][k]) < 0.5)
+        assert np.allclose(found[k][seen], data["gym_scans"][k][seen], atol=1e-4)
+        assert seen.sum() >= 0.9 * (ranges < alone[k] - 0.5).sum()
+        visible += seen.any()
+    assert visible > 4
+
+
+@pytest.mark.parametrize("fov", [2.0 * np.pi, 4.7, 1.0])
+@pytest.mark.parametrize("beams", [1080, 37, 2, 1])
+def test_an_opponent_is_seen_in_every_direction(oval, fov, beams):
+    lidar = Lidar(oval, beams=beams, fov=fov)
+    hidden = 0
+    for psi in np.linspace(-np.pi, np.pi, 16):
+        pose = np.array([1.0, -4.0, psi])
+        alone = lidar.scan(pose)
+        for bearing in np.linspace(-np.pi, np.pi, 33):
+            other = [1.0 + 0.6 * np.cos(bearing), -4.0 + 0.6 * np.sin(bearing), 0.3]
+            expected = np.minimum(alone, rectangle_ranges(pose, lidar.angles, other))
+            error = np.abs(lidar.scan(pose, other) - expected)
+            assert (error > 1e-5).sum() <= 1  # a beam through a corner may be rounded to either side
+            hidden += (expected < alone).any()
+    assert hidden > (0 if beams <= 2 else 100)
+
+
+def test_an_opponent_around_the_lidar_is_seen_from_within(oval):
+    lidar = Lidar(oval, beams=360, fov=2.0 * np.pi)
+    pose = [1.0, -4.0, 0.4]
+    other = [1.05, -4.02, 1.0]
+    assert np.allclose(lidar.scan(pose, other), rectangle_ranges(np.array(pose), lidar.angles, other), atol=1e-6)
+
+
+def test_every_beam_is_settled_without_any_list_of_segments(oval):
+    """Beams that nothing fills are followed through the grid."""
+    arrays = oval.arrays
+    empty = arrays._replace(seen_start=np.zeros_like(arrays.seen_start))
+    lidar = Lidar(oval, beams=200, fov=2.0 * np.pi)
+    out = np.empty(200)
+    for x, y, psi in poses_on(oval, 20):
+        s = oval.to_frenet([x, y])[0]
+        scan_into(empty, lidar.kernel, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, np.empty((4, 4)), out)
+        error = np.abs(out - lidar.scan([x, y, psi]))
+        assert np.median(error) < arrays.cell
+        assert (error > 1.0).mean() <= 0.01
+
+
+def test_turning_by_one_beam_shifts_the_scan_by_one(oval):
+    lidar = Lidar(oval, beams=721, fov=2.0 * np.pi)
+    step = 2.0 * np.pi / 720
+    for pose in poses_on(oval, 20):
+        scan = lidar.scan(pose)
+        turned = lidar.scan([*pose[:2], pose[2] + step])
+        assert scan[0] == pytest.approx(scan[-1], abs=1e-9)
+        error = np.abs(turned[:-1] - scan[1:])
+        assert (error > 1e-6).sum() <= 2
+
+
+def test_ranges_stay_within_the_longest(oval):
+    scans = Lidar(oval, max_range=3.0).scan(poses_on(oval, 20))
+    assert scans.max() == pytest.approx(3.0)
+    assert (scans > 0.0).all()
+    full = Lidar(oval, max_range=50.0).scan(poses_on(oval, 20))
+    assert full.max() < 25.0  # the oval is closed
+    # Edges at the longest range are no edges any more, so they are not settled.
+    assert (np.abs(scans - np.minimum(full, 3.0)) > 1e-6).mean() < 2e-3
+
+
+def test_many_poses_are_scanned_as_one_by_one_and_in_any_thread(oval):
+    lidar = Lidar(oval, beams=108)
+    poses = poses_on(oval, 24).reshape(2, 3, 4, 3)
+    others = poses_on(oval, 24, seed=1).reshape(2, 3, 4, 3)
+    scans = lidar.scan(poses, others)
+    assert scans.shape == (2, 3, 4, 108)
+    assert np.array_equal(scans[1, 2, 3], lidar.scan(poses[1, 2, 3], others[1, 2, 3]))
+    with ThreadPoolExecutor(2) as pool:
+        for threaded in pool.map(lambda _: lidar.scan(poses, others), range(8)):
+            assert np.array_equal(threaded, scans)
+    assert lidar.scan(np.empty((0, 3))).shape == (0, 108)
+
+
+def test_the_working_memory_may_be_small_and_the_output_single_precision(oval):
+    lidar = Lidar(oval)
+    out = np.empty(1080, dtype=np.float32)
+    for pose, other in zip(poses_on(oval, 10), poses_on(oval, 10, seed=1), strict=True):
+        s = oval.to_frenet(pose[:2])[0]
+        size = (0.5 * LENGTH, 0.5 * WIDTH)
+        scan_into(oval.arrays, lidar.kernel, *pose, s, True, *other, *size, np.empty((4, 4)), out)
+        error = np.abs(out - lidar.scan(pose, other))
+        assert np.median(error) < 1e-5
+        assert (error > 1e-3).sum() <= 2
+
+
+def test_a_lidar_in_a_wall_or_off_the_map_reads_nothing(oval):
+    lidar = Lidar(oval, beams=36)
+    for x, y in [(0.0, 0.0), (1e9, 0.0), (-1e9, 1e300), (0.0, -5.3)]:
+        assert (lidar.scan([x, y, 0.3]) == 0.0).all()
+
+
+def test_noise_comes_from_the_given_generator_alone(oval):
+    lidar = Lidar(oval, noise=0.02)
+    poses = poses_on(oval, 50)
+    exact = Lidar(oval).scan(poses)
+    noisy = lidar.scan(poses, rng=np.random.default_rng(3))
+    assert np.array_equal(noisy, lidar.scan(poses, rng=np.random.default_rng(3)))
+    assert not np.array_equal(noisy[0], lidar.scan(poses[0], rng=np.random.default_rng(4)))
+    difference = (noisy - exact)[exact < 29.0]
+    assert difference.std() == pytest.approx(0.02, rel=0.05)
+    assert abs(difference.mean()) < 1e-3
+    assert noisy.min() >= 0.0
+    assert noisy.max() <= 30.0
+    with pytest.raises(InputError, match="rng"):
+        lidar.scan(poses)
+
+
+def test_two_lidars_on_two_tracks_do_not_disturb_each_other(oval, real_maps):
+    pose = poses_on(oval, 1)
+    before = Lidar(oval).scan(pose)
+    other = load_track(real_maps / "Spielberg")
+    Lidar(other).scan(poses_on(other, 3))
+    assert np.array_equal(Lidar(oval).scan(pose), before)
+
+
+def test_a_single_beam_looks_ahead(oval):
+    lidar = Lidar(oval, beams=1)
+    assert lidar.angles.tolist() == [0.0]
+    assert lidar.scan([0.0, -4.0, -0.5 * np.pi])[0] == pytest.approx(1.1, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("values", "name"),
+    [
+        ({"beams": 0}, "beams"),
+        ({"beams": 100_001}, "beams"),
+        ({"beams": 10.5}, "beams"),
+        ({"beams": True}, "beams"),
+        ({"fov": 0.0}, "fov"),
+        ({"fov": 6.3}, "fov"),
+        ({"fov": np.nan}, "fov"),
+        ({"fov": "wide"}, "fov"),
+        ({"max_range": 0.0}, "max_range"),
+        ({"max_range": np.inf}, "max_range"),
+        ({"noise": -0.1}, "noise"),
+    ],
+)
+def test_impossible_lidars_are_refused(oval, values, name):
+    with pytest.raises(InputError, match=name):
+        Lidar(oval, **values)
+
+
+def test_a_lidar_needs_a_track():
+    with pytest.raises(InputError, match="track must be a Track"):
+        Lidar("Spielberg")
+
+
+@pytest.mark.parametrize(
+    ("poses", "opponents", "message"),
+    [
+        ([1.0, 2.0], None, r"poses must have the shape"),
+        (1.0, None, r"poses must have the shape"),
+        ([[1.0, 2.0, np.nan]], None, r"poses must be finite; got \[1.0, 2.0, nan\]"),
+        ([1.0, np.inf, 0.0], None, r"poses must be finite"),
+        (["a", "b", "c"], None, r"poses must be numbers"),
+        ([0.0, -4.0, 0.0], [1.0, 2.0], r"opponents must have the shape"),
+        ([0.0, -4.0, 0.0], [1.0, 2.0, np.nan], r"opponents must be finite"),
+        ([0.0, -4.0, 0.0], np.zeros((2, 3)), r"can't be broadcast"),
+    ],
+)
+def test_impossible_poses_are_refused(oval, poses, opponents, message):
+    with pytest.raises(InputError, match=message):
+        Lidar(oval).scan(poses, opponents)
+
+
+def test_impossible_opponents_are_refused(oval):
+    with pytest.raises(InputError, match="width"):
+        Lidar(oval).scan([0.0, -4.0, 0.0], [1.0, -4.0, 0.0], opponent_size=(0.58, -1.0))
+
+
+def test_a_lidar_never_changes(oval):
+    lidar = Lidar(oval)
+    with pytest.raises(AttributeError):
+        lidar.beams = 5
+    for array in (lidar.angles, lidar.kernel.cos, lidar.kernel.sin):
+        assert not array.flags.writeable

@@ -1,0 +1,300 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcs_racing import F1TENTH, InputError, VehicleParams, simulate
+from pcs_racing.car.vehicle import BETA, DELTA, PSI_DOT, V, X
+
+
+def constant(steer: float, speed: float, steps: int) -> np.ndarray:
+    return np.tile([steer, speed], (steps, 1))
+
+
+def at_speed(v: float) -> np.ndarray:
+    return np.array([0.0, 0.0, 0.0, v, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(("mode", "name"), [("rates", "raw"), ("f1tenth_gym", "cmd")])
+def test_reproduces_the_established_simulator(reference, mode, name):
+    data = np.load(reference / "st_dynamics.npz")
+    states, controls = data[f"{name}_states"], data[f"{name}_controls"]
+    found = simulate(states[:, 0], controls, control_mode=mode)
+    np.testing.assert_allclose(found, states, rtol=0.0, atol=1e-9)
+
+
+def test_one_vehicle_equals_a_batch_of_one():
+    single = simulate(at_speed(3.0), constant(0.1, 4.0, 50))
+    batch = simulate(at_speed(3.0)[None], constant(0.1, 4.0, 50)[None])
+    assert single.shape == (51, 7)
+    assert batch.shape == (1, 51, 7)
+    np.testing.assert_array_equal(single, batch[0])
+
+
+def test_every_parameter_belongs_to_one_car():
+    """Each parameter changes the car that has it, and no other."""
+    # To the power and speed limits, at the steering limit, then backwards: every parameter has work to do.
+    controls = np.concatenate([constant(0.5, 25.0, 250), constant(-0.5, -9.0, 400)])
+    start = at_speed(7.0)
+    usual = simulate(start, controls)
+    body = {"width", "length"}  # they matter for contacts only
+    for field in dataclasses.fields(VehicleParams):
+        value = getattr(F1TENTH, field.name)
+        other = dataclasses.replace(F1TENTH, **{field.name: 0.5 * value})
+        pair = simulate(np.stack([start, start]), np.stack([controls, controls]), params=[F1TENTH, other])
+        np.testing.assert_array_equal(pair[0], usual)
+        assert np.array_equal(pair[1], usual) == (field.name in body), field.name
+
+
+@given(
+    targets=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=5),
+    begin=st.floats(-0.4, 0.4),
+    speed=st.floats(0.0, 8.0),
+)
+def test_steering_arrives_without_overshoot_or_chatter(targets, begin, speed):
+    start = at_speed(speed)
+    start[DELTA] = begin
+    hold = 60  # long enough from stop to stop at 3.2 rad/s
+    controls = np.concatenate([constant(target, speed, hold) for target in targets])
+    delta = simulate(start, controls)[:, DELTA]
+    limit = F1TENTH.steer_max
+    assert np.abs(delta).max() <= limit + 1e-12
+    for k, target in enumerate(targets):
+        part = delta[k * hold : (k + 1) * hold + 1]
+        goal = min(max(target, -limit), limit)
+        moves = np.diff(part)
+        assert (moves >= -1e-15).all() or (moves <= 1e-15).all()  # one way only
+        assert part[-1] == pytest.approx(goal, abs=1e-12)  # and there
+        assert np.abs(moves).max() <= F1TENTH.steer_rate_max * 0.01 + 1e-12
+
+
+def test_speed_reaches_its_target_without_overshoot():
+    v = simulate(at_speed(2.0), constant(0.0, 6.0, 300))[:, V]
+    assert (np.diff(v) >= 0.0).all()
+    assert v[-1] == pytest.approx(6.0, abs=1e-3)
+    v = simulate(at_speed(6.0), constant(0.0, 2.0, 300))[:, V]
+    assert (np.diff(v) <= 0.0).all()
+    assert v[-1] == pytest.approx(2.0, abs=1e-3)
+    assert np.diff(v).min() >= -F1TENTH.a_max * 0.01 - 1e-12
+
+
+def test_straight_ahead_stays_straight():
+    states = simulate(at_speed(5.0), constant(0.0, 5.0, 100))
+    assert states[-1, X] == pytest.approx(5.0)
+    np.testing.assert_array_equal(states[:, [1, DELTA, PSI_DOT, BETA]], 0.0)
+
+
+def test_left_and_right_are_mirror_images():
+    left = simulate(at_speed(4.0), constant(0.2, 5.0, 100))
+    right = simulate(at_speed(4.0), constant(-0.2, 5.0, 100))
+    mirror = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
+    heading = np.mod(right[1:, 4], 2 * np.pi)
+    np.testing.assert_allclose(np.mod(-left[1:, 4], 2 * np.pi), heading, atol=1e-12)
+    np.testing.assert_allclose((left * mirror)[:, [0, 1, 2, 3, 5, 6]], right[:, [0, 1, 2, 3, 5, 6]], atol=1e-12)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    speed=st.floats(-5.0, 20.0),
+    mode=st.sampled_from(["target", "rates", "f1tenth_gym"]),
+)
+def test_any_driving_keeps_the_state_finite_and_within_limits(seed, speed, mode):
+    rng = np.random.default_rng(seed)
+    high = [4.0, 12.0] if mode == "rates" else [0.6, 22.0]
+    controls = rng.uniform(np.negative(high), high, (100, 2))
+    states = simulate(at_speed(speed), controls, control_mode=mode)
+    assert np.isfinite(states).all()
+    slack = 1e-9 + (F1TENTH.steer_rate_max * 0.01 if mode != "target" else 0.0)  # only "target" arrives exactly
+    assert np.abs(states[:, DELTA]).max() <= F1TENTH.steer_max + slack
+    assert states[:, V].min() >= F1TENTH.v_min - F1TENTH.a_max * 0.01 - 1e-9
+    assert states[:, V].max() <= F1TENTH.v_max + F1TENTH.a_max * 0.01 + 1e-9
+    assert ((states[1:, 4] >= 0.0) & (states[1:, 4] <= 2.0 * np.pi)).all()
+
+
+# Against the model's equations, written down once more
+
+
+def side_slip_model(y, rate, a, car):
+    """CommonRoad's single-track model with load transfer, axle by axle (Althoff, Koschi and Manzinger 2017)."""
+    _, _, delta, v, psi, yaw_rate, beta = y
+    length, g = car.lf + car.lr, 9.81
+    load_front = car.m * (g * car.lr - a * car.h) / length  # braking (a < 0) presses the front axle down
+    load_rear = car.m * (g * car.lf + a * car.h) / length
+    force_front = car.mu * car.c_sf * load_front * (delta - beta - car.lf * yaw_rate / v)
+    force_rear = car.mu * car.c_sr * load_rear * (-beta + car.lr * yaw_rate / v)
+    return np.array(
+        [
+            v * np.cos(psi + beta),
+            v * np.sin(psi + beta),
+            rate,
+            a,
+            yaw_rate,
+            (car.lf * force_front - car.lr * force_rear) / car.inertia,
+            (force_front + force_rear) / (car.m * v) - yaw_rate,
+        ]
+    )
+
+
+def rolling_model(y, rate, a, car):
+    """The kinematic model below 0.5 m/s; slip and yaw rate are differentiated in small steps."""
+    _, _, delta, v, psi, _, beta = y
+    length, h = car.lf + car.lr, 1e-6
+
+    def slip(angle):
+        return np.arctan(car.lr / length * np.tan(angle))
+
+    def yaw_rate(angle, speed, side):
+        return speed * np.cos(side) * np.tan(angle) / length
+
+    slip_dot = rate * (slip(delta + h) - slip(delta - h)) / (2.0 * h)
+    change = np.array([rate, a, slip_dot])
+    now = np.array([delta, v, beta])
+    yaw_dot = (yaw_rate(*(now + h * change)) - yaw_rate(*(now - h * change))) / (2.0 * h)
+    way = psi + slip(delta)
+    return np.array([v * np.cos(way), v * np.sin(way), rate, a, yaw_rate(delta, v, slip(delta)), yaw_dot, slip_dot])
+
+
+def limited(y, rate, a, car):
+    """Inputs that the car can follow."""
+    delta, v = y[2], y[3]
+    rate = np.clip(rate, -car.steer_rate_max, car.steer_rate_max)
+    if abs(delta) >= car.steer_max and rate * delta >= 0.0:
+        rate = 0.0
+    a = np.clip(a, -car.a_max, car.a_max * min(1.0, car.v_switch / max(v, 1e-9)))
+    if (v <= car.v_min and a <= 0.0) or (v >= car.v_max and a >= 0.0):
+        a = 0.0
+    return rate, a
+
+
+def runge_kutta(y, rate, a, car, dt):
+    """One classic Runge-Kutta step."""
+
+    def change(state):
+        model = side_slip_model if state[3] >= 0.5 else rolling_model
+        return model(state, *limited(state, rate, a, car), car)
+
+    k1 = change(y)
+    k2 = change(y + 0.5 * dt * k1)
+    k3 = change(y + 0.5 * dt * k2)
+    k4 = change(y + dt * k3)
+    after = y + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    after[4] %= 2.0 * np.pi
+    return after
+
+
+OTHER_CAR = VehicleParams(0.9, 4.1, 5.9, 0.14, 0.19, 0.09, 3.1, 0.05, 0.40, 2.9, 5.5, 8.0, -4.0, 15.0, 0.28, 0.5)
+
+
+@pytest.mark.parametrize("car", [F1TENTH, OTHER_CAR], ids=["f1tenth", "another"])
+@pytest.mark.parametrize(
+    ("speeds", "tolerance"), [((0.6, 15.0), 1e-11), ((-3.5, 0.4), 1e-7)], ids=["dynamic", "kinematic"]
+)
+def test_a_step_is_a_runge_kutta_step_of_the_models_equations(car, speeds, tolerance):
+    rng = np.random.default_rng(1)
+    for _ in range(150):
+        y = rng.uniform([-9.0, -9.0, -0.39, speeds[0], -20.0, -4.0, -0.4], [9.0, 9.0, 0.39, speeds[1], 20.0, 4.0, 0.4])
+        rate, a, dt = rng.uniform(-4.0, 4.0), rng.uniform(-12.0, 12.0), rng.uniform(0.002, 0.012)
+        found = simulate(y, [[rate, a]], control_mode="rates", params=car, dt=dt)[1]
+        np.testing.assert_allclose(found, runge_kutta(y, rate, a, car, dt), rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "inputs"),
+    [
+        (DELTA, 0.4189, (2.0, 0.0)),  # at the stop, and further
+        (DELTA, 0.4189, (-2.0, 0.0)),  # and back
+        (DELTA, -0.43, (-2.0, 0.0)),
+        (DELTA, -0.43, (2.0, 0.0)),
+        (V, 20.0, (0.0, 3.0)),
+        (V, 20.0, (0.0, -3.0)),
+        (V, 12.0, (0.0, 9.0)),  # above the speed from which power is what limits
+        (V, -5.0, (0.0, -3.0)),
+        (V, -5.0, (0.0, 3.0)),
+        (V, 3.0, (9.0, 99.0)),
+        (V, 3.0, (-9.0, -99.0)),
+    ],
+)
+def test_at_its_limits_the_car_follows_what_it_can(column, value, inputs):
+    y = at_speed(3.0)
+    y[column] = value
+    found = simulate(y, [inputs], control_mode="rates")[1]
+    np.testing.assert_allclose(found, runge_kutta(y, *inputs, F1TENTH, 0.01), rtol=1e-7, atol=1e-9)
+
+
+def test_braking_presses_the_front_axle_down_and_turns_the_car_in():
+    """With the wheels turned by the same angle, a braking car gains yaw rate faster than one that speeds up."""
+    y = at_speed(5.0)
+    y[DELTA] = 0.1
+    gained = [simulate(y, [[0.0, a]], control_mode="rates")[1, PSI_DOT] for a in (-6.0, 0.0, 6.0)]
+    assert gained[0] > gained[1] > gained[2] > 0.0
+
+
+def test_the_default_car_is_that_of_the_established_simulator():
+    """The numbers that f1tenth_gym publishes for its car."""
+    published = "mu 1.0489 c_sf 4.718 c_sr 5.4562 lf 0.15875 lr 0.17145 h 0.074 m 3.74 inertia 0.04712 steer_max 0.4189"
+    published += " steer_rate_max 3.2 v_switch 7.319 a_max 9.51 v_min -5.0 v_max 20.0 width 0.31 length 0.58"
+    words = published.split()
+    assert dataclasses.asdict(F1TENTH) == dict(zip(words[::2], map(float, words[1::2]), strict=True))
+    np.testing.assert_array_equal(F1TENTH.as_row(), list(map(float, words[1::2])))
+    assert F1TENTH.wheelbase == pytest.approx(0.3302)
+
+
+def test_target_controls_close_a_tenth_of_the_speed_error_in_each_step_and_arrive_at_the_angle():
+    y = at_speed(3.0)
+    y[DELTA] = 0.05
+    for steer, speed in ((0.06, 3.2), (0.04, 2.9), (0.3, 9.0), (-0.3, 0.0)):
+        rate = np.clip((np.clip(steer, -F1TENTH.steer_max, F1TENTH.steer_max) - 0.05) / 0.01, -3.2, 3.2)
+        expected = runge_kutta(y, rate, 10.0 * (speed - 3.0), F1TENTH, 0.01)
+        np.testing.assert_allclose(simulate(y, [[steer, speed]])[1], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_the_controllers_of_the_established_simulator():
+    """Steering at full rate towards a target two steps old, and a gain for each of four cases of the speed."""
+    y = at_speed(3.0)
+    rates = {0.0: 0.0, 0.2: 3.2, -0.2: -3.2, 5e-5: 0.0}
+    for target, rate in rates.items():
+        states = simulate(y, np.tile([target, 3.0], (3, 1)), control_mode="f1tenth_gym")
+        np.testing.assert_allclose(np.diff(states[:, DELTA]), [0.0, 0.0, 0.01 * rate], atol=1e-12)
+    for v, speed, gain in (
+        (3.0, 3.5, 10.0 * 9.51 / 20.0),
+        (3.0, 2.5, 10.0 * 9.51 / 5.0),
+        (-1.0, -0.5, 2.0 * 9.51 / 20.0),
+        (-1.0, -1.5, 2.0 * 9.51 / 5.0),
+        (0.0, 0.5, 2.0 * 9.51 / 20.0),
+    ):
+        y = at_speed(v)
+        found = simulate(y, [[0.0, speed]], control_mode="f1tenth_gym")[1]
+        np.testing.assert_allclose(found[V], v + 0.01 * gain * (speed - v), rtol=1e-12)
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"initial_state": np.zeros(6)}, r"initial_state has shape \(6,\)"),
+        ({"controls": np.zeros((10, 3))}, r"controls have shape \(10, 3\)"),
+        ({"controls": np.zeros((2, 10, 2))}, "controls have shape"),
+        ({"controls": np.full((10, 2), np.nan)}, "NaN or infinity"),
+        ({"initial_state": np.full(7, np.inf)}, "NaN or infinity"),
+        ({"control_mode": "telepathy"}, "control_mode is 'telepathy'"),
+        ({"dt": 0.0}, "dt is 0.0"),
+        ({"dt": 0.1}, "dt is 0.1"),
+        ({"params": [F1TENTH, F1TENTH]}, "2 sets for 1 vehicles"),
+    ],
+)
+def test_bad_input_is_refused(change, message):
+    arguments = {"initial_state": np.zeros(7), "controls": np.zeros((10, 2))} | change
+    with pytest.raises(InputError, match=message):
+        simulate(arguments.pop("initial_state"), arguments.pop("controls"), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value"), [("m", 0.0), ("mu", -1.0), ("lf", np.nan), ("a_max", np.inf), ("v_min", 1.0)]
+)
+def test_impossible_vehicles_are_refused(parameter, value):
+    with pytest.raises(InputError, match=f"vehicle parameter {parameter} is"):
+        VehicleParams(**{parameter: value})

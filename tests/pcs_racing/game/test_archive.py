@@ -1,0 +1,305 @@
+import hashlib
+import pickle
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from pcs_racing import InputError, Parameter, Planner, PolicyArchive, UnknownNameError, list_archives, load_archive
+from pcs_racing.game.archive import check_epsilon, shipped_folder
+from pcs_racing.planners import registry
+
+AXES = ("aggressiveness", "restraint")
+COORDINATES = np.array([[0.0, 4.0], [2.0, 3.0], [6.0, 2.0], [8.0, 0.0], [10.0, -1.0]])
+
+
+def archive(coordinates=COORDINATES, axes=AXES, **changes) -> PolicyArchive:
+    values = {
+        "name": "toy",
+        "planner": "toy-planner",
+        "parameter_names": ("a", "b"),
+        "parameters": np.column_stack([np.linspace(0.0, 1.0, len(coordinates)), np.zeros(len(coordinates))]),
+        "characteristics": axes,
+        "coordinates": coordinates,
+    }
+    return PolicyArchive(**{**values, **changes})
+
+
+@pytest.fixture
+def toy_planner(monkeypatch):
+    planner = Planner("toy-planner", (Parameter("a", 0.0, 1.0, 0.5, "one"), Parameter("b", -1.0, 1.0, 0.0, "other")))
+    monkeypatch.setattr(registry, "_planners", {**registry._planners, planner.name: planner})
+    return planner
+
+
+def test_ideal_and_nadir_are_1_and_0_on_every_axis():
+    toy = archive()
+    np.testing.assert_array_equal(toy.ideal, [10.0, 4.0])
+    np.testing.assert_array_equal(toy.nadir, [0.0, -1.0])
+    np.testing.assert_array_equal(toy.normalise([toy.ideal, toy.nadir]), [[1.0, 1.0], [0.0, 0.0]])
+    np.testing.assert_allclose(toy.normalised[1], [0.2, 0.8])
+
+
+def test_a_move_goes_to_the_nearest_policy_from_the_policy_in_use():
+    toy = archive()
+    # From (0.2, 0.8): 0.35 more aggressiveness asks for (0.55, 0.8); policy 2 at (0.6, 0.6) is nearest.
+    assert toy.move(1, 0, 1, 0.35) == 2
+    assert toy.move(1, 0, -1, 0.35) == 0
+    np.testing.assert_array_equal(toy.move([0, 4], 0, [-1, 1], 0.35), [0, 4])  # off the end of the front: stays there
+
+
+def test_the_table_lists_the_moves_in_their_order():
+    toy = archive()
+    table = toy.move_table((0.35, 0.7), stay=True)
+    names = toy.move_names((0.35, 0.7), stay=True)
+    assert names == (
+        "aggressiveness + 0.35", "aggressiveness - 0.35", "restraint + 0.35", "restraint - 0.35",
+        "aggressiveness + 0.7", "aggressiveness - 0.7", "restraint + 0.7", "restraint - 0.7", "stay",
+    )  # fmt: skip
+    assert table.shape == (5, 9)
+    for policy in range(5):
+        for column, (step, axis, sign) in enumerate((e, a, s) for e in (0.35, 0.7) for a in (0, 1) for s in (1, -1)):
+            assert table[policy, column] == toy.move(policy, axis, sign, step)
+    np.testing.assert_array_equal(table[:, -1], np.arange(5))
+    assert toy.move_names() == ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
+
+
+points = hnp.arrays(np.float64, st.tuples(st.integers(2, 12), st.just(3)), elements=st.integers(-5, 5).map(float))
+
+
+def three(coordinates) -> PolicyArchive:
+    return archive(coordinates, (*AXES, "smoothness"), ideal=np.full(3, 6.0), nadir=np.full(3, -6.0))
+
+
+@given(points, hnp.arrays(np.float64, (7, 3), elements=st.floats(-2.0, 3.0)))
+def test_nearest_agrees_with_brute_force(coordinates, asked):
+    toy = three(coordinates)
+    for point, found in zip(asked, toy.nearest(asked), strict=True):
+        distances = [float(np.sum((point - mine) ** 2)) for mine in toy.normalised]
+        assert found == distances.index(min(distances))  # index() finds the first of equals
+
+
+@given(points, st.floats(0.001, 10.0))
+def test_moves_never_leave_the_archive(coordinates, epsilon):
+    table = three(coordinates).move_table(epsilon)
+    assert table.shape == (len(coordinates), 6)
+    assert ((table >= 0) & (table < len(coordinates))).all()
+
+
+@given(points, st.integers(0, 2), st.sampled_from((-1, 1)))
+def test_a_move_by_nothing_leads_to_the_same_coordinates(coordinates, axis, sign):
+    toy = three(coordinates)
+    there = toy.move(np.arange(len(toy)), axis, sign, 0.0)
+    np.testing.assert_array_equal(toy.coordinates[there], toy.coordinates)
+
+
+@given(points, st.floats(0.001, 3.0))
+def test_more_of_a_characteristic_never_means_less_of_it(coordinates, epsilon):
+    """The policy itself is nearer to its target than anything on the other side of it."""
+    toy = three(coordinates)
+    for axis in range(3):
+        there = toy.normalised[toy.move(np.arange(len(toy)), axis, 1, epsilon), axis]
+        assert (there >= toy.normalised[:, axis] - 1e-12).all()
+
+
+def test_shares_of_useless_moves():
+    toy = archive(np.array([[0.0, 1.0], [1.0, 0.0]]))
+    # From (0, 1): aggressiveness + 0.6 asks for (0.6, 1) and stays, as do all the others; so it is from (1, 0).
+    assert toy.no_op_share(0.6) == 1.0
+    assert toy.duplicate_share(0.6) == 6 / 8
+    # A step of 3 asks for (3, 1), nearest to (1, 0), and for (0, -2), nearest to it too.
+    np.testing.assert_array_equal(toy.move_table(3.0)[0], [1, 0, 0, 1])
+    assert toy.no_op_share(3.0) == 0.5
+    assert toy.duplicate_share(3.0) == 0.5
+
+
+def test_policies_come_from_the_planner(toy_planner):
+    policy = archive().policy(4)
+    assert policy.planner is toy_planner
+    assert policy.name == "toy[4]"
+    np.testing.assert_array_equal(policy.parameters, [1.0, 0.0])
+    explored = archive(explored_parameters=[[0.25, 1.0]], explored_coordinates=[[1.0, 1.0]]).explored_policy(0)
+    np.testing.assert_array_equal(explored.parameters, [0.25, 1.0])
+    assert archive().family() is toy_planner
+
+
+def test_a_planner_that_has_changed_is_noticed(toy_planner):
+    with pytest.raises(InputError, match="holds parameters a, c; planner 'toy-planner' has a, b"):
+        archive(parameter_names=("a", "c")).family()
+    with pytest.raises(InputError, match=r"policy 'toy\[1\]': parameter 'a' is 7"):
+        archive(parameters=[[0.0, 0.0], [7.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]).family()
+
+
+def test_policies_that_stand_out():
+    toy = archive()
+    assert toy.select("aggressiveness") == 4
+    assert toy.select("restraint") == 0
+    assert toy.select() == 2
+    with pytest.raises(UnknownNameError, match="has no characteristic 'speed'; it has aggressiveness, restraint"):
+        toy.select("speed")
+
+
+def test_an_archive_can_be_seen_along_some_axes():
+    toy = archive().project(("restraint",))
+    np.testing.assert_array_equal(toy.coordinates, COORDINATES[:, 1:])
+    np.testing.assert_array_equal(toy.ideal, [4.0])
+    assert toy.move_names() == ("restraint +", "restraint -")
+    spread = np.arange(10.0).reshape(5, 2)
+    np.testing.assert_array_equal(archive(spread=spread).project(("restraint",)).spread, spread[:, 1:])
+
+
+@pytest.mark.parametrize(
+    "keep", [lambda toy, folder: PolicyArchive.load(toy.save(folder)), lambda toy, _: pickle.loads(pickle.dumps(toy))]
+)
+def test_an_archive_reads_back_exactly(tmp_path, keep):
+    toy = archive(
+        explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]], settings={"seed": 3, "by": "hand"}
+    )
+    measured = archive(spread=np.ones((5, 2)), own_crash=np.linspace(0.0, 1.0, 5), explored_own_crash=np.zeros(0))
+    for kept in (toy, measured):
+        read = keep(kept, tmp_path / "new" / "folder")
+        for key in kept.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(read, key), getattr(kept, key))
+        assert not read.coordinates.flags.writeable
+
+
+def test_an_archive_as_a_table():
+    pandas = pytest.importorskip("pandas")
+    table = archive(own_crash=[0.0, 0.1, 0.2, 0.3, 0.4], spread=np.full((5, 2), 0.5)).to_dataframe()
+    assert isinstance(table, pandas.DataFrame)
+    assert list(table.columns) == ["a", "b", *AXES, "aggressiveness_error", "restraint_error", "own_crash"]
+    np.testing.assert_array_equal(table[list(AXES)], COORDINATES)
+    assert table.loc[3, "own_crash"] == 0.3
+    assert list(archive().to_dataframe().columns) == ["a", "b", *AXES]
+    explored = archive(explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]], spread=np.ones((5, 2)))
+    assert explored.to_dataframe(explored=True).to_dict("records") == [
+        {"a": 0.1, "b": 0.2, "aggressiveness": 1.0, "restraint": 2.0}
+    ]
+    np.testing.assert_array_equal(explored.explored.coordinates, [[1.0, 2.0]])
+    assert explored.explored.own_crash is None
+
+
+def test_the_content_hash_says_whether_two_archives_play_the_same_game(tmp_path):
+    toy = archive()
+    assert archive(name="other", settings={"seed": 3}).content_hash == toy.content_hash
+    assert PolicyArchive.load(toy.save(tmp_path)).content_hash == toy.content_hash
+    moved = COORDINATES + 1e-9 * COORDINATES**2
+    others = [archive(moved), archive(ideal=[11.0, 4.0]), archive(parameters=np.ones((5, 2)))]
+    others += [archive(planner="another"), toy.project(("restraint",)), toy.project(AXES[::-1])]
+    assert len({other.content_hash for other in [toy, *others]}) == 7
+
+
+def test_the_shipped_archive_is_sound():
+    assert "default" in list_archives()
+    default = load_archive("default")
+    assert load_archive(default) is default
+    assert load_archive(shipped_folder() / "default").name == default.name == "default"
+    assert len(default) >= 40
+    assert default.characteristics == AXES
+    assert len(default.explored_parameters) > 100
+    assert default.settings["method"] == "mo-cma-es"
+    assert {"default", "contest"} <= set(list_archives())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"coordinates": np.zeros((4, 2)), "parameters": np.zeros((5, 2))},
+            r"coordinates has shape \(4, 2\); it must have \(5, 2\)",
+        ),
+        ({"coordinates": np.zeros((5, 2))}, "aggressiveness reaches from 0 .nadir. to 0 .ideal."),
+        ({"coordinates": COORDINATES * np.nan}, "coordinates is not finite in row 0"),
+        ({"parameters": np.zeros((5, 3))}, r"parameters has shape \(5, 3\); it must have \(any, 2\)"),
+        ({"parameters": np.zeros((0, 2))}, "holds no policy"),
+        ({"parameters": [["x", "y"]] * 5}, "parameters holds something that is no number"),
+        ({"characteristics": ("aggressiveness", "aggressiveness")}, "each once"),
+        ({"characteristics": ("aggressiveness", "charm")}, "characteristic 'charm' is unknown"),
+        ({"characteristics": "speed"}, "characteristics is 'speed'; it must be a list"),
+        ({"name": ""}, "name is ''"),
+        ({"ideal": [1.0, -2.0], "nadir": [0.0, 0.0]}, "restraint reaches from 0 .nadir. to -2"),
+        ({"settings": {"a": [1]}}, "setting 'a' is"),
+        ({"own_crash": np.zeros(4)}, r"own_crash has shape \(4,\); it must have \(5\)"),
+        ({"own_crash": np.full(5, -0.1)}, "own_crash is -0.1 somewhere; it must be 0 or above"),
+        ({"spread": np.full((5, 2), np.nan)}, "spread is not finite in row 0"),
+    ],
+)
+def test_an_impossible_archive_is_one_clear_error(changes, message):
+    with pytest.raises(InputError, match=message):
+        archive(**changes)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda toy: toy.move(5, 0, 1, 0.1), "index is 5; it must lie in 0 to 4"),
+        (lambda toy: toy.move(0.5, 0, 1, 0.1), "whole number"),
+        (lambda toy: toy.move(0, 2, 1, 0.1), "axis is 2; it must lie in 0 to 1"),
+        (lambda toy: toy.move(0, 0, 2, 0.1), "sign is 2; it must be 1 or -1"),
+        (lambda toy: toy.move(0, 0, 1, np.nan), "epsilon is nan"),
+        (lambda toy: toy.nearest([[1.0, 2.0, 3.0]]), r"needs \(..., 2\)"),
+        (lambda toy: toy.nearest([np.inf, 0.0]), "NaN or infinity"),
+        (lambda toy: toy.policy(-1), "policy index is -1"),
+        (lambda toy: toy.project(("speed",)), "no characteristic 'speed'"),
+    ],
+)
+def test_an_impossible_question_is_one_clear_error(call, message):
+    with pytest.raises(InputError, match=message):
+        call(archive())
+
+
+@pytest.mark.parametrize("epsilon", [0.0, -1.0, np.nan, "0.3", (), (0.1, 0.1), True, None, (0.1, "x")])
+def test_an_impossible_epsilon_is_one_clear_error(epsilon):
+    with pytest.raises(InputError, match=r"epsilon is .*; it must be a number in"):
+        check_epsilon(epsilon)
+
+
+def test_files_that_are_no_archive(tmp_path):
+    with pytest.raises(UnknownNameError, match=r"unknown archive 'nonsense'.*default"):
+        load_archive("nonsense")
+    with pytest.raises(InputError, match="must be a name, a folder or a PolicyArchive"):
+        load_archive(3)
+    with pytest.raises(InputError, match=r"can't read .*manifest.yaml"):
+        load_archive(tmp_path)
+
+
+def damage(change):
+    """An archive whose manifest was edited by hand."""
+
+    def apply(folder):
+        file = folder / "manifest.yaml"
+        manifest = yaml.safe_load(file.read_text())
+        change(manifest)
+        file.write_text(yaml.safe_dump(manifest))
+
+    return apply
+
+
+def swap_arrays(folder):
+    np.savez(folder / "archive.npz", parameters=np.array([{"a": 1}], dtype=object))  # a pickle: never read
+    damage(lambda m: m.update(arrays_sha256=hashlib.sha256((folder / "archive.npz").read_bytes()).hexdigest()))(folder)
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (lambda folder: (folder / "manifest.yaml").write_text("a: [1"), "not valid YAML"),
+        (lambda folder: (folder / "manifest.yaml").write_text("- 1"), "no manifest of an archive"),
+        (lambda folder: (folder / "archive.npz").write_bytes(b"half"), "digest differs"),
+        (lambda folder: (folder / "archive.npz").unlink(), r"can't read .*archive.npz"),
+        (damage(lambda m: m.update(version=9)), "version 9; this release reads version 1"),
+        (damage(lambda m: m.update(surprise=1)), "unknown or missing surprise"),
+        (damage(lambda m: m.pop("planner")), "unknown or missing planner"),
+        (damage(lambda m: m.update(settings=[1])), "settings is"),
+        (damage(lambda m: m.update(parameter_names=["a"])), r"parameters has shape \(5, 2\); it must have \(any, 1\)"),
+        (swap_arrays, r"archive.npz (is no archive|holds)"),
+    ],
+)
+def test_a_damaged_archive_is_one_clear_error(tmp_path, harm, message):
+    archive().save(tmp_path)
+    harm(tmp_path)
+    with pytest.raises(InputError, match=message):
+        PolicyArchive.load(tmp_path)

@@ -1,0 +1,488 @@
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcs_racing import (
+    CONTEST,
+    PAPER,
+    ConfigError,
+    GameConfig,
+    InputError,
+    PolicyArchive,
+    RaceGame,
+    Starts,
+    UnknownNameError,
+    advance,
+    load_archive,
+    load_game_config,
+    load_track,
+    make_game,
+    start_races,
+)
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.characteristics import Segment, get_characteristics, measure
+from pcs_racing.game.game import join_games, load_game, observation_elements, observation_table, save_game, take_games
+from pcs_racing.game.state import GameState
+from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.races import start_lines
+
+STARTS = Starts(np.array([20.0, 20.0, 21.0]), np.array([0, 1, 0]))
+
+
+@pytest.fixture(scope="module")
+def track():
+    return load_track("Tarnfjord")
+
+
+@pytest.fixture(scope="module")
+def game(track):
+    return make_game(track, step_seconds=2.0)
+
+
+def arrays(state: GameState) -> dict[str, np.ndarray]:
+    return {**state.race._asdict(), **{name: getattr(state, name) for name in GameState._fields[1:]}}
+
+
+def assert_same(found: GameState, expected: GameState) -> None:
+    for name, array in arrays(expected).items():
+        np.testing.assert_array_equal(arrays(found)[name], array, err_msg=name, strict=True)
+
+
+def play(game: RaceGame, state: GameState, actions) -> GameState:
+    for pair in actions:
+        state = game.step(state, np.broadcast_to(pair, (state.games, 2)))
+    return state
+
+
+def places(game: RaceGame, lines: np.ndarray) -> np.ndarray:
+    """Which of these start lines the cars can stand on."""
+    possible = []
+    for line in lines:
+        try:
+            start_races(game.setup, Starts(np.array([line]), np.array([0])), np.zeros(1, np.uint64))
+        except InputError:
+            possible.append(False)
+        else:
+            possible.append(True)
+    return np.array(possible)
+
+
+def crash(state: GameState, fault: tuple[int, int]) -> GameState:
+    """The same moment, but car 0 and car 1 have just run into each other."""
+    after = state.copy()
+    after.race.crash[:] = 2
+    after.race.fault[:] = fault
+    return after
+
+
+def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
+    """Four moves, driven by hand with nothing but :func:`pcs_racing.advance`."""
+    game = make_game(track)
+    archive, axes = game.archive, get_characteristics(game.archive.characteristics)
+    policy = np.array([3, 9])
+    actions = [(0, 2), (1, 3), (2, 0), (0, 0)]
+    lines = np.arange(5.0, 155.0, 5.0)  # many, so that one game at least is played to its end, whatever the tuning
+    starts = Starts(lines[places(game, lines)], np.arange(len(lines))[places(game, lines)] % 2)
+    ends = play(game, game.reset(np.arange(len(starts)), policies=policy, starts=starts), actions)
+    whole = np.flatnonzero(~ends.race.crashed)[:1]
+    assert len(whole), "every game ends in a crash"
+    end = take_games(ends, whole)
+
+    setup = game.setup
+    assert setup.config.duration == 40.0
+    race = start_races(setup, starts.take(whole), end.race.seed)
+    moves = {0: (0, 1), 1: (0, -1), 2: (1, 1), 3: (1, -1)}  # aggressiveness +, -, restraint +, -
+    for step in range(5):
+        if step > 0:
+            policy = np.array([archive.move(p, *moves[a], 0.5) for p, a in zip(policy, actions[step - 1], strict=True)])
+        before = race.copy()
+        advance(setup, race, np.ascontiguousarray(archive.parameters[policy][None]), 800)
+        seen = measure(Segment.between(before, race, 8.0), axes)[0]
+        span = archive.ideal - archive.nadir
+        np.testing.assert_array_equal(end.estimates[0, :, step], np.clip((seen - archive.nadir) / span, -1.0, 2.0))
+        np.testing.assert_array_equal(end.own[0, :, step], (archive.coordinates[policy] - archive.nadir) / span)
+        assert end.leads[0, step] == race.lead[0]
+    for name, array in race._asdict().items():
+        np.testing.assert_array_equal(array, getattr(end.race, name), err_msg=name)
+    np.testing.assert_array_equal(end.policy[0], policy)
+    assert game.done(end).all()
+    np.testing.assert_array_equal(game.utility(end)[0], [race.lead[0], -race.lead[0]])
+
+
+def test_a_game_does_not_depend_on_its_batch(game):
+    keys = np.array([5, 6, 7, 8], np.uint64)
+    together = play(game, game.reset(keys), [(0, 3), (2, 1)])
+    for i, key in enumerate(keys):
+        assert_same(play(game, game.reset([key]), [(0, 3), (2, 1)]), take_games(together, [i]))
+    assert_same(game.reset(games=4, seed=3), join_games([take_games(game.reset(games=6, seed=3), [0, 1, 2, 3])]))
+
+
+def test_the_number_of_threads_changes_nothing(game):
+    one = replace(game, threads=1)
+    assert_same(play(game, game.reset(games=5), [(0, 1)]), play(one, one.reset(games=5), [(0, 1)]))
+
+
+def test_draws_are_spread_over_policies_lines_and_sides(game):
+    state = game.reset(games=300, redraw=False)
+    assert len(np.unique(state.policy)) == len(game.archive)
+    begin = np.round((state.race.frenet[:, 0, 0] - state.race.progress[:, 0]) % game.track.length, 6)
+    assert len(np.unique(begin % game.track.length)) == len(np.unique(game.start_lines)) > 30
+
+
+def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
+    """Line, side, both policies and the noise: no two go together, whatever the keys have in common."""
+    game = make_game(track, step_seconds=0.1, moves=1)
+    state = game.reset(np.arange(400, dtype=np.uint64), redraw=False)
+    races, count = state.race, len(game.archive)
+    at = np.round(races.frenet[:, 0, 0] / 2.0)
+    side = races.frenet[:, 0, 1] > races.frenet[:, 1, 1]  # whether car 0 started on the left
+    numbers = np.column_stack([at, side, state.policy, races.seed >> np.uint64(32)]).astype(float)
+    together = np.corrcoef(np.argsort(np.argsort(numbers, axis=0), axis=0).T)
+    assert np.abs(together - np.eye(5)).max() < 0.2
+    assert 0.4 < side.mean() < 0.6
+    assert len(np.unique(races.seed)) == 400
+    assert len(np.unique(state.policy, axis=0)) > 0.5 * min(400, count**2)
+    for car in range(2):
+        drawn = np.bincount(state.policy[:, car], minlength=count)
+        assert drawn.max() < 4.0 * 400 / count + 5.0
+
+
+def test_a_step_leaves_its_argument_alone(game):
+    state = game.reset(games=3)
+    before = state.copy()
+    game.step(state, np.zeros((3, 2), np.int64))
+    assert_same(state, before)
+
+
+def test_any_moment_can_be_kept_and_continued(game, tmp_path):
+    middle = play(game, game.reset(games=3), [(0, 3)])
+    end = play(game, middle, [(2, 2), (1, 0), (3, 3)])
+    save_game(middle, tmp_path / "game.npz")
+    for kept in (middle.copy(), load_game(tmp_path / "game.npz"), pickle.loads(pickle.dumps(middle))):
+        assert_same(play(game, kept, [(2, 2), (1, 0), (3, 3)]), end)
+    again = pickle.loads(pickle.dumps(game))
+    assert_same(play(again, middle, [(2, 2), (1, 0), (3, 3)]), end)
+
+
+def test_a_step_can_be_driven_without_a_game_state(game):
+    before = game.reset(games=6)
+    after = game.step(before, np.full((6, 2), 2))
+    races = before.race.copy()
+    seen = game.drive(races, after.policy)
+    for name, array in after.race._asdict().items():
+        np.testing.assert_array_equal(getattr(races, name), array, err_msg=name)
+    np.testing.assert_array_equal(seen, after.estimates[:, :, 1])
+    end = play(game, after, [(0, 0)] * 3)
+    np.testing.assert_array_equal(game.worth(end.race, end.step), game.utility(end)[:, 0])
+
+
+def test_players_see_their_own_coordinates_and_estimates_of_the_other(game):
+    state = play(game, game.reset(games=2), [(0, 3)])
+    names = [element.name for element in game.observation_elements]
+    seen = game.observation(state)
+    assert seen.shape == (2, 2, len(names))
+    assert seen.dtype == np.float32
+
+    def value(name, car):
+        return seen[:, car, names.index(name)]
+
+    for car in range(2):
+        for step in range(2):
+            for axis, name in enumerate(game.archive.characteristics):
+                np.testing.assert_array_equal(
+                    value(f"own_{name}_{step}", car), state.own[:, car, step, axis].astype("f4")
+                )
+                other = state.estimates[:, 1 - car, step, axis]
+                np.testing.assert_array_equal(value(f"opponent_{name}_{step}", car), other.astype("f4"))
+            lead = state.leads[:, step] * (1 if car == 0 else -1) / 20.0
+            np.testing.assert_array_equal(value(f"lead_{step}", car), lead.astype("f4"))
+        np.testing.assert_array_equal([value(f"seen_{step}", 0)[0] for step in range(5)], [1, 1, 0, 0, 0])
+        np.testing.assert_array_equal(value("step", car), 0.25)
+    future = [i for i, name in enumerate(names) if name[-1] in "234"]
+    assert not seen[..., future].any()
+
+
+@pytest.mark.parametrize("race", [PAPER, CONTEST])
+def test_observations_stay_within_their_bounds(track, race):
+    game = make_game(track, race=race, step_seconds=4.0)
+    low, high = (np.array([getattr(e, end) for e in game.observation_elements], np.float32) for end in ("low", "high"))
+    state = game.reset(games=40, redraw=False)
+    for k in range(4):
+        seen = game.observation(state)
+        assert ((seen >= low) & (seen <= high)).all()
+        state = game.step(state, np.full((40, 2), k))
+
+
+def three_axes(archive: PolicyArchive, third: str) -> PolicyArchive:
+    extra = np.random.default_rng(0).normal(size=(len(archive), 1))
+    return PolicyArchive(
+        "three",
+        archive.planner,
+        archive.parameter_names,
+        archive.parameters,
+        (*archive.characteristics, third),
+        np.hstack([archive.coordinates, extra]),
+    )
+
+
+@pytest.mark.parametrize("third", ["smoothness", "blocking"])
+def test_three_characteristics(track, third):
+    game = make_game(track, three_axes(load_archive("default"), third), step_seconds=2.0)
+    assert game.move_names[4:] == (f"{third} +", f"{third} -")
+    assert len(game.observation_elements) == 5 * 8 + 1
+    end = play(game, game.reset(games=2), [(4, 5)] * 4)
+    assert game.observation(end).shape == (2, 2, 41)
+    assert game.done(end).all()
+    two = make_game(track, game.archive, step_seconds=2.0, characteristics=("aggressiveness", "restraint"))
+    assert two.move_names == ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
+
+
+def test_several_step_sizes_and_the_move_that_stays(track):
+    game = make_game(track, epsilon=(0.2, 0.6), stay=True, step_seconds=2.0, moves=2)
+    assert len(game.move_names) == 9
+    assert game.move_names[-1] == "stay"
+    state = game.reset(games=2)
+    after = game.step(state, np.array([[8, 4], [0, 8]]))
+    assert after.policy[0, 0] == state.policy[0, 0]
+    assert after.policy[1, 1] == state.policy[1, 1]
+    assert after.policy[0, 1] == game.archive.move(int(state.policy[0, 1]), 0, 1, 0.6)
+    assert after.policy[1, 0] == game.archive.move(int(state.policy[1, 0]), 0, 1, 0.2)
+
+
+def test_the_contest_brings_its_moves_and_its_utility():
+    config = load_game_config("contest")
+    assert config.stay
+    assert config.utility == "win"
+    assert load_game_config(config, utility="lead").utility == "lead"
+    assert load_game_config("paper", moves=2, step_seconds=5.0).race_rules.duration == 15.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "fault", "expected"),
+    [
+        ({}, (1, 0), 0.0),
+        ({"utility": "lead-at-crash"}, (1, 0), "lead"),
+        ({"utility": "win"}, (1, 0), 0.0),  # the paper's rules name no loser
+        ({"fault_penalty": 3.0}, (1, 0), -3.0),
+        ({"fault_penalty": 3.0}, (0, 1), 3.0),
+        ({"fault_penalty": 3.0}, (1, 1), 0.0),
+        ({"race": "contest"}, (1, 0), -1.0),
+        ({"race": "contest"}, (0, 1), 1.0),
+        ({"race": "contest", "discount": 0.5}, (0, 1), 0.25),
+    ],
+)
+def test_what_a_crash_is_worth(track, settings, fault, expected):
+    game = make_game(track, step_seconds=2.0, **settings)
+    state = play(game, game.reset(1), [(0, 0), (0, 0)])
+    np.testing.assert_array_equal(game.utility(state), 0.0)  # not over yet
+    end = crash(state, fault)
+    assert game.done(end).all()
+    first = state.race.lead[0] if expected == "lead" else expected
+    np.testing.assert_array_equal(game.utility(end), [[first, -first]])
+
+
+def test_who_leads_at_the_end_wins(track):
+    game = make_game(track, step_seconds=2.0, moves=1, utility="win")
+    end = game.step(game.reset(games=6, seed=2), np.zeros((6, 2), np.int64))
+    over = game.done(end) & ~end.race.crashed
+    np.testing.assert_array_equal(game.winner(end)[over], np.where(end.race.lead > 0, 0, 1)[over])
+    np.testing.assert_array_equal(game.utility(end)[over, 0], np.sign(end.race.lead)[over])
+    assert (game.winner(game.reset(games=2)) == -1).all()
+
+
+def test_games_that_are_over_stand_still(game):
+    state = game.reset(games=3)
+    halfway = crash(take_games(state, [0, 1]), (1, 0))
+    mixed = join_games([halfway, take_games(state, [2])])
+    after = game.step(mixed, np.full((3, 2), 2))
+    assert_same(take_games(after, [0, 1]), take_games(mixed, [0, 1]))
+    np.testing.assert_array_equal(after.step, [0, 0, 1])
+    assert_same(take_games(after, [2]), game.step(take_games(state, [2]), np.full((1, 2), 2)))
+
+
+def test_games_that_end_while_watching_are_drawn_again(track):
+    game = make_game(track, race=replace(CONTEST, steering_noise=0.08), step_seconds=4.0)
+    once = game.reset(games=40, redraw=False)
+    again = game.reset(games=40)
+    crashed = once.race.crashed
+    assert crashed.any(), "choose more noise: this test needs crashes"
+    assert again.race.crashed.sum() < crashed.sum()
+    assert_same(take_games(again, np.flatnonzero(~crashed)), take_games(once, np.flatnonzero(~crashed)))
+    bad = int(np.flatnonzero(crashed)[0])
+    assert_same(game.reset(games=40).copy(), again)
+    assert_same(game.reset(race_seeds(0, 40)[bad : bad + 1]), take_games(again, [bad]))
+
+
+def test_drivers_from_outside_the_archive(track):
+    """Car 1 may be any policy, even of another planner; its moves do nothing then."""
+    game = RaceGame(track, load_archive("default"), GameConfig(step_seconds=2.0), PURE_PURSUIT)
+    opponent = PURE_PURSUIT.policy()
+    state = game.reset([1, 2], opponents=opponent)
+    np.testing.assert_array_equal(state.policy[:, 1], -1)
+    a, b = (game.step(state, np.array([[0, move], [0, move]])) for move in (0, 3))
+    assert_same(a, b)
+    np.testing.assert_array_equal(a.own[:, 1], a.estimates[:, 1])
+    assert (a.policy[:, 0] >= 0).all()
+    with pytest.raises(InputError, match="game 0: car 1 is driven by planner 'pure-pursuit'"):
+        game.reset(1)
+    with pytest.raises(InputError, match="game 0: the opponent is of planner 'lattice'"):
+        game.reset(1, opponents=LATTICE.policy())
+
+    mixed = make_game(track, step_seconds=2.0)
+    wild = mixed.archive.explored_policy(5)
+    state = mixed.reset([1, 2], opponents=[None, wild])
+    np.testing.assert_array_equal(state.theta[1, 1], wild.parameters)
+    assert state.policy[0, 1] >= 0
+    assert state.policy[1, 1] == -1
+    assert_same(take_games(state, [0]), mixed.reset(1))
+
+
+def test_drivers_from_outside_in_either_car(track):
+    """Two drivers from outside: the game is the race that run_races drives, with their seats and its noise."""
+    config = GameConfig(race=CONTEST, step_seconds=0.8)
+    archive = load_archive("default")
+    game = RaceGame(track, archive, config, "lattice", ego_planner=PURE_PURSUIT)
+    egos, wild = [PURE_PURSUIT.policy({"pace": pace}) for pace in (0.2, 0.9)], archive.explored_policy(5)
+    starts = Starts(start_lines(track, game.setup.config, 3)[:2], np.array([0, 1]))
+    state = game.reset([1, 2], starts=starts, egos=egos, opponents=wild)
+    assert (state.policy == -1).all()
+    np.testing.assert_array_equal(state.own, state.estimates)
+    state = play(game, state, [(0, 0), (3, 1), (2, 2), (1, 0)])
+
+    race = start_races(game.setup, starts, state.race.seed)
+    theta = np.stack([pad_parameters(cars, game.setup.theta_size) for cars in (egos, [wild, wild])], axis=1)
+    advance(game.setup, race, theta, 400)
+    for one, other in zip(state.race, race, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+    # Fewer parameters than the archive's policies have.
+    small = RaceGame(track, archive, config, PURE_PURSUIT, ego_planner=PURE_PURSUIT)
+    end = play(small, small.reset([1], egos=egos[0], opponents=egos[1]), [(0, 0)] * 4)
+    assert small.done(end).all()
+
+    with pytest.raises(InputError, match=r"game 0: car 0 is driven by planner 'pure-pursuit', .* give egos"):
+        game.reset(1, opponents=wild)
+    with pytest.raises(InputError, match="there are 1 games but 2 egos"):
+        game.reset(1, egos=egos)
+    with pytest.raises(InputError, match="game 0: the ego is of planner 'lattice'; this game's car 0 takes"):
+        game.reset(1, egos=wild)
+
+
+def test_masks_forbid_duplicates_only_when_asked(track, game):
+    assert game.action_mask(game.reset(games=2)).all()
+    strict = make_game(track, step_seconds=2.0, mask_duplicates=True)
+    state = strict.reset(games=50, redraw=False)
+    mask = strict.action_mask(state)
+    assert mask[..., 0].all()  # so there always is a move
+    for allowed, policy in zip(mask.reshape(-1, 4), state.policy.reshape(-1), strict=True):
+        there = strict.table[policy]
+        assert sorted(there[allowed]) == sorted(set(there))
+
+
+def test_the_table_of_an_observation(game):
+    elements = observation_elements(game.characteristics, 4)
+    assert elements == game.observation_elements
+    assert len(observation_table(elements).splitlines()) == 2 + 31
+    short = observation_table(elements, 4)
+    assert "| 6k + 4 | lead_k | 20 m | -5 | 5 | own lead at the end of step k |" in short
+    assert len(short.splitlines()) == 2 + 7
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"moves": 0}, "moves is 0"),
+        ({"moves": True}, "moves is True"),
+        ({"step_seconds": 0.25}, "multiple of 0.1"),
+        ({"step_seconds": np.nan}, "step_seconds is nan"),
+        ({"step_seconds": 600.0, "moves": 10}, "over 3600 s"),
+        ({"epsilon": 0.0}, r"epsilon is 0\.0"),
+        ({"utility": "fame"}, "utility is 'fame'; it must be one of lead, lead-at-crash, win"),
+        ({"fault_penalty": -1.0}, r"fault_penalty is -1\.0"),
+        ({"discount": 0.0}, r"discount is 0\.0"),
+        ({"stay": "yes"}, "stay is 'yes'"),
+        ({"characteristics": "speed"}, "must be a list of names"),
+        ({"race": 3}, "race is 3"),
+        ({"speeed": 1}, "unknown game setting 'speeed'; known are race, moves"),
+    ],
+)
+def test_impossible_rules_are_one_clear_error(settings, message):
+    with pytest.raises(ConfigError, match=message):
+        load_game_config(**({"source": settings.pop("race")} if "race" in settings else {}), **settings)
+
+
+def test_unknown_names_are_one_clear_error(track):
+    with pytest.raises(UnknownNameError, match="unknown track 'Nowhere'"):
+        make_game("Nowhere")
+    with pytest.raises(UnknownNameError, match="unknown archive 'nothing'"):
+        make_game(track, "nothing")
+    with pytest.raises(UnknownNameError, match="race preset 'rally' is unknown"):
+        make_game(track, race="rally")
+    with pytest.raises(UnknownNameError, match="characteristic 'charm' is unknown"):
+        make_game(track, characteristics=("charm",))
+    with pytest.raises(UnknownNameError, match="archive 'default' has no characteristic 'speed'"):
+        make_game(track, characteristics=("speed",))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"seeds": [-1]}, "seeds are"),
+        ({"seeds": [0.5]}, "seeds are"),
+        ({"seeds": [1], "games": 1}, "give one of the two"),
+        ({"games": -1}, "games is -1"),
+        ({"seed": "x"}, "seed is 'x'"),
+        ({"policies": [0, 99]}, "game 0, car 1: policy 99 is not in archive 'default'"),
+        ({"policies": [0, -2]}, "policy -2"),
+        ({"policies": [0.0, 1.0]}, "type float64"),
+        ({"games": 2, "policies": [[0, 1]]}, r"policies have shape \(1, 2\)"),
+        ({"starts": STARTS}, "1 games but 3 starts"),
+        ({"starts": Starts(np.array([1e6]), np.array([0]))}, "race 0: the start line"),
+        ({"games": 2, "opponents": [None]}, "2 games but 1 opponents"),
+        ({"opponents": ["fast"]}, "game 0: the opponent is of 'fast'"),
+    ],
+)
+def test_an_impossible_reset_is_one_clear_error(game, arguments, message):
+    with pytest.raises(InputError, match=message):
+        game.reset(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        ([[0, 4]], "game 0, car 1: action 4 is no move; it must lie in 0 to 3 .aggressiveness"),
+        ([[-1, 0]], "game 0, car 0: action -1"),
+        ([[0.0, 1.0]], "type float64"),
+        ([[np.nan, 1.0]], "type float64"),
+        ([0, 1], r"shape \(2,\)"),
+        ([[True, False]], "type bool"),
+    ],
+)
+def test_an_impossible_action_is_one_clear_error(game, actions, message):
+    with pytest.raises(InputError, match=message):
+        game.step(game.reset(1), actions)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"step": np.zeros(1, np.int32)}, "step has shape .* type int32"),
+        ({"own": np.full((1, 2, 5, 2), np.nan)}, "own holds NaN"),
+        ({"leads": np.zeros((2, 5))}, "leads has shape"),
+        ({"extra": np.zeros(1)}, "holds .*extra"),
+        ({"policy": np.array([{"a": 1}], dtype=object)}, "not a saved game state"),
+    ],
+)
+def test_a_file_that_is_no_game_is_one_clear_error(game, tmp_path, change, message):
+    state = game.reset(1)
+    flat = {
+        **{f"race.{n}": a for n, a in state.race._asdict().items()},
+        **dict(zip(state._fields[1:], state[1:], strict=True)),
+    }
+    np.savez(tmp_path / "game.npz", **{**flat, **change})
+    with pytest.raises(InputError, match=message):
+        load_game(tmp_path / "game.npz")

@@ -1,0 +1,209 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcs_racing import InputError, Parameter, Planner, Policy, UnknownNameError
+from pcs_racing.planners.planner import (
+    COMMAND_SLOTS,
+    OWN_BETA,
+    OWN_PSI,
+    OWN_V,
+    OWN_X,
+    OWN_Y,
+    PATH_KAPPA,
+    PATH_POINTS,
+    PATH_SPEED,
+    PATH_X,
+    STEER_MAX,
+    UNDERSTEER,
+    UNDERSTEER_GAIN,
+    VIEW,
+    VIEW_SIZE,
+    WHEELBASE,
+    calm_speed,
+    follow_path,
+    pursuit_steering,
+)
+
+PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
+AIR = Parameter("air", 0.05, 0.35, 0.15, "how far away, m")
+PLANNER = Planner("example", (PACE, AIR), variants={"brave": (0.9, 0.1)})
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "default"), [(1.0, 0.0, 0.5), (0.0, 0.0, 0.0), (0.0, np.inf, 1.0), (np.nan, 1.0, 0.5)]
+)
+def test_a_parameter_needs_bounds_in_order(low, high, default):
+    with pytest.raises(InputError, match="parameter 'x' has bounds"):
+        Parameter("x", low, high, default, "")
+
+
+@pytest.mark.parametrize("default", [-0.1, 1.1, np.nan])
+def test_a_default_lies_between_the_bounds(default):
+    with pytest.raises(InputError, match="parameter 'x' has default"):
+        Parameter("x", 0.0, 1.0, default, "")
+
+
+def test_a_planner_checks_itself():
+    with pytest.raises(InputError, match="planner 'p' names a parameter twice: pace, pace"):
+        Planner("p", (PACE, PACE))
+    with pytest.raises(InputError, match="planner 'p' has memory_size -1"):
+        Planner("p", (), memory_size=-1)
+    with pytest.raises(InputError, match="planner 'p' has sight nan"):
+        Planner("p", (), sight=float("nan"))
+
+
+def test_the_vector_of_a_policy():
+    assert PLANNER.parameter_names == ("pace", "air")
+    np.testing.assert_array_equal(PLANNER.bounds, [[0.0, 1.0], [0.05, 0.35]])
+    np.testing.assert_array_equal(PLANNER.policy().parameters, [0.5, 0.15])
+    np.testing.assert_array_equal(PLANNER.policy({"air": 0.2}).parameters, [0.5, 0.2])
+    np.testing.assert_array_equal(PLANNER.policy("brave").parameters, [0.9, 0.1])
+    np.testing.assert_array_equal(PLANNER.policy([0.1, 0.2]).parameters, [0.1, 0.2])
+    assert PLANNER.policy("brave").name == "example:brave"
+    assert PLANNER.policy({"air": 0.2}, name="wide").name == "wide"
+
+
+def test_a_policy_keeps_a_vector_of_its_own():
+    vector = np.array([0.1, 0.2])
+    policy = PLANNER.policy(vector)
+    vector[0] = 0.9
+    assert policy.parameters[0] == 0.1
+    with pytest.raises(ValueError, match="read-only"):
+        policy.parameters[0] = 0.9
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_samples_are_policies(seed):
+    theta = PLANNER.sample(np.random.default_rng(seed))
+    assert PLANNER.policy(theta).parameters.tolist() == theta.tolist()
+    np.testing.assert_array_equal(PLANNER.sample(np.random.default_rng(seed)), theta)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "error", "message"),
+    [
+        ([0.5], InputError, r"shape \(1,\); planner 'example' takes \(2,\)"),
+        ([[0.5, 0.1]], InputError, r"shape \(1, 2\)"),
+        ([np.nan, 0.1], InputError, "parameter 'pace' is nan; it must be finite"),
+        ([np.inf, 0.1], InputError, "parameter 'pace' is inf"),
+        ([0.5, 0.5], InputError, r"parameter 'air' is 0.5; it must lie in \[0.05, 0.35\]"),
+        ({"speed": 1.0}, UnknownNameError, "no parameter 'speed'; it has pace, air"),
+        ("timid", UnknownNameError, "no variant 'timid'; it has default, brave"),
+    ],
+)
+def test_bad_parameters_are_refused(parameters, error, message):
+    with pytest.raises(error, match=message):
+        PLANNER.policy(parameters)
+
+
+def test_a_policy_needs_a_vector_of_the_right_length():
+    with pytest.raises(InputError, match="policy 'p' has parameters of shape"):
+        Policy(PLANNER, np.zeros(3), "p")
+
+
+def test_a_python_driver_needs_memory_for_its_command():
+    assert PLANNER.memory_total == 0
+    assert Planner("p", (), drive=lambda *_: (0.0, 0.0), memory_size=3).memory_total == 3 + COMMAND_SLOTS
+
+
+def test_every_number_of_the_view_has_a_meaning():
+    assert len(VIEW) == VIEW_SIZE
+    assert all(meaning for meaning in VIEW.values())
+
+
+# The default control
+
+
+@pytest.fixture
+def view() -> np.ndarray:
+    """A car in the origin that drives along x at 4 m/s."""
+    view = np.zeros(VIEW_SIZE)
+    view[OWN_V], view[WHEELBASE], view[STEER_MAX] = 4.0, 0.33, 0.4
+    return view
+
+
+def test_pure_pursuit_drives_the_arc_through_the_point(view):
+    radius = 3.0
+    x, y = radius * np.sin(0.3), radius * (1.0 - np.cos(0.3))  # on the circle that the car touches
+    assert pursuit_steering(view, x, y, 0.0, 0.0) == pytest.approx(np.arctan(0.33 / radius))
+    assert pursuit_steering(view, x, -y, 0.0, 0.0) == pytest.approx(-np.arctan(0.33 / radius))
+    assert pursuit_steering(view, x, 0.0, 0.0, 0.0) == 0.0
+    assert pursuit_steering(view, 0.1, 5.0, 0.0, 0.0) <= 0.4  # the limit of the car
+
+
+def test_pure_pursuit_aims_along_the_velocity(view):
+    """Heading and slip that cancel leave the course, and so the steering, as it was."""
+    usual = pursuit_steering(view, 1.0, 0.2, 0.0, 0.0)
+    view[OWN_PSI], view[OWN_BETA] = 0.1, -0.1
+    assert pursuit_steering(view, 1.0, 0.2, 0.0, 0.0) == pytest.approx(usual)
+
+
+def test_understeer_is_made_up_for(view):
+    view[UNDERSTEER] = 0.003
+    more = pursuit_steering(view, 1.0, 0.1, 0.5, 0.0) - pursuit_steering(view, 1.0, 0.1, 0.0, 0.0)
+    assert more == pytest.approx(0.003 * 4.0**2 * 0.5)
+
+
+def test_braking_stays_below_what_the_rear_axle_bears():
+    speed, acceleration = calm_speed(8.0, 2.0)
+    assert acceleration == pytest.approx(-5.5)
+    assert speed == pytest.approx(8.0 - 0.55)
+    assert calm_speed(4.0, 4.2)[0] == 4.2
+
+
+def followed(path, view):
+    """The command of the default control; it needs neither a track nor parameters, memory or scratch."""
+    command, nothing = np.zeros(2), np.zeros(0)
+    getattr(follow_path, "py_func", follow_path)(None, nothing, view, nothing, nothing, path, command)
+    return command
+
+
+def test_a_path_is_followed_at_its_speed(view):
+    path = np.zeros((PATH_POINTS, 4))
+    path[:, PATH_X] = np.linspace(-1.0, 2.0, PATH_POINTS)  # the car is past its beginning
+    path[:, PATH_SPEED] = np.linspace(3.0, 6.0, PATH_POINTS)
+    command = followed(path, view)
+    assert command[0] == 0.0
+    assert command[1] == pytest.approx(np.interp(0.4, path[:, PATH_X], path[:, PATH_SPEED]), abs=0.05)
+
+
+def at_distance(values, away, wanted):
+    """Value where a path is first so far from the car, between the two points around that distance."""
+    after = next((k for k in range(1, len(away)) if away[k] >= wanted), None)
+    if after is None:
+        return values[-1]
+    share = np.clip((wanted - away[after - 1]) / max(away[after] - away[after - 1], 1e-9), 0.0, 1.0)
+    return values[after - 1] + share * (values[after] - values[after - 1])
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_default_control_drives_through_a_point_ahead_at_the_speed_that_the_path_has_there(view, seed):
+    """Paths that bend, begin behind the car or end before the point; the car slides, and its tyres yield."""
+    rng = np.random.default_rng(seed)
+    v = view[OWN_V] = rng.uniform(0.5, 7.0)
+    view[OWN_X], view[OWN_Y], view[OWN_PSI], view[OWN_BETA] = rng.uniform(-2.0, 2.0, 4) * [1.0, 1.0, 1.0, 0.1]
+    view[UNDERSTEER], view[UNDERSTEER_GAIN] = 0.0028, -0.0004
+    course, t = view[OWN_PSI] + view[OWN_BETA], np.linspace(-0.15, rng.uniform(0.2, 0.6), PATH_POINTS) * v
+    bend = rng.uniform(-0.3, 0.3)
+    x, y = t, 0.5 * bend * t**2 + rng.uniform(-0.05, 0.05)
+    points = np.column_stack([np.cos(course) * x - np.sin(course) * y, np.sin(course) * x + np.cos(course) * y])
+    path = np.column_stack(
+        [points + view[[OWN_X, OWN_Y]], v + rng.uniform(-1.0, 1.5, PATH_POINTS), bend + 0.1 * np.arange(PATH_POINTS)]
+    )
+    away = np.hypot(*(path[:, :2] - view[[OWN_X, OWN_Y]]).T)
+    nearest = int(np.argmin(away))
+    rest, away = path[nearest:], away[nearest:]
+
+    speed = max(at_distance(rest[:, PATH_SPEED], away, 0.1 * v), v - 0.55)  # braking at 5.5 m/s^2 at most
+    reach = 0.3 + 0.1 * v
+    goal = np.array([at_distance(rest[:, k], away, reach) for k in range(2)])
+    past = next((k for k in range(1, len(away)) if away[k] >= reach), None)
+    kappa = rest[-1 if past is None else past - 1, PATH_KAPPA]
+    # The circle that touches the course and leads through the goal has the curvature 2 sin(angle) / distance.
+    way = goal - view[[OWN_X, OWN_Y]]
+    arc = 2.0 * np.sin(np.arctan2(way[1], way[0]) - course) / np.hypot(*way)
+    yielding = 0.0028 - 0.0004 * min(10.0 * (speed - v), 9.5)
+    steer = np.clip(np.arctan(0.33 * arc) + yielding * v**2 * kappa, -0.4, 0.4)
+    np.testing.assert_allclose(followed(path, view), [steer, speed], atol=1e-9)

@@ -1,0 +1,138 @@
+import sys
+import tomllib
+from pkgutil import resolve_name
+from types import ModuleType
+
+import pytest
+from repository import REPOSITORY
+
+from pcs_racing import (
+    InputError,
+    Parameter,
+    Planner,
+    UnknownNameError,
+    get_planner,
+    parse_policy,
+    planner_names,
+    register_planner,
+)
+from pcs_racing.planners import BUILT_IN, registry
+
+PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
+
+
+@pytest.fixture(autouse=True)
+def _own_registry(monkeypatch):
+    """Whatever a test registers is forgotten after it."""
+    monkeypatch.setattr(registry, "_planners", dict(registry._planners))
+    monkeypatch.setattr(registry, "_places", dict(registry._places))
+
+
+def test_a_registered_planner_is_found_by_name():
+    planner = Planner("mine", (PACE,))
+    register_planner(planner)
+    register_planner(planner)  # again: nothing happens
+    assert get_planner("mine") is planner
+    assert "mine" in planner_names()
+
+
+def test_two_planners_can_not_share_a_name():
+    register_planner(Planner("mine", (PACE,)))
+    with pytest.raises(InputError, match="there is a planner 'mine' already"):
+        register_planner(Planner("mine", (PACE,), memory_size=1))
+    with pytest.raises(InputError, match="there is a planner 'lattice' already"):
+        register_planner(Planner("lattice", ()))
+    with pytest.raises(InputError, match="there is a planner 'lattice' already"):
+        register_planner("somewhere.else:LATTICE", name="lattice")
+
+
+@pytest.mark.parametrize("name", ["", "a:b", "a=b", "a b", "a,b", None])
+def test_a_name_can_be_told_from_the_rest_of_a_policy(name):
+    with pytest.raises(InputError, match="must be text without"):
+        register_planner("module:PLANNER", name=name)
+
+
+def test_a_place_is_imported_when_it_is_needed(monkeypatch):
+    register_planner("a_module_of_mine:PLANNER", name="later")
+    assert "later" in planner_names()
+    module = ModuleType("a_module_of_mine")
+    module.PLANNER = Planner("later", (PACE,))
+    monkeypatch.setitem(sys.modules, "a_module_of_mine", module)
+    assert get_planner("later") is module.PLANNER
+
+
+def test_a_place_without_a_planner_is_one_clear_error():
+    register_planner("no_such_module:PLANNER", name="absent")
+    with pytest.raises(InputError, match="planner 'absent' can't be loaded from no_such_module:PLANNER: No module"):
+        get_planner("absent")
+    register_planner("math:pi", name="pi")
+    with pytest.raises(InputError, match="planner 'pi': math:pi is of type float; it must be a Planner"):
+        get_planner("pi")
+
+
+def test_an_unknown_name_lists_the_names_and_the_nearest():
+    with pytest.raises(UnknownNameError, match=r"planner 'latice' is unknown; did you mean 'lattice'\? there are: .*"):
+        get_planner("latice")
+
+
+def test_every_shipped_planner_loads_under_its_own_name():
+    assert BUILT_IN.keys() == registry.SHIPPED.keys()
+    for name, planner in BUILT_IN.items():
+        assert get_planner(name) is planner
+
+
+def test_the_zoo_declares_its_driver_as_an_entry_point():
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
+    for name, place in project["project"]["entry-points"][registry.ENTRY_POINTS].items():
+        assert resolve_name(place) is get_planner(name)
+
+
+@pytest.fixture
+def example() -> Planner:
+    planner = Planner(
+        "example", (PACE, Parameter("air", 0.0, 2.0, 1.0, "m")), variants={"1": (0.1, 0.1), "brave": (1.0, 0.0)}
+    )
+    register_planner(planner)
+    return planner
+
+
+@pytest.mark.parametrize(
+    ("text", "parameters", "name"),
+    [
+        ("example", [0.5, 1.0], "example"),
+        ("example:brave", [1.0, 0.0], "example:brave"),
+        ("example:1", [0.1, 0.1], "example:1"),
+        ("example:air=0.25", [0.5, 0.25], "example:air=0.25"),
+        (" example : air = 1e-1, pace = 1", [1.0, 0.1], "example:air=1e-1,pace=1"),
+    ],
+)
+def test_a_policy_as_text(example, text, parameters, name):
+    policy = parse_policy(text)
+    assert policy.planner is example
+    assert policy.parameters.tolist() == parameters
+    assert policy.name == name
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "planner '' is unknown"),
+        (":brave", "planner '' is unknown"),
+        ("exampel", "did you mean 'example'"),
+        ("example:timid", "no variant 'timid'; it has default, 1, brave"),
+        ("example:", "no variant ''"),
+        ("example:speed=1", "no parameter 'speed'; there are: pace, air"),
+        ("example:pce=1", "did you mean 'pace'"),
+        ("example:pace=fast", "pace is 'fast'; it must be a number"),
+        ("example:pace=", "pace is ''; it must be a number"),
+        ("example:pace=nan", "'pace' is nan; it must be finite"),
+        ("example:pace=2", r"'pace' is 2; it must lie in \[0, 1\]"),
+        ("example:pace=1,pace=0", "sets parameter 'pace' twice"),
+        ("example:pace=1,", "'' is not of the form parameter=value"),
+        ("example:brave,pace=1", "'brave' is not of the form parameter=value"),
+        (None, "policy None must be text"),
+    ],
+)
+def test_a_bad_policy_is_one_clear_error(example, text, message):
+    with pytest.raises(InputError, match=message):
+        parse_policy(text)

@@ -1,0 +1,93 @@
+"""The hazard of driving alone grows with speed, and the speed range follows from it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.race.calibration import SCALES, calibrate, calibration_of, hazard_scan, starts_for
+from pcs_racing.race.config import CONTEST, PAPER
+from pcs_racing.track.track import load_track
+
+
+def test_faster_is_riskier_and_noise_makes_it_smooth() -> None:
+    track = load_track("Kestrelheim")
+    scales = (0.7, 0.95, 1.25)
+    quiet = hazard_scan(track, PAPER, scales, cars=12)
+    disturbed = hazard_scan(track, CONTEST, scales, cars=40)
+    assert quiet[0] == 0.0
+    assert quiet[2] > 0.9
+    assert disturbed[0] < 0.1 < disturbed[1] < 0.9 < disturbed[2]
+
+
+def test_the_result_does_not_depend_on_the_number_of_threads() -> None:
+    track = load_track("Pipkin")
+    one, two = (hazard_scan(track, CONTEST, (1.0, 1.1), cars=12, seconds=10.0, threads=n) for n in (1, 2))
+    np.testing.assert_array_equal(one, two)
+
+
+def test_the_range_lies_below_the_speeds_that_crash() -> None:
+    track = load_track("Pipkin")
+    report = calibrate(track, PAPER, cars=12)
+    low, high = report.calibration.speed_range
+    assert 0.5 < low < high
+    crashing = [scale for scale, hazard in zip(report.scales, report.hazard, strict=True) if hazard > 0.01]
+    assert crashing
+    assert high < min(crashing)
+    assert f"{low:.2f} to {high:.2f}" in report.table()
+    assert report.table().count("\n") == len(report.scales) + 2
+
+
+def test_the_scan_ends_where_the_hazard_is_too_large():
+    track = load_track("Pipkin")
+    whole = hazard_scan(track, PAPER, SCALES, cars=12)
+    part = hazard_scan(track, PAPER, SCALES, cars=12, enough=0.01)
+    assert len(part) < len(whole)
+    np.testing.assert_array_equal(part, whole[: len(part)])
+    assert part[-1] > 0.01 >= part[:-1].max()
+
+
+def test_a_circuit_that_was_never_seen_is_calibrated_once_and_says_so(tmp_path, monkeypatch, capsys):
+    known = load_track("Pipkin")
+    monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path))
+    monkeypatch.setattr("pcs_racing.race.calibration._known", {})
+    unseen = replace(known, calibration={})
+    found = calibration_of(unseen, PAPER)
+    assert found == known.calibration["paper"]  # what ships is what anybody finds
+    said = capsys.readouterr().err
+    assert "finding speeds and start places of track 'Pipkin' for 'paper'" in said
+    assert str(tmp_path) in said
+    assert calibration_of(unseen, PAPER) is found  # from memory
+    monkeypatch.setattr("pcs_racing.race.calibration._known", {})
+    assert calibration_of(unseen, replace(PAPER, duration=5.0)) == found  # from the folder
+    assert capsys.readouterr().err == ""
+    (kept,) = tmp_path.glob("calibration-*.npz")
+    kept.write_bytes(b"damaged")
+    monkeypatch.setattr("pcs_racing.race.calibration._known", {})
+    monkeypatch.setattr("pcs_racing.race.calibration.calibrate", lambda *arguments: pytest.fail("calibrated"))
+    with pytest.raises(pytest.fail.Exception):
+        calibration_of(unseen, PAPER)
+
+
+def test_another_kind_of_start_is_tried_out_by_driving(tmp_path, monkeypatch, oval, capsys):
+    monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path))
+    rolling = replace(PAPER, start="rolling", start_gap=3.0)
+    found = starts_for(oval, rolling)
+    assert list(found.start_places) == ["front"]
+    assert found.speed_range == oval.calibration["paper"].speed_range
+    assert "places for a rolling start of track 'oval'" in capsys.readouterr().err
+    assert starts_for(oval, rolling) == found
+    assert capsys.readouterr().err == ""
+
+
+def test_a_circuit_that_is_too_rough_is_refused() -> None:
+    rough = replace(CONTEST, steering_noise=0.2)
+    with pytest.raises(InputError, match=r"Pipkin.*0\.60.*steering_noise"):
+        calibrate(load_track("Pipkin"), rough, cars=12)
+
+
+@pytest.mark.parametrize("cars", [0, 1, 7])
+def test_an_odd_number_of_cars_is_refused(cars: int) -> None:
+    with pytest.raises(InputError, match=f"cars is {cars}"):
+        hazard_scan(load_track("Pipkin"), PAPER, cars=cars)

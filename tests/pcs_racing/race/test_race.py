@@ -1,0 +1,480 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pcs_racing import (
+    CONTEST,
+    PAPER,
+    InputError,
+    Parameter,
+    Planner,
+    RaceResult,
+    RaceSetup,
+    RaceState,
+    Starts,
+    VehicleParams,
+    advance,
+    draw_starts,
+    load_race_config,
+    load_state,
+    load_track,
+    run_races,
+    save_state,
+    start_races,
+)
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.planner import OWN_D, OWN_PSI, OWN_S
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.kernel import steering_noise
+from pcs_racing.race.races import start_lines, starts_of
+from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, NO_CRASH, TIME, WALL_CRASH, empty_state
+from pcs_racing.track.frenet import SPEED
+from pcs_racing.track.track import Calibration
+
+SHORT = load_race_config("paper", duration=6.0)
+NOISY = load_race_config("contest", duration=6.0)
+
+
+def towards_the_line(track, theta, view, memory):
+    """A driver in plain Python: back to the race line, at a share of its speed; remembers how often it was asked."""
+    memory[0] += 1.0
+    sample = track.line[int(view[OWN_S] / track.arrays.ds) % len(track.line)]
+    turn = np.mod(sample[4] - view[OWN_PSI] + np.pi, 2.0 * np.pi) - np.pi
+    return 1.2 * turn - 0.6 * view[OWN_D] + 0.33 * sample[5], theta[0] * sample[SPEED]
+
+
+PYTHON = Planner(
+    "python", (Parameter("pace", 0.1, 1.0, 0.7, "share of the speed"),), drive=towards_the_line, memory_size=1
+)
+
+
+@compiled
+def go_straight(track, theta, view, memory, scratch, path, command):
+    command[0] = 0.0
+    command[1] = theta[0]
+
+
+STRAIGHT = Planner("straight", (Parameter("speed", 0.0, 9.0, 6.0, "m/s"),), control=go_straight)
+STRAIGHT_IN_PYTHON = Planner(
+    "straight-in-python", STRAIGHT.parameters, drive=lambda track, theta, view, memory: (0.0, theta[0])
+)
+
+
+def lattice(**changes: float):
+    return LATTICE.policy(changes)
+
+
+def assert_same(found: RaceState, expected: RaceState, skip: tuple[str, ...] = ()) -> None:
+    """Equal to the last bit, in every array."""
+    for name, array in expected._asdict().items():
+        if name not in skip:
+            np.testing.assert_array_equal(getattr(found, name), array, err_msg=name, strict=True)
+
+
+def begin(track, config, egos, opponents, seed=0):
+    """What ``run_races`` does before it drives: setup, state and parameters of a batch."""
+    setup = RaceSetup(track, config, (egos[0].planner, opponents[0].planner))
+    races = len(egos)
+    state = start_races(setup, draw_starts(track, config, races, seed), race_seeds(seed, races))
+    theta = np.stack([pad_parameters(egos, setup.theta_size), pad_parameters(opponents, setup.theta_size)], axis=1)
+    return setup, state, theta
+
+
+# Determinism
+
+
+@pytest.mark.parametrize("config", [SHORT, NOISY], ids=lambda config: config.name)
+def test_a_race_does_not_depend_on_the_batch_it_is_in(oval, config):
+    many = run_races(oval, [lattice(pace=0.1 * k) for k in range(8)], lattice(), config, seed=5)
+    few = run_races(oval, [lattice(pace=0.1 * k) for k in range(3)], lattice(), config, seed=5)
+    assert_same(few.state, RaceState._make(array[:3] for array in many.state))
+
+
+def test_a_race_does_not_depend_on_the_number_of_threads(oval):
+    egos = [lattice(pace=0.1 * k) for k in range(9)]
+    one, three = (run_races(oval, egos, lattice(), NOISY, seed=2, threads=threads) for threads in (1, 3))
+    assert_same(three.state, one.state)
+
+
+def test_without_the_time_to_collision_a_race_is_the_same(oval):
+    setup, state, theta = begin(oval, NOISY, [lattice(pace=0.7)] * 3, [lattice()] * 3)
+    bare = state.copy()
+    advance(setup, state, theta, 400)
+    advance(setup, bare, theta, 400, ittc=False)
+    assert_same(bare, state, skip=("sums",))
+    assert (state.sums[..., ITTC_SAMPLES] > 0).all()
+    np.testing.assert_array_equal(bare.sums[..., [ITTC, ITTC_SAMPLES]], 0.0)
+    np.testing.assert_array_equal(bare.sums[..., ITTC_SAMPLES + 1 :], state.sums[..., ITTC_SAMPLES + 1 :])
+
+
+def test_the_seed_decides_starts_and_noise(oval):
+    one, other = (run_races(oval, [lattice()] * 4, lattice(), NOISY, seed=seed) for seed in (1, 2))
+    assert not np.array_equal(one.starts.s, other.starts.s)
+    assert not np.array_equal(one.state.disturbance, other.state.disturbance)
+    moved = run_races(oval, [lattice()] * 4, lattice(), NOISY, seed=2, starts=one.starts)
+    assert not np.array_equal(one.state.cars, moved.state.cars)
+
+
+def test_without_noise_only_the_start_matters(oval):
+    one = run_races(oval, [lattice()] * 4, lattice(), SHORT, seed=1)
+    again = run_races(oval, [lattice()] * 4, lattice(), SHORT, seed=99, starts=one.starts)
+    assert_same(again.state, one.state, skip=("seed",))
+
+
+@settings(max_examples=12)
+@given(cut=st.integers(0, 300).map(lambda half: 2 * half), pieces=st.integers(1, 7))
+def test_a_race_can_be_stopped_saved_and_continued_anywhere(oval, tmp_path_factory, cut, pieces):
+    """Also in the middle of a plan, and whether the rest is driven in one piece or in many."""
+    file = tmp_path_factory.mktemp("state") / "race.npz"
+    egos, opponents = [lattice(pace=0.2), lattice()], [lattice(pace=0.9)] * 2
+    setup, whole, theta = begin(oval, NOISY, egos, opponents, seed=4)
+    stopped = whole.copy()
+    advance(setup, whole, theta, NOISY.ticks)
+
+    advance(setup, stopped, theta, cut)
+    save_state(stopped, file)
+    continued = load_state(file)
+    for _ in range(pieces):
+        advance(setup, continued, theta, 2 * ((NOISY.ticks - cut) // (2 * pieces)))
+    advance(setup, continued, theta, NOISY.ticks)  # past the end nothing moves
+    assert_same(continued, whole)
+
+
+def test_a_python_driver_can_be_stopped_and_continued(oval):
+    setup, whole, theta = begin(oval, SHORT, [PYTHON.policy()], [lattice()])
+    stopped = whole.copy()
+    advance(setup, whole, theta, SHORT.ticks)
+    advance(setup, stopped, theta, 246)
+    continued = stopped.copy()
+    advance(setup, stopped, theta, 30)  # what happens to the original does not matter
+    advance(setup, continued, theta, SHORT.ticks - 246)
+    assert_same(continued, whole)
+
+
+def test_the_number_of_a_car_does_not_matter(oval):
+    """The same two drivers in the same places, numbered the other way round, drive the same race."""
+    slow, fast = lattice(pace=0.3), lattice(pace=0.8)
+    starts = draw_starts(oval, SHORT, 6, seed=0)
+    mirrored = Starts(starts.s, 1 - starts.side)
+    one = run_races(oval, [slow] * 6, fast, SHORT, starts=starts)
+    other = run_races(oval, [fast] * 6, slow, SHORT, starts=mirrored)
+    np.testing.assert_array_equal(one.state.cars, other.state.cars[:, ::-1])
+    np.testing.assert_array_equal(one.lead, -other.lead)
+    np.testing.assert_array_equal(one.state.fault, other.state.fault[:, ::-1])
+
+
+# Planners and tracks side by side
+
+
+def test_different_planners_in_one_batch_equal_separate_runs(oval):
+    egos = [lattice(pace=0.4), PYTHON.policy(), lattice(pace=0.8), STRAIGHT.policy()]
+    opponents = [lattice(), lattice(), PYTHON.policy({"pace": 0.5}), PYTHON.policy()]
+    starts = draw_starts(oval, SHORT, 4, seed=3)
+    mixed = run_races(oval, egos, opponents, SHORT, seed=3, starts=starts)
+    for k in range(4):
+        alone = run_races(oval, egos[k], opponents[k], SHORT, seed=3, starts=starts.take([k]))
+        row = RaceState._make(array[k : k + 1] for array in mixed.state)
+        assert_same(alone.state, row._replace(memory=alone.state.memory), skip=("seed",))
+        used = alone.state.memory.shape[2]
+        np.testing.assert_array_equal(row.memory[..., :used], alone.state.memory)
+
+
+def test_the_same_driver_compiled_and_in_python_drives_the_same_race(oval):
+    starts = draw_starts(oval, NOISY, 3, seed=0)
+    races = [
+        run_races(oval, [planner.policy()] * 3, lattice(), NOISY, starts=starts)
+        for planner in (STRAIGHT, STRAIGHT_IN_PYTHON)
+    ]
+    assert_same(races[1].state, races[0].state, skip=("memory",))
+
+
+def test_a_python_driver_is_asked_fifty_times_a_second(oval):
+    result = run_races(oval, PYTHON.policy(), PYTHON.policy({"pace": 0.5}), SHORT)
+    assert not result.crashed.any()
+    asked = result.state.memory[0, :, 2]  # after the two numbers of its command
+    np.testing.assert_array_equal(asked, [6.0 * 50.0] * 2)
+
+
+def test_a_python_driver_must_return_two_finite_numbers(oval):
+    broken = Planner("broken", (), drive=lambda track, theta, view, memory: (np.nan, 1.0))
+    with pytest.raises(InputError, match=r"race 0, car 0: planner 'broken' returned .*two finite numbers"):
+        run_races(oval, broken.policy(), lattice(), SHORT)
+
+
+def test_two_tracks_in_one_process_do_not_disturb_each_other(oval):
+    pipkin = load_track("Pipkin")
+    alone = [run_races(track, [lattice()] * 2, lattice(pace=0.9), SHORT).state for track in (oval, pipkin)]
+    parts = [begin(track, SHORT, [lattice()] * 2, [lattice(pace=0.9)] * 2) for track in (oval, pipkin)]
+    for _ in range(SHORT.ticks // 50):
+        for setup, state, theta in parts:
+            advance(setup, state, theta, 50)
+    for (_, state, _), expected in zip(parts, alone, strict=True):
+        assert_same(state, expected)
+
+
+def test_each_car_has_its_own_vehicle(oval):
+    standing = load_race_config("paper", duration=2.0, start_speed=0.0)
+    strong, weak = VehicleParams(), VehicleParams(a_max=1.5)
+    lead = run_races(oval, [lattice()] * 4, lattice(), standing, vehicles=(strong, weak)).lead
+    assert (lead > 1.0).all()
+    lead = run_races(oval, [lattice()] * 4, lattice(), standing, vehicles=(weak, strong)).lead
+    assert (lead < -1.0).all()
+
+
+# Progress
+
+
+def test_crossing_the_start_line_never_jumps_and_a_lap_adds_the_length():
+    track = load_track("Pipkin")
+    setup, state, theta = begin(track, PAPER, [lattice()] * 2, [lattice(pace=0.0)] * 2)
+    start = state.progress.copy() - state.frenet[..., 0]
+    while state.tick.max() < PAPER.ticks and not state.crashed.all():
+        before = state.progress.copy()
+        advance(setup, state, theta, 10)
+        driven = state.progress - before
+        # A tenth of a second: the line may be a third shorter than the way of a car outside it, and longer inside it.
+        assert (driven > -0.01).all()
+        assert (driven <= 0.1 * 9.0 * 1.5).all()
+    assert state.progress.max() > 2.0 * track.length
+    laps = (state.progress - state.frenet[..., 0] - start) / track.length
+    np.testing.assert_allclose(laps, np.round(laps), atol=1e-9)
+
+
+def test_going_backwards_over_the_line_gives_the_progress_back():
+    track = load_track("Pipkin")
+    still = load_race_config("paper", start_speed=0.0, duration=8.0)
+    reverse = Planner("reverse", (), drive=lambda track, theta, view, memory: (0.0, -2.0 if view[0] < 1.0 else 2.0))
+    setup = RaceSetup(track, still, (reverse, reverse))
+    state = start_races(setup, Starts(np.array([0.5]), np.array([0])), race_seeds(0, 1))
+    theta = np.zeros((1, 2, 1))
+    advance(setup, state, theta, 100)
+    assert (state.progress < -1.0).all()  # behind the start line, not a lap ahead
+    assert (state.frenet[..., 0] > 0.9 * track.length).all()
+    advance(setup, state, theta, 100)
+    assert not state.crashed.any()
+    assert (np.abs(state.progress) < 1.0).all()
+
+
+# Crashes
+
+
+def test_driving_into_a_wall_is_the_drivers_own_fault_and_ends_the_race(oval):
+    ahead = load_race_config("paper", start="staggered", start_gap=4.0, start_spacing=0.5)
+    result = run_races(oval, STRAIGHT.policy(), lattice(), ahead)
+    assert result.state.crash[0].tolist() == [WALL_CRASH, NO_CRASH]
+    assert result.state.fault[0].tolist() == [1, 0]
+    assert result.crashed.all()
+    assert result.own_crash.tolist() == [[True, False]]
+    assert 0.0 < result.time[0] < PAPER.duration
+
+
+def test_after_a_crash_the_race_stands_still(oval):
+    setup, state, theta = begin(oval, PAPER, [STRAIGHT.policy()] * 2, [lattice()] * 2)
+    advance(setup, state, theta, PAPER.ticks)
+    assert state.crashed.all()
+    before = state.copy()
+    advance(setup, state, theta, 100)
+    assert_same(state, before)
+
+
+def test_ramming_from_behind_is_the_fault_of_the_one_behind(oval):
+    config = load_race_config("paper", start="staggered", start_gap=2.0, start_spacing=0.0, start_speed=3.0)
+    front, rear = STRAIGHT.policy({"speed": 1.0}), STRAIGHT.policy({"speed": 8.0})
+    starts = draw_starts(oval, config, 1, seed=0)
+    result = run_races(oval, front, rear, config, starts=starts)
+    assert result.state.crash[0].tolist() == [2, 2]
+    assert result.state.fault[0].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("fault", "lead", "nobody", "fault_loses"),
+    [
+        ((0, 0), 3.0, 0, 0),  # no crash: the lead decides
+        ((0, 0), -3.0, 1, 1),
+        ((0, 0), 0.001, -1, -1),  # a tie
+        ((1, 0), 3.0, -1, 1),
+        ((0, 1), -3.0, -1, 0),
+        ((1, 1), 3.0, -1, -1),
+    ],
+)
+def test_who_wins(fault, lead, nobody, fault_loses):
+    state = empty_state(1, 0)
+    state.progress[0] = lead, 0.0
+    state.fault[0] = fault
+    state.crash[0] = 2 if any(fault) else NO_CRASH
+    starts = Starts(np.zeros(1), np.zeros(1, np.int64))
+    for config, expected in ((PAPER, nobody), (CONTEST, fault_loses)):
+        assert RaceResult(config, state, starts).winner.tolist() == [expected]
+
+
+def test_it_is_a_tie_where_the_cars_are_within_a_centimetre_of_each_other():
+    leads = np.array([0.0, 0.009, -0.009, 0.011, -0.011, 0.05, -0.05])
+    state = empty_state(len(leads), 0)
+    state.progress[:] = np.column_stack([100.0 + leads, np.full(len(leads), 100.0)])
+    starts = Starts(np.zeros(len(leads)), np.zeros(len(leads), np.int64))
+    for config in (PAPER, CONTEST):
+        assert RaceResult(config, state, starts).winner.tolist() == [-1, -1, -1, 0, 1, 0, 1]
+
+
+# Starts
+
+
+ROLLING = load_race_config("contest", start="rolling")
+
+
+@pytest.mark.parametrize("config", [PAPER, CONTEST, ROLLING], ids=lambda config: config.start)
+def test_starts_alternate_sides_on_several_lines(oval, config):
+    starts = draw_starts(oval, config, 10, seed=0)
+    assert len(np.unique(starts.s)) == 5
+    np.testing.assert_array_equal(starts.side, [0, 1] * 5)
+    np.testing.assert_array_equal(starts.s[::2], starts.s[1::2])  # each line from both sides
+
+
+@pytest.mark.parametrize("config", [PAPER, CONTEST, ROLLING], ids=lambda config: config.start)
+def test_the_cars_stand_beside_or_behind_each_other(oval, config):
+    setup = RaceSetup(oval, config, (LATTICE, LATTICE))
+    # On the straights, where distances along and across the track are those between the cars.
+    starts = Starts(np.repeat([4.0, 6.0, 8.0, 28.0, 32.0], 2), np.tile([0, 1], 5))
+    state = start_races(setup, starts, race_seeds(0, 10))
+    s, d = np.moveaxis(state.frenet, -1, 0)
+    rows = np.arange(10)
+    first, second = (rows, starts.side), (rows, 1 - starts.side)
+    np.testing.assert_allclose(d[first] - d[second], config.start_spacing, atol=1e-6)
+    gap = np.mod(s[first] - s[second] + 1.0, oval.length) - 1.0
+    np.testing.assert_allclose(gap, config.start_gap, atol=1e-6)
+    np.testing.assert_allclose(state.progress[first], 0.0)
+    np.testing.assert_allclose(state.progress[second], -config.start_gap)
+    low = setup.speed_range[0]
+    speed = state.cars[..., 3]
+    assert (speed > (5.0 if config.start == "rolling" else 3.9) * low).all()
+
+
+def test_more_races_do_not_move_the_starts_of_the_first_ones(oval):
+    few, many = (draw_starts(oval, PAPER, races, seed=7) for races in (4, 40))
+    np.testing.assert_array_equal(few.s, many.s[:4])
+
+
+def test_the_speed_range_comes_from_the_rules_else_from_the_calibration_of_the_circuit(oval):
+    planners = (LATTICE, LATTICE)
+    assert RaceSetup(oval, PAPER, planners).speed_range == (0.8, 1.0)
+    fixed = load_race_config("paper", speed_range=(0.5, 0.6))
+    assert RaceSetup(oval, fixed, planners).speed_range == (0.5, 0.6)
+    # Rules of another name take the preset that is as noisy as they are.
+    assert RaceSetup(oval, load_race_config("paper", name="mine"), planners).speed_range == (0.8, 1.0)
+    assert RaceSetup(oval, load_race_config("contest", name="mine"), planners).speed_range == (0.9, 1.14)
+
+
+def test_games_of_training_start_from_places_that_tables_do_not_use(oval):
+    for config in (PAPER, CONTEST):
+        train, test = (set(start_lines(oval, config, 0, split=split)) for split in ("train", "test"))
+        assert train
+        assert test
+        assert not train & test
+    with pytest.raises(InputError, match="split is 'both'; it must be 'train' or 'test'"):
+        start_lines(oval, PAPER, 0, split="both")
+
+
+def test_a_side_with_a_single_place_leaves_the_other_split_to_the_other_side(oval):
+    places = {"left": ((2.0, 9.5),), "right": ((26.5, 26.5),)}
+    lopsided = dataclasses.replace(oval, calibration={"paper": Calibration((0.8, 1.0), 0.9, places)})
+    train, test = (start_lines(lopsided, PAPER, 0, split=split) for split in ("train", "test"))
+    assert len(train) == len(test) == PAPER.start_lines
+    assert sorted(26.5 in lines for lines in (train, test)) == [False, True]
+    assert not set(train) & set(test)
+
+
+def test_the_start_of_one_race_is_that_of_the_batch(oval):
+    batch = draw_starts(oval, PAPER, 200, seed=3)
+    one = starts_of(oval, PAPER, [137], seed=3)
+    assert (one.s[0], one.side[0]) == (batch.s[137], batch.side[137])
+
+
+@pytest.mark.parametrize(
+    ("s", "side", "message"),
+    [
+        (-0.1, 0, "start line -0.1 m is not on track 'oval'"),
+        (1e6, 0, r"it must lie in \[0, 49"),
+        (np.nan, 0, "start line nan m is not on track"),
+        (1.0, 2, "start sides must be 0 or 1; found 2"),
+    ],
+)
+def test_a_start_off_the_track_is_refused(oval, s, side, message):
+    starts = Starts(np.array([1.0, s]), np.array([0, side]))
+    with pytest.raises(InputError, match=message):
+        run_races(oval, [lattice()] * 2, lattice(), SHORT, starts=starts)
+
+
+def test_a_start_in_the_wall_is_refused(oval):
+    wide = load_race_config("paper", start_spacing=2.0)
+    with pytest.raises(InputError, match=r"race 0: at start line 0.00 m .* in a wall"):
+        run_races(oval, lattice(), lattice(), wide, starts=Starts(np.zeros(1), np.zeros(1, np.int64)))
+    with pytest.raises(InputError, match="has no place from which two cars get away"):
+        run_races(oval, lattice(), lattice(), wide)
+
+
+# Measurements, noise, bad input
+
+
+def test_what_is_measured_while_driving(oval):
+    state = run_races(oval, [lattice()] * 4, lattice(pace=0.2), SHORT).state
+    assert not state.crashed.any()
+    np.testing.assert_allclose(state.sums[..., TIME], 6.0)
+    np.testing.assert_array_equal(state.sums[..., ITTC_SAMPLES], 120.0)
+    mean = state.sums[..., ITTC] / state.sums[..., ITTC_SAMPLES]
+    assert ((mean > 0.05) & (mean < SHORT.ittc_horizon)).all()
+    assert (state.sums[..., BLOCKING] <= 6.0).all()
+
+
+def test_steering_noise_is_nearly_normal_and_independent():
+    ticks = np.arange(0, 20000, 2)
+    draws = np.array([[steering_noise(np.uint64(7), car, tick) for tick in ticks] for car in (0, 1)])
+    assert np.abs(draws.mean(axis=1)).max() < 0.03
+    assert np.abs(draws.std(axis=1) - 1.0).max() < 0.03
+    assert np.abs(draws).max() < 3.5
+    assert abs(np.corrcoef(draws)[0, 1]) < 0.03
+    assert abs(np.corrcoef(draws[0, 1:], draws[0, :-1])[0, 1]) < 0.03
+    assert steering_noise(np.uint64(7), 0, 4) == draws[0, 2]
+
+
+def test_the_disturbance_has_the_standard_deviation_of_the_rules(oval):
+    config = load_race_config("contest", duration=3.0, steering_noise=0.02)
+    state = run_races(oval, [lattice(pace=0.0)] * 150, lattice(pace=0.0), config).state
+    assert state.disturbance[~state.crashed].std() == pytest.approx(0.02, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, True, None])
+def test_starts_and_noise_need_a_whole_number_as_seed(oval, seed):
+    with pytest.raises(InputError, match=f"seed is {seed}; it must be a whole number from 0"):
+        draw_starts(oval, PAPER, 2, seed)
+    with pytest.raises(InputError, match=f"seed is {seed}"):
+        race_seeds(seed, 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"opponents": 3}, "2 egos but 3 opponents"),
+        ({"seed": -1}, "seed is -1"),
+        ({"starts": Starts(np.zeros(1), np.zeros(1, np.int64))}, "2 races but 1 starts"),
+    ],
+)
+def test_bad_arguments_are_refused(oval, change, message):
+    change = dict(change)
+    opponents = [lattice()] * change.pop("opponents", 2)
+    with pytest.raises(InputError, match=message):
+        run_races(oval, [lattice()] * 2, opponents, SHORT, **change)
+
+
+def test_advance_refuses_odd_steps_and_parameters_that_do_not_fit(oval):
+    setup, state, theta = begin(oval, SHORT, [lattice()], [lattice()])
+    with pytest.raises(InputError, match="ticks is 3; it must be an even number"):
+        advance(setup, state, theta, 3)
+    with pytest.raises(InputError, match=r"theta has shape \(1, 2, 3\)"):
+        advance(setup, state, theta[..., :3], 2)
+    with pytest.raises(InputError, match="type float32"):
+        advance(setup, state, theta.astype(np.float32), 2)

@@ -1,0 +1,151 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pcs_racing import CONTEST, PAPER, RaceConfig, UnknownNameError, load_race_config
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.race.config import PRESETS
+
+
+def test_the_two_presets():
+    assert PRESETS == {"paper": PAPER, "contest": CONTEST}
+    assert RaceConfig() == PAPER
+    assert (PAPER.start, PAPER.steering_noise, PAPER.crash_rule) == ("side-by-side", 0.0, "nobody")
+    assert (CONTEST.start, CONTEST.crash_rule, CONTEST.aggressiveness) == ("staggered", "fault-loses", "pace")
+    assert CONTEST.steering_noise > 0.0
+    assert PAPER.ticks == CONTEST.ticks == 4000
+
+
+def test_the_papers_race():
+    """Side by side and undisturbed for 40 s; a crash pays nobody."""
+    values = dataclasses.asdict(PAPER)
+    assert values.pop("start_lines") > 1
+    assert values == {
+        "name": "paper",
+        "duration": 40.0,
+        "start": "side-by-side",
+        "start_gap": 0.0,
+        "start_spacing": 0.9,
+        "start_speed": 4.0,
+        "steering_noise": 0.0,
+        "noise_time": 0.28,
+        "speed_range": None,
+        "crash_rule": "nobody",
+        "aggressiveness": "lead",
+        "ittc_horizon": 10.0,
+        "stay_move": False,
+    }
+    assert CONTEST.stay_move
+
+
+@pytest.mark.parametrize(
+    ("key", "low", "high", "more"),
+    [
+        ("duration", 0.1, 3600.0, {}),
+        ("start_gap", 0.8, 50.0, {"start": "staggered"}),
+        ("start_gap", 0.0, 50.0, {}),
+        ("start_spacing", 0.4, 10.0, {}),
+        ("start_spacing", 0.0, 10.0, {"start": "rolling", "start_gap": 1.0}),
+        ("start_speed", 0.0, 15.0, {}),
+        ("steering_noise", 0.0, 0.4, {}),
+        ("noise_time", 0.01, 60.0, {}),
+        ("ittc_horizon", 0.1, 1000.0, {}),
+        ("start_lines", 1, 1000, {}),
+    ],
+)
+def test_every_number_has_a_least_and_a_largest_value(key, low, high, more):
+    step = 1 if isinstance(low, int) else 0.1 if key == "duration" else 1e-6
+    for value in (low, high):
+        assert getattr(RaceConfig(**{key: value}, **more), key) == value
+    for value in (low - step, high + step, float("nan"), True, "1", None):
+        with pytest.raises(ConfigError, match=key):
+            RaceConfig(**{key: value}, **more)
+
+
+def test_speed_ranges_run_from_a_tenth_to_three():
+    for speeds in ((0.1, 3.0), [0.5, 1]):
+        assert RaceConfig(speed_range=speeds).speed_range == tuple(speeds)
+    for speeds in ((0.09, 1.0), (0.5, 3.1), (0.9, 0.9), (1.0, 0.5), (1.0,), (0.5, 0.6, 0.7), "ab", (True, 2.0), 0.5):
+        with pytest.raises(ConfigError, match="speed_range"):
+            RaceConfig(speed_range=speeds)
+
+
+def test_a_configuration_by_name_with_changes():
+    config = load_race_config("contest", duration=16.0)
+    assert config == dataclasses.replace(CONTEST, duration=16.0)
+
+
+def test_a_configuration_from_yaml(tmp_path):
+    file = tmp_path / "my rules.yaml"
+    file.write_text("preset: contest\nname: sprint\nduration: 12.5\nspeed_range: [0.8, 1.1]\n")
+    config = load_race_config(file, start_gap=3.0)
+    assert config == dataclasses.replace(CONTEST, name="sprint", duration=12.5, speed_range=(0.8, 1.1), start_gap=3.0)
+    hash(config)  # the range is a tuple, not a list
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("durration: 4", r"rules.yaml: unknown race setting 'durration'; known are name, duration"),
+        ("7: 4", "unknown race setting 7"),
+        ("preset: cup", "preset is 'cup'; it must be one of paper, contest"),
+        ("preset: [paper]", "preset is"),
+        ("- 1\n- 2", "holds list; it must be a mapping"),
+        ("", "holds NoneType"),
+        ("a: [", "is not valid YAML"),
+        ("!!python/object/apply:os.system ['true']", "is not valid YAML"),
+        ("duration: forty", "duration is 'forty'"),
+    ],
+)
+def test_a_bad_file_is_one_clear_error(tmp_path, text, message):
+    file = tmp_path / "rules.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_race_config(file)
+
+
+def test_an_unknown_name_lists_the_presets():
+    with pytest.raises(UnknownNameError, match=r"race preset 'papper' is unknown; use paper, contest or the path"):
+        load_race_config("papper")
+    with pytest.raises(ConfigError, match="unknown race setting 'wind'"):
+        load_race_config("paper", wind=3.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("duration", 0.0),
+        ("duration", 12.34),
+        ("duration", np.nan),
+        ("duration", True),
+        ("start", "flying"),
+        ("start_spacing", 0.3),
+        ("start_spacing", -1.0),
+        ("start_speed", 16.0),
+        ("start_lines", 0),
+        ("start_lines", 2.5),
+        ("start_lines", True),
+        ("steering_noise", -0.01),
+        ("noise_time", 0.0),
+        ("speed_range", (1.0, 0.9)),
+        ("speed_range", (0.9,)),
+        ("speed_range", ("a", "b")),
+        ("speed_range", 1.0),
+        ("crash_rule", "both"),
+        ("aggressiveness", "anger"),
+        ("ittc_horizon", np.inf),
+        ("stay_move", 1),
+        ("name", ""),
+    ],
+)
+def test_impossible_values_are_refused_by_name(key, value):
+    with pytest.raises(ConfigError, match=f"^{key} is"):
+        RaceConfig(**{key: value})
+
+
+@pytest.mark.parametrize("start", ["staggered", "rolling"])
+def test_one_behind_the_other_needs_a_gap(start):
+    with pytest.raises(ConfigError, match=f"start_gap is 0.0 m; a {start} start needs at least 0.8 m"):
+        RaceConfig(start=start)
+    RaceConfig(start=start, start_gap=0.8)

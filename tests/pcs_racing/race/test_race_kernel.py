@@ -1,0 +1,552 @@
+"""What a race counts and whom it blames, against a second account of it in a few lines of numpy.
+
+All of it also runs as plain Python (``NUMBA_DISABLE_JIT=1``) in little time: ``make mutants`` runs it that way.
+"""
+
+import numpy as np
+import pytest
+
+from pcs_racing import Parameter, Planner, RaceSetup, Starts, VehicleParams, advance, load_race_config, start_races
+from pcs_racing.base.compilation import compiled
+from pcs_racing.car.ittc import minimum_ittc
+from pcs_racing.car.vehicle import F1TENTH, simulate
+from pcs_racing.planners.planner import VIEW, VIEW_SIZE
+from pcs_racing.race.kernel import fill_view, measure_ittc, place_cars, steering_noise, update_progress
+from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
+
+X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
+COLUMN = {name: k for k, name in enumerate(SUMS)}
+STEP, PERIOD = 0.01, 0.02  # s: of the simulation, and between two commands
+
+# Two cars that have no number in common, so that none can stand for the other's.
+SHORT = VehicleParams(mu=1.0, c_sf=4.5, c_sr=5.3, lf=0.15, lr=0.17, h=0.07, width=0.30, length=0.50)
+LONG = VehicleParams(mu=1.05, c_sf=4.7, c_sr=5.5, lf=0.16, lr=0.18, h=0.08, width=0.36, length=0.70, steer_max=0.4)
+CARS = (SHORT, LONG)
+
+
+def change_lanes(track, theta, view, memory):
+    """Along the race line at a speed that swells and falls; out of the other one's way while it is near."""
+    seen = dict(zip(VIEW, view, strict=True))
+    sample = track.line[int(seen["S"] / track.arrays.ds) % len(track.line)]
+    lane = theta[2] if abs(seen["GAP"]) < 1.8 else 0.0
+    turn = np.mod(sample[4] - seen["PSI"] + np.pi, 2.0 * np.pi) - np.pi
+    return 1.2 * turn - 0.8 * (seen["D"] - lane) + 0.33 * sample[5], theta[0] + theta[1] * np.sin(seen["TIME"])
+
+
+@compiled
+def hold(track, theta, view, memory, scratch, path, command):
+    command[0] = theta[0]
+    command[1] = theta[1]
+
+
+DRIVER = Planner(
+    "lanes",
+    (
+        Parameter("speed", 0.0, 9.0, 4.0, "m/s"),
+        Parameter("swell", -3.0, 3.0, 0.0, "m/s"),
+        Parameter("lane", -1.0, 1.0, 0.0, "m"),
+    ),
+    drive=change_lanes,
+)
+HOLD = Planner(
+    "hold", (Parameter("steer", -0.4, 0.4, 0.0, "rad"), Parameter("speed", -3.0, 9.0, 4.0, "m/s")), control=hold
+)
+RULES = load_race_config(
+    "paper", start="staggered", start_gap=2.4, start_spacing=0.0, steering_noise=0.02, noise_time=0.5, duration=9.0
+)
+
+
+def wrapped(angle):
+    return np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
+
+
+def placed(track, poses, speeds=(0.0, 0.0), drivers=((0.0, 0.0), (0.0, 0.0)), vehicles=(F1TENTH, F1TENTH), **rules):
+    """A race of two cars that stand at (s, d) or (s, d, turned by), with what is needed to drive it on."""
+    config = load_race_config("paper", **rules)
+    setup = RaceSetup(track, config, (HOLD, HOLD), vehicles)
+    state = empty_state(1, setup.memory_size)
+    for car, (s, d, *turned) in enumerate(poses):
+        x, y, psi = track.to_cartesian([s, d])
+        state.cars[0, car, [X, Y, PSI]] = x, y, psi + sum(turned)
+        state.cars[0, car, V] = speeds[car]
+        state.progress[0, car] = s
+    place_cars(track.arrays, state, np.stack([[vehicle.as_row() for vehicle in vehicles]]))
+    return setup, state, np.array([drivers])
+
+
+class Account:
+    """What becomes of a race, written down once more from where the cars are."""
+
+    def __init__(self, setup, state):
+        self.setup, self.state = setup, state
+        self.sums, self.overtakes, self.leader = np.zeros((2, len(SUMS))), [0, 0], None
+        self.disturbance, self.progress = np.zeros(2), state.progress[0].copy()
+
+    def drive(self, theta):
+        """Drive for a control period, by the kernel and here."""
+        setup, state, rules = self.setup, self.state, self.setup.config
+        tick, cars, s = int(state.tick[0]), state.cars[0].copy(), state.frenet[0, :, 0].copy()
+        views = np.zeros((2, VIEW_SIZE))
+        rows = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
+        for car in range(2):
+            fill_view(setup.track.arrays, state, 0, car, rows, setup.settings, views[car])
+        advance(setup, state, theta, 2)
+
+        asked = np.array([change_lanes(setup.track, theta[0, car], views[car], None) for car in range(2)])
+        keep = np.exp(-PERIOD / rules.noise_time)
+        draws = np.array([steering_noise(state.seed[0], car, tick) for car in range(2)])
+        self.disturbance = keep * self.disturbance + rules.steering_noise * np.sqrt(1.0 - keep**2) * draws
+        np.testing.assert_allclose(state.disturbance[0], self.disturbance, atol=1e-12)
+        np.testing.assert_allclose(state.command[0], asked + np.outer(self.disturbance, [1, 0]), atol=1e-12)
+
+        ways = [
+            simulate(cars[car], np.tile(state.command[0, car], (2, 1)), params=setup.vehicles[car]) for car in range(2)
+        ]
+        np.testing.assert_allclose(state.cars[0], [way[2] for way in ways], atol=1e-9)
+        at = setup.track.to_frenet(state.cars[0][:, :2])
+        np.testing.assert_allclose(state.frenet[0], at, atol=1e-6)
+        length = setup.track.length
+        self.progress += np.mod(at[:, 0] - s + 0.5 * length, length) - 0.5 * length
+        np.testing.assert_allclose(state.progress[0], self.progress, atol=1e-5)
+
+        lead = self.progress[0] - self.progress[1]
+        if abs(lead) > setup.vehicles[0].length:
+            ahead = 0 if lead > 0.0 else 1
+            self.overtakes[ahead] += self.leader == 1 - ahead
+            self.leader = ahead
+        in_the_way = abs(at[0, 1] - at[1, 1]) < 0.5 * (setup.vehicles[0].width + setup.vehicles[1].width)
+        for car, (before, _, after) in enumerate(ways):
+            own_lead = lead if car == 0 else -lead
+            self.sums[car, COLUMN["BLOCKING"]] += PERIOD * (in_the_way and 0.0 < own_lead < 3.0)
+            self.sums[car, COLUMN["STEERING"]] += abs(after[DELTA] - before[DELTA])
+            self.sums[car, COLUMN["LATERAL"]] += (after[V] * after[PSI_DOT]) ** 2 * PERIOD
+            self.sums[car, COLUMN["TIME"]] += PERIOD
+        for k in (1, 2):
+            if (tick + k) % 5 == 0:
+                for car in range(2):
+                    self.sums[car, COLUMN["ITTC"]] += time_to_collision(setup, car, ways[car][k], ways[1 - car][k])
+                    self.sums[car, COLUMN["ITTC_SAMPLES"]] += 1
+        return at
+
+
+def velocity(car):
+    return car[V] * np.cos(car[PSI] + car[BETA]), car[V] * np.sin(car[PSI] + car[BETA])
+
+
+def time_to_collision(setup, car, own, other):
+    s = float(setup.track.to_frenet(own[:2])[0])
+    half = 0.5 * setup.vehicles[1 - car].length, 0.5 * setup.vehicles[1 - car].width
+    horizon = setup.config.ittc_horizon
+    place = (own[X], own[Y], *velocity(own), s, other[X], other[Y], other[PSI], *half)
+    return minimum_ittc(setup.track.arrays, *place, *velocity(other), True, horizon)
+
+
+def test_a_race_counts_what_a_second_account_of_it_counts(coarse_oval):
+    """Two cars that pass each other, block each other and change lanes, over the start line."""
+    setup = RaceSetup(coarse_oval, RULES, (DRIVER, DRIVER), CARS)
+    starts = Starts(np.array([coarse_oval.length - 5.0]), np.array([1]))  # car 1 in front
+    state = start_races(setup, starts, np.array([5], np.uint64))
+    theta = np.array([[[3.6, 1.6, 0.35], [3.5, -1.6, -0.35]]])
+    account, moments = Account(setup, state), []
+    for _ in range(RULES.ticks // 2):
+        moments.append(account.drive(theta))
+        assert not state.crashed.any()
+        np.testing.assert_allclose(state.sums[0], account.sums, rtol=1e-6, atol=1e-9)
+        assert state.overtakes[0].tolist() == account.overtakes
+        assert state.leader[0] == (-1 if account.leader is None else account.leader)
+    # The race had what there is to count.
+    assert min(account.overtakes) >= 1
+    assert (account.sums[:, COLUMN["BLOCKING"]] > 0.5).all()
+    assert (account.sums[:, COLUMN["BLOCKING"]] < 8.0).all()
+    assert np.ptp(moments, axis=0)[:, 0].min() > 0.9 * coarse_oval.length  # over the start line
+    np.testing.assert_allclose(account.sums[:, COLUMN["TIME"]], 9.0)
+    np.testing.assert_array_equal(account.sums[:, COLUMN["ITTC_SAMPLES"]], 9.0 * 20)
+
+
+def test_what_a_race_measures_does_not_depend_on_measuring_the_ittc(coarse_oval):
+    setup = RaceSetup(coarse_oval, RULES, (DRIVER, DRIVER), CARS)
+    starts = Starts(np.array([2.0]), np.array([0]))
+    theta = np.array([[[3.6, 1.6, 0.35], [3.5, -1.6, -0.35]]])
+    states = [start_races(setup, starts, np.array([5], np.uint64)) for _ in range(2)]
+    for state, ittc in zip(states, (True, False), strict=True):
+        advance(setup, state, theta, 50, ittc=ittc)
+    np.testing.assert_array_equal(states[0].cars, states[1].cars)
+    assert (states[0].sums[0, :, :2] > 0.0).all()
+    assert (states[1].sums[0, :, :2] == 0.0).all()
+
+
+# What drivers see
+
+
+def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
+    setup = RaceSetup(coarse_oval, RULES, (DRIVER, DRIVER), CARS)
+    state = start_races(setup, Starts(np.array([10.0]), np.array([0])), np.array([5], np.uint64))
+    theta = np.array([[[3.6, 1.6, 0.35], [3.5, -1.6, -0.35]]])
+    advance(setup, state, theta, 150)
+    rows = np.stack([vehicle.as_row() for vehicle in CARS])
+    view = np.zeros(VIEW_SIZE)
+    for car in range(2):
+        fill_view(coarse_oval.arrays, state, 0, car, rows, setup.settings, view)
+        own, other = state.cars[0, car], state.cars[0, 1 - car]
+        (s, d), (other_s, other_d) = coarse_oval.to_frenet(own[:2]), coarse_oval.to_frenet(other[:2])
+        body, rival = CARS[car], CARS[1 - car]
+        # The rate at which its distance from the line grows: by moving it a little along its course.
+        later = coarse_oval.to_frenet(other[:2] + 1e-4 * np.array(velocity(other)))[1]
+        stiffness = body.mu * 9.81
+        expected = {
+            "TIME": 1.5,
+            "X": own[X],
+            "Y": own[Y],
+            "DELTA": own[DELTA],
+            "V": own[V],
+            "PSI": own[PSI],
+            "PSI_DOT": own[PSI_DOT],
+            "BETA": own[BETA],
+            "S": s,
+            "D": d,
+            "OPP_X": other[X],
+            "OPP_Y": other[Y],
+            "OPP_V": other[V],
+            "OPP_PSI": other[PSI],
+            "OPP_BETA": other[BETA],
+            "OPP_S": other_s,
+            "OPP_D": other_d,
+            "GAP": state.progress[0, 1 - car] - state.progress[0, car],
+            "LENGTH": body.length,
+            "WIDTH": body.width,
+            "WHEELBASE": body.wheelbase,
+            "STEER_MAX": body.steer_max,
+            "UNDERSTEER": (1.0 / body.c_sf - 1.0 / body.c_sr) / stiffness,
+            "UNDERSTEER_GAIN": body.h
+            * (1.0 / (body.c_sf * body.lr) + 1.0 / (body.c_sr * body.lf))
+            / (stiffness * 9.81),
+            "OPP_LENGTH": rival.length,
+            "OPP_WIDTH": rival.width,
+            "SPEED_LOW": 0.8,
+            "SPEED_HIGH": 1.0,
+        }
+        seen = dict(zip(VIEW, view, strict=True))
+        assert seen.pop("OPP_D_DOT") == pytest.approx((later - other_d) / 1e-4, abs=0.15)
+        assert seen == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_understeer_of_the_view_keeps_a_car_on_its_circle():
+    """Steering of the wheelbase over the radius, and the view's addition for the tyres: the yaw rate is v / r."""
+    setup = RaceSetup(None, RULES, (HOLD, HOLD), CARS)
+    for car, body in enumerate(CARS):
+        v, radius = 3.0, 5.0
+        understeer = (1.0 / body.c_sf - 1.0 / body.c_sr) / (body.mu * 9.81)
+        steer = body.wheelbase / radius + understeer * v * v / radius
+        start = np.array([0.0, 0.0, steer, v, 0.0, 0.0, 0.0])
+        ended = simulate(start, np.tile([steer, v], (400, 1)), params=setup.vehicles[car])[-1]
+        assert ended[PSI_DOT] == pytest.approx(v / radius, rel=0.01)
+
+
+# Noise
+
+
+def noise(count: int, seed: int, car: int = 0) -> np.ndarray:
+    return np.array([steering_noise(np.uint64(seed), car, tick) for tick in range(0, 2 * count, 2)])
+
+
+def test_noise_is_standard_and_different_for_each_race_and_car():
+    draws = noise(8000, seed=1)
+    assert abs(draws.mean()) < 0.04
+    assert abs(draws.std() - 1.0) < 0.02
+    assert np.abs(draws).max() <= 3.5
+    assert stats_kurtosis(draws) == pytest.approx(-0.3, abs=0.15)
+    for lag in (1, 2, 3):
+        assert abs(np.corrcoef(draws[:-lag], draws[lag:])[0, 1]) < 0.04
+    for other in (noise(8000, seed=2), noise(8000, seed=1, car=1)):
+        for lag in (0, 1, 2):
+            assert abs(np.corrcoef(draws[lag:], other[: len(other) - lag])[0, 1]) < 0.04
+            assert abs(np.corrcoef(other[lag:], draws[: len(other) - lag])[0, 1]) < 0.04
+    np.testing.assert_array_equal(draws, noise(8000, seed=1))
+
+
+def stats_kurtosis(x):
+    z = (x - x.mean()) / x.std()
+    return (z**4).mean() - 3.0
+
+
+def test_noise_is_the_sum_of_the_four_parts_of_a_scrambled_number():
+    """With whole numbers of Python's, which do not overflow."""
+
+    def scrambled(key):
+        key = (key ^ (key >> 30)) * 0xBF58476D1CE4E5B9 % 2**64
+        key = (key ^ (key >> 27)) * 0x94D049BB133111EB % 2**64
+        return key ^ (key >> 31)
+
+    for seed, car, tick in ((0, 0, 0), (7, 1, 0), (2**63 + 5, 0, 398), (12345, 1, 7998)):
+        key = scrambled((seed + 0x9E3779B97F4A7C15 * (2 * tick + car + 1)) % 2**64)
+        key = scrambled((key + 0xD1B54A32D192ED03) % 2**64)
+        parts = [(key >> shift) % 65536 / 65535 for shift in (0, 16, 32, 48)]
+        expected = (sum(parts) - 2.0) * np.sqrt(3.0)  # four uniform numbers have the variance 4 / 12
+        assert steering_noise(np.uint64(seed), car, tick) == pytest.approx(expected, abs=1e-12)
+
+
+def disturbances(track, rules, count=6000):
+    """Steering disturbances of a race whose cars stand still, shape (count, 2)."""
+    setup, state, theta = placed(track, [(2.0, 0.0), (8.0, 0.0)], **rules, duration=0.02 * count)
+    state.seed[:] = 3
+    found = np.empty((count, 2))
+    for k in range(count):
+        advance(setup, state, theta, 2, ittc=False)
+        found[k] = state.disturbance[0]
+        state.crash[:] = 0
+    return found
+
+
+def test_each_car_has_its_own_disturbance_and_it_fades_over_the_time_of_the_rules(coarse_oval):
+    found = disturbances(coarse_oval, {"steering_noise": 0.03, "noise_time": 0.1}, 3000)
+    np.testing.assert_allclose(found.std(axis=0), 0.03, rtol=0.1)
+    assert abs(np.corrcoef(found.T)[0, 1]) < 0.1
+    lag = round(0.1 / PERIOD)
+    for car in range(2):
+        faded = np.corrcoef(found[:-lag, car], found[lag:, car])[0, 1]
+        assert faded == pytest.approx(np.exp(-1.0), abs=0.08)
+
+
+def test_without_noise_races_of_different_seeds_are_alike_and_with_it_they_are_not(coarse_oval):
+    for spread in (0.0, 0.02):
+        config = load_race_config(RULES, steering_noise=spread)
+        setup = RaceSetup(coarse_oval, config, (HOLD, HOLD))
+        state = start_races(setup, Starts(np.full(2, 1.0), np.zeros(2, np.int64)), np.array([1, 2], np.uint64))
+        advance(setup, state, np.tile([0.0, 4.0], (2, 2, 1)), 40)
+        assert (state.cars[0] != state.cars[1]).any() == (spread > 0.0)
+
+
+# Crashes and who is to blame
+
+
+def crash_and_fault(state):
+    return state.crash[0].tolist(), state.fault[0].tolist()
+
+
+@pytest.mark.parametrize(
+    ("places", "crash", "fault"),
+    [
+        ([(2.0, 0.0), (6.0, 0.0)], [NO_CRASH, NO_CRASH], [0, 0]),
+        ([(2.0, 1.15), (6.0, 0.0)], [WALL_CRASH, NO_CRASH], [1, 0]),
+        ([(2.0, 0.0), (6.0, 1.15)], [NO_CRASH, WALL_CRASH], [0, 1]),
+        ([(2.0, -1.15), (6.0, 1.15)], [WALL_CRASH, WALL_CRASH], [1, 1]),
+        ([(6.0, 1.15), (6.3, 1.0)], [WALL_CRASH, NO_CRASH], [1, 0]),  # and in each other
+        ([(6.0, 0.0), (6.5, 0.0)], [CAR_CRASH, CAR_CRASH], [1, 1]),  # both stand
+    ],
+)
+def test_a_wall_is_the_fault_of_the_car_that_stands_in_it(coarse_oval, places, crash, fault):
+    _, state, _ = placed(coarse_oval, places)
+    assert crash_and_fault(state) == (crash, fault)
+
+
+@pytest.mark.parametrize("runs", [0, 1])
+def test_a_car_that_runs_into_a_wall_is_blamed_alone(coarse_oval, runs):
+    """It steers to the side on the straight while the other one stands in the middle."""
+    poses = [(3.0, 0.0, 0.6), (9.0, 0.0)]
+    drivers, speeds = [(0.0, 4.0), (0.0, 0.0)], [4.0, 0.0]
+    order = slice(None) if runs == 0 else slice(None, None, -1)
+    setup, state, theta = placed(coarse_oval, poses[order], speeds[order], drivers[order])
+    advance(setup, state, theta, 200)
+    blamed = [1, 0][order]
+    assert crash_and_fault(state) == ([WALL_CRASH * own for own in blamed], blamed)
+    assert 0 < state.tick[0] < 200
+    after = state.copy()
+    advance(setup, state, theta, 100)  # nothing moves any more
+    for one, other in zip(state, after, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("runs", [0, 1])
+def test_a_car_that_runs_into_the_other_is_blamed_alone(coarse_oval, runs):
+    poses, speeds, drivers = [(3.0, 0.0), (6.0, 0.0)], [5.0, 0.0], [(0.0, 5.0), (0.0, 0.0)]
+    order = slice(None) if runs == 0 else slice(None, None, -1)
+    setup, state, theta = placed(coarse_oval, poses[order], speeds[order], drivers[order])
+    advance(setup, state, theta, 200)
+    assert crash_and_fault(state) == ([CAR_CRASH, CAR_CRASH], [1, 0][order])
+
+
+def test_each_car_is_as_long_and_as_wide_as_its_own_parameters_say(coarse_oval):
+    """A long and a short car in one place after the other, until they touch or reach into a wall."""
+    for vehicles in ((SHORT, LONG), (LONG, SHORT)):
+        lengths = 0.5 * (vehicles[0].length + vehicles[1].length)
+        widths = 0.5 * (vehicles[0].width + vehicles[1].width)
+        for apart, touch in ((-0.01, True), (0.01, False)):
+            _, state, _ = placed(coarse_oval, [(5.0, 0.0), (5.0 + lengths + apart, 0.0)], vehicles=vehicles)
+            assert state.crashed[0] == touch
+            _, state, _ = placed(coarse_oval, [(5.0, 0.0), (5.0, widths + apart)], vehicles=vehicles)
+            assert state.crashed[0] == touch
+        for car, vehicle in enumerate(vehicles):
+            for side in (-1.0, 1.0):
+                clear = [wall_at(coarse_oval, 6.0, side) - 0.5 * vehicle.width - into for into in (0.02, -0.02)]
+                for d, hit in zip(clear, (False, True), strict=True):
+                    places = [(11.0, 0.0), (11.0, 0.0)]
+                    places[car] = (6.0, side * d)
+                    _, state, _ = placed(coarse_oval, places, vehicles=vehicles)
+                    assert state.crash[0].tolist() == [WALL_CRASH * int(hit and k == car) for k in range(2)]
+
+
+def wall_at(track, s, side):
+    """Distance from the race line to the wall beside it, from the wall segments."""
+    x, y, psi = track.to_cartesian([s, 0.0])
+    ax, ay, bx, by = (track.arrays.walls - [x, y, x, y]).T
+    across = side * np.array([-np.sin(psi), np.cos(psi)])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way = (ax * by - ay * bx) / (across[0] * (by - ay) - across[1] * (bx - ax))
+        along = (ax * across[1] - ay * across[0]) / (across[0] * (by - ay) - across[1] * (bx - ax))
+    return way[(way > 0.0) & (along >= 0.0) & (along <= 1.0)].min()
+
+
+# Passes, blocking and progress
+
+
+def lead_by(track, leads, vehicles=(F1TENTH, F1TENTH)):
+    """Overtakes and the leader after car 0 led by so much, moment after moment."""
+    setup, state, theta = placed(track, [(4.0, -0.4), (4.0, 0.4)], vehicles=vehicles)
+    for lead in leads:
+        state.progress[0] = 4.0 + lead, 4.0
+        advance(setup, state, theta, 2)
+        assert not state.crashed.any()
+    return state.overtakes[0].tolist(), int(state.leader[0])
+
+
+def test_a_pass_counts_once_the_car_leads_by_more_than_its_length(coarse_oval):
+    own = F1TENTH.length
+    assert lead_by(coarse_oval, [0.0, 0.5]) == ([0, 0], -1)  # nobody has led yet
+    assert lead_by(coarse_oval, [-1.0, own - 0.01]) == ([0, 0], 1)  # beside, and a bit ahead: not yet
+    assert lead_by(coarse_oval, [-1.0, own + 0.01]) == ([1, 0], 0)
+    assert lead_by(coarse_oval, [1.0, 0.1, -0.1, 0.1, -own - 0.01]) == ([0, 1], 1)
+    assert lead_by(coarse_oval, [1.0, -0.5, 1.0]) == ([0, 0], 0)  # it never lost the lead by a length
+    assert lead_by(coarse_oval, [1.0, -1.0, 1.0, 2.0, -1.0]) == ([1, 2], 1)
+    assert lead_by(coarse_oval, [-1.0, 0.6], vehicles=(SHORT, F1TENTH)) == ([1, 0], 0)
+    assert lead_by(coarse_oval, [-1.0, 0.6], vehicles=(LONG, F1TENTH)) == ([0, 0], 1)
+
+
+@pytest.mark.parametrize(
+    ("ahead", "beside", "blocking"),
+    [
+        (1.0, 0.0, True),
+        (2.95, 0.0, True),
+        (3.05, 0.0, False),  # its reach is 3 m
+        (3.95, 0.0, False),
+        (1.0, 0.30, True),
+        (1.0, 0.36, False),  # not in its way: half of the two widths is 0.33
+        (1.0, -0.30, True),
+        (1.0, -0.36, False),
+    ],
+)
+@pytest.mark.parametrize("leader", [0, 1])
+def test_blocking_is_credited_to_the_car_ahead(coarse_oval, leader, ahead, beside, blocking):
+    order = slice(None) if leader == 0 else slice(None, None, -1)
+    poses = [(3.0 + ahead, 0.15 + beside), (3.0, 0.15)][order]
+    setup, state, theta = placed(coarse_oval, poses, vehicles=CARS)
+    advance(setup, state, theta, 20)
+    expected = [0.2 * blocking, 0.0][order]
+    np.testing.assert_allclose(state.sums[0, :, COLUMN["BLOCKING"]], expected)
+
+
+def test_cars_side_by_side_block_nobody(coarse_oval):
+    setup, state, theta = placed(coarse_oval, [(4.0, -0.4), (4.0, 0.4)])
+    state.progress[0] = 4.0
+    advance(setup, state, theta, 20)
+    assert (state.sums[0, :, COLUMN["BLOCKING"]] == 0.0).all()
+
+
+def test_the_squared_lateral_acceleration_of_a_circle(coarse_oval):
+    """Each car steers by its own angle; what a car at v and psi_dot adds in a second is (v psi_dot)^2."""
+    setup, state, theta = placed(
+        coarse_oval, [(2.0, 0.0), (8.0, 0.0)], [1.0, 1.5], [(0.15, 1.0), (-0.03, 1.5)], duration=5.0
+    )
+    advance(setup, state, theta, 60)
+    before = state.sums[0, :, COLUMN["LATERAL"]].copy()
+    sideways = state.cars[0, :, V] * state.cars[0, :, PSI_DOT]
+    advance(setup, state, theta, 20)
+    added = state.sums[0, :, COLUMN["LATERAL"]] - before
+    np.testing.assert_allclose(added, 0.2 * sideways**2, rtol=0.02)
+    assert added[0] > 2.0 * added[1]
+
+
+def test_crossing_the_start_line_either_way_does_not_jump(coarse_oval):
+    arrays = coarse_oval.arrays
+    for from_s, to_s in ((-0.1, 0.15), (0.2, -0.05), (5.0, 5.3), (5.0, 4.8)):
+        state = empty_state(1, 0)
+        for car, shift in ((0, 0.0), (1, to_s - from_s)):
+            x, y, psi = coarse_oval.to_cartesian([np.mod(from_s + shift, coarse_oval.length), 0.3])
+            state.cars[0, car, [X, Y, PSI]] = x, y, psi
+            state.frenet[0, car] = np.mod(from_s, coarse_oval.length), 0.0
+        state.progress[0] = 100.0, 100.0
+        update_progress(arrays.line, arrays.ds, arrays.length, state.cars, state.frenet, state.progress, 0)
+        np.testing.assert_allclose(state.progress[0], [100.0, 100.0 + to_s - from_s], atol=1e-6)
+        np.testing.assert_allclose(state.frenet[0, :, 0], np.mod([from_s, to_s], coarse_oval.length), atol=1e-6)
+        np.testing.assert_allclose(state.frenet[0, :, 1], 0.3, atol=1e-6)
+
+
+# The minimum time to collision of a race
+
+
+def sampled(track, poses, speeds, vehicles=(F1TENTH, F1TENTH), horizon=10.0):
+    """Minimum time to collision of both cars at one moment."""
+    setup, state, _ = placed(track, poses, speeds, vehicles=vehicles)
+    arrays = setup.track.arrays
+    rows = np.stack([vehicle.as_row() for vehicle in vehicles])
+    seen = (arrays.walls, arrays.seen_start, arrays.seen, arrays.seen_distance, arrays.seen_middle)
+    measure_ittc(*seen, arrays.seen_stretch, state.cars, state.frenet, state.sums, 0, rows, horizon)
+    np.testing.assert_array_equal(state.sums[0, :, COLUMN["ITTC_SAMPLES"]], 1.0)
+    return state.sums[0, :, COLUMN["ITTC"]]
+
+
+def test_the_time_to_collision_of_a_race_is_with_the_velocity_of_the_other_car_taken_off(coarse_oval):
+    apart = 3.0 - 0.5 * F1TENTH.length  # from the middle of one to the nearer end of the other
+    width = np.mean([wall_at(coarse_oval, s, side) for s in (2.0, 5.0) for side in (-1.0, 1.0)])
+    following = [(2.0, 0.0), (5.0, 0.0)]
+    together = sampled(coarse_oval, following, (0.2, 0.2), horizon=100.0)
+    np.testing.assert_allclose(together, 2.0 * width / 0.2, rtol=0.05)  # only walls: twice the way to them
+    towards = sampled(coarse_oval, [(2.0, 0.0), (5.0, 0.0, np.pi)], (2.0, 3.0), horizon=100.0)
+    np.testing.assert_allclose(towards, apart / 5.0, rtol=1e-3)
+    caught = sampled(coarse_oval, following, (9.0, 1.0))
+    assert caught[0] == pytest.approx(min(apart / 8.0, 2.0 * width / 9.0), rel=0.05)
+    assert caught[1] == pytest.approx(apart / 8.0, rel=1e-3)
+    # Whichever of the two stands: the time is the same for both.
+    for poses, speeds in (([2.0, 3.0], (4.0, 0.0)), ([3.0, 2.0], (0.0, 4.0))):
+        hit = sampled(coarse_oval, [(s, 0.0) for s in poses], speeds, horizon=100.0)
+        np.testing.assert_allclose(hit, (1.0 - 0.5 * F1TENTH.length) / 4.0, rtol=1e-3)
+    # Each sees the other one's rectangle.
+    hit = sampled(coarse_oval, [(2.0, 0.0), (3.0, 0.0)], (4.0, 0.0), vehicles=CARS, horizon=100.0)
+    np.testing.assert_allclose(hit, [(1.0 - 0.35) / 4.0, (1.0 - 0.25) / 4.0], rtol=1e-3)
+
+
+def test_the_time_to_collision_of_a_race_is_capped_at_the_horizon(coarse_oval):
+    np.testing.assert_array_equal(sampled(coarse_oval, [(2.0, 0.0), (6.0, 0.0)], (0.0, 0.0), horizon=7.0), 7.0)
+    np.testing.assert_array_equal(sampled(coarse_oval, [(2.0, 0.0), (6.0, 0.0)], (0.01, 0.01), horizon=7.0), 7.0)
+    setup, state, theta = placed(coarse_oval, [(2.0, 0.0), (8.0, 0.0)], ittc_horizon=7.0)
+    advance(setup, state, theta, 10)
+    np.testing.assert_array_equal(state.sums[0, :, :2], [[14.0, 2.0]] * 2)
+
+
+def test_planners_are_asked_ten_and_fifty_times_a_second_before_the_cars_move(coarse_oval):
+    setup = RaceSetup(coarse_oval, load_race_config("paper", duration=1.0, start_speed=0.0), (COUNTER, COUNTER))
+    state = start_races(setup, Starts(np.array([2.0]), np.array([0])), np.array([0], np.uint64))
+    for ticks in (2, 10, 22, 66, 40):
+        advance(setup, state, np.zeros((1, 2, 1)), ticks)
+        done = min(int(state.tick[0]), 100)
+        expected = [np.ceil(done / 10), np.ceil(done / 2)]
+        np.testing.assert_array_equal(state.memory[0], [[*expected, 0.01 * (np.ceil(done / 2) * 2 - 2)]] * 2)
+        # The second call of each car sees the path that its own plan has written.
+        np.testing.assert_array_equal(state.path[0, :, 0, 0], expected[0])
+    assert state.tick[0] == 100
+
+
+@compiled
+def count_plans(track, theta, view, memory, scratch, path):
+    memory[0] += 1.0
+    path[0, 0] = memory[0]
+
+
+@compiled
+def count_commands(track, theta, view, memory, scratch, path, command):
+    memory[1] += 1.0
+    memory[2] = view[0]
+    command[0] = 0.0
+    command[1] = 0.0
+
+
+COUNTER = Planner("counter", (), count_plans, count_commands, memory_size=3)

@@ -1,0 +1,169 @@
+import re
+
+import numpy as np
+import pytest
+
+from pcs_racing import (
+    InputError,
+    Parameter,
+    Planner,
+    RaceSetup,
+    Starts,
+    VehicleParams,
+    advance,
+    load_race_config,
+    record_race,
+    run_races,
+    start_races,
+)
+from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.planner import OWN_PSI, OWN_S
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.kernel import PLAN_EVERY
+from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
+from pcs_racing.track.frenet import SPEED
+
+PAPER = load_race_config("paper", duration=6.0)
+CONTEST = load_race_config("contest", duration=6.0)
+
+
+def along(track, theta, view, memory):
+    sample = track.line[int(view[OWN_S] / track.arrays.ds) % len(track.line)]
+    turn = np.mod(sample[4] - view[OWN_PSI] + np.pi, 2.0 * np.pi) - np.pi
+    return turn + 0.33 * sample[5], theta[0] * sample[SPEED]
+
+
+PYTHON = Planner("python", (Parameter("pace", 0.1, 1.0, 0.6, "share of the speed"),), drive=along)
+BLIND = Planner("blind", (), drive=lambda track, theta, view, memory: (0.0, 6.0))
+
+
+def policies(kind: str):
+    others = {"lattice": LATTICE.policy({"pace": 0.9}), "python": PYTHON.policy(), "blind": BLIND.policy()}
+    return LATTICE.policy({"pace": 0.3}), others[kind]
+
+
+@pytest.mark.parametrize("config", [PAPER, CONTEST], ids=lambda config: config.name)
+@pytest.mark.parametrize("kind", ["lattice", "python", "blind"])
+def test_a_recorded_race_is_the_race(oval, config, kind):
+    """Stopping to write down does not change a bit of where it ends."""
+    ego, opponent = policies(kind)
+    result = run_races(oval, [ego] * 4, opponent, config, seed=3)
+    for index in (0, 3):
+        replay = record_race(oval, ego, opponent, config, seed=3, index=index)
+        np.testing.assert_array_equal(replay.cars[-1], result.state.cars[index])
+        np.testing.assert_array_equal(replay.progress[-1], result.state.progress[index])
+        crashes = {event.car for event in replay.events if event.kind == "crash"}
+        assert crashes == set(np.flatnonzero(result.state.fault[index]))
+        overtakes = [sum(e.kind == "overtake" and e.car == car for e in replay.events) for car in range(2)]
+        np.testing.assert_array_equal(overtakes, result.state.overtakes[index])
+        assert ("crash" in replay.outcome) == bool(result.crashed[index])
+
+
+def test_policies_may_change_on_the_way(oval):
+    setup = RaceSetup(oval, CONTEST, (LATTICE, LATTICE))
+    start, noise = Starts(np.array([3.0]), np.array([1])), np.array([7], np.uint64)
+    paces = [(0.3, 0.4), (0.9, 0.4), (0.9, 0.1)]
+    theta = np.stack(
+        [pad_parameters([LATTICE.policy({"pace": pace}) for pace in pair], setup.theta_size) for pair in paces]
+    )
+    state = start_races(setup, start, noise)
+    for step in range(3):
+        advance(setup, state, theta[step : step + 1], 200)
+    replay = record_drive(setup, start, noise[0], theta, names=("a", "b"), step_ticks=200, candidates=False)
+    np.testing.assert_array_equal(replay.cars[-1], state.cars[0])
+    np.testing.assert_array_equal(replay.progress[-1], state.progress[0])
+    assert replay.car_names == ("a", "b")
+    with pytest.raises(InputError, match="step_ticks is 15; it must be a multiple of 10"):
+        record_drive(setup, start, noise[0], theta, names=("a", "b"), step_ticks=15)
+    with pytest.raises(InputError, match="there are 2 starts"):
+        record_drive(setup, start.take([0, 0]), noise[0], theta, names=("a", "b"), step_ticks=200)
+
+
+def test_what_a_replay_holds(oval):
+    ego, opponent = policies("lattice")
+    cars = (VehicleParams(), VehicleParams(length=0.5, width=0.25))
+    replay = record_race(oval, ego, opponent, PAPER, vehicles=cars)
+    frames = round(PAPER.duration / replay.frame_dt) + 1
+    plans = PAPER.ticks // PLAN_EVERY
+    assert replay.cars.shape == (frames, 2, 7)
+    assert replay.duration == pytest.approx(PAPER.duration)
+    assert replay.paths.shape[:2] == (plans, 2)
+    assert len(replay.candidates) == plans
+    assert replay.car_names == ("lattice (car 0)", "lattice (car 1)")  # both policies are of one name
+    np.testing.assert_allclose(replay.half_sizes, [[0.29, 0.155], [0.25, 0.125]])
+    assert ((replay.ittc > 0.0) & (replay.ittc <= PAPER.ittc_horizon)).all()
+    assert "wins by" in replay.outcome
+
+
+def test_plans_begin_at_the_car_and_run_ahead_in_time(oval):
+    replay = record_race(oval, *policies("lattice"), PAPER)
+    times = replay.paths[..., 3]
+    assert (times[..., 0] == 0.0).all()
+    assert (np.diff(times, axis=-1) > 0.0).all()
+    every = round(2 * replay.plan_dt / replay.frame_dt)  # frames and plans meet every second plan
+    at_plan = replay.cars[::every, :, :2][: len(replay.paths[::2])]
+    np.testing.assert_allclose(replay.paths[::2, :, 0, :2], at_plan, atol=1e-9)
+
+
+def test_the_plan_that_is_followed_is_the_cheapest_candidate(oval):
+    """Candidates are asked for before the plan is made: they show what was on offer."""
+    replay = record_race(oval, *policies("lattice"), PAPER)
+    for row, step in enumerate(replay.candidate_steps):
+        for car in range(2):
+            best = int(np.argmin(replay.costs[row, car]))
+            end = replay.candidates[row, car, best, -1]
+            np.testing.assert_allclose(replay.paths[step, car, -1, :2], end, atol=0.01)
+
+
+def test_a_driver_without_plans_leaves_them_out(oval):
+    replay = record_race(oval, *policies("python"), PAPER)
+    assert np.isnan(replay.paths[:, 1]).all()
+    assert np.isfinite(replay.paths[:, 0]).all()
+    assert np.isinf(replay.costs[:, 1]).all()
+    neither = record_race(oval, PYTHON.policy(), PYTHON.policy({"pace": 0.4}), PAPER)
+    assert neither.paths is None
+    assert neither.candidates is None
+
+
+def test_candidates_can_be_left_out(oval):
+    replay = record_race(oval, *policies("lattice"), PAPER, candidates=False)
+    assert replay.candidates is None
+    assert replay.paths is not None
+
+
+def test_a_race_that_ends_in_a_crash_ends_the_replay(oval):
+    replay = record_race(oval, *policies("blind"), PAPER)
+    (crash,) = [event for event in replay.events if event.kind == "crash"]
+    assert crash.car == 1
+    assert crash.text == "crashes into the wall"
+    assert replay.duration == pytest.approx(crash.time, abs=replay.frame_dt)
+    assert "fault of blind: nobody wins" in replay.outcome
+    loser = record_race(oval, *policies("blind"), CONTEST)
+    assert "fault of blind: lattice wins" in loser.outcome
+
+
+def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):
+    """Starts repeat when every line was driven from both sides; the noise is the race's own."""
+    ego, opponent = policies("lattice")
+    short = load_race_config("contest", duration=0.5)
+    period = 2 * short.start_lines
+    near, far = (
+        record_race(oval, ego, opponent, short, seed=3, index=index) for index in (1, LAST_INDEX // period * period + 1)
+    )
+    np.testing.assert_array_equal(near.cars[0], far.cars[0])
+    assert not np.array_equal(near.cars[-1], far.cars[-1])
+
+
+def test_two_cars_of_one_policy_are_told_apart(oval):
+    ego, opponent = policies("lattice")
+    assert (ego.name, opponent.name) == ("lattice", "lattice")
+    replay = record_race(oval, opponent, ego, PAPER)
+    assert re.match(r"lattice \(car [01]\) wins by ", replay.outcome)
+    assert replay.car_names == tell_apart(("lattice", "lattice")) == ("lattice (car 0)", "lattice (car 1)")
+    assert tell_apart(("lattice", "python")) == ("lattice", "python")
+
+
+@pytest.mark.parametrize("index", [-1, 1.5, True, LAST_INDEX + 1, 10**12])
+def test_a_bad_index_is_refused(oval, index):
+    with pytest.raises(InputError, match=f"index is {index}"):
+        record_race(oval, *policies("lattice"), PAPER, index=index)

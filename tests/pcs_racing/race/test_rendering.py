@@ -1,0 +1,221 @@
+import dataclasses
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.race.rendering import THEMES, VIEWS, Renderer, replay_frames, write_gif
+from pcs_racing.race.replay import Replay
+
+BLUE, AMBER, RED = (27, 111, 216), (224, 135, 0), (209, 44, 76)
+
+
+def near(frame, colour, within=30):
+    return np.abs(frame.astype(int) - colour).sum(axis=-1) <= within
+
+
+def state(x, y, psi, delta=0.0):
+    return [x, y, delta, 5.0, psi, 0.0, 0.0]
+
+
+@pytest.fixture(scope="module")
+def race():
+    """Two cars side by side for a second on the lower straight of a rectangular track of 20 m x 10 m."""
+    time = np.arange(21) * 0.05
+    cars = np.zeros((21, 2, 7))
+    cars[:, :, 0] = 5.0 + np.outer(time, [5.0, 4.0])
+    cars[:, :, 1] = [1.2, 0.6]
+    cars[:, :, 3] = [5.0, 4.0]
+    corners = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0], [0.0, 0.0]])
+    inner = np.array([1.0, 0.9]) + corners * [0.9, 0.8]
+    inner[:, 1] += 1.1
+    paths = np.full((10, 2, 5, 4), np.nan)
+    paths[:, :, :4, 0] = cars[:20:2, :, None, 0] + np.arange(4) * 0.5
+    paths[:, :, :4, 1] = cars[:20:2, :, None, 1]
+    paths[:, :, :4, 2:] = 0.0
+    return Replay(
+        title="straight",
+        track_name="box",
+        car_names=("a", "b"),
+        cars=cars,
+        progress=cars[:, :, 0],
+        walls=np.vstack([np.hstack([loop[:-1], loop[1:]]) for loop in (corners, inner)]),
+        line=np.array([[0.5, 0.9], [19.5, 0.9], [19.5, 9.5], [0.5, 9.5]]),
+        paths=paths,
+    )
+
+
+def test_a_frame_shows_both_cars_where_they_are(race):
+    renderer = Renderer(race, 800, 400)
+    frame = renderer.render(race.cars[0])
+    assert frame.shape == (400, 800, 3)
+    assert frame.dtype == np.uint8
+    for colour, (x, y) in [(BLUE, race.cars[0, 0, :2]), (AMBER, race.cars[0, 1, :2])]:
+        rows, columns = np.nonzero(near(frame, colour))
+        # The picture's middle is the track's, 20 m x 10 m fit with a margin: 36.4 pixels a metre.
+        scale = 0.91 * 400 / 10.0
+        assert columns.mean() == pytest.approx(400 + (x - 10.0) * scale, abs=3)
+        assert rows.mean() == pytest.approx(200 - (y - 5.0) * scale, abs=3)
+
+
+def test_the_track_lies_between_its_walls(race):
+    frame = Renderer(race, 800, 400).render(race.cars[0])
+    asphalt, ground = (253, 253, 254), (227, 232, 237)
+    scale = 0.91 * 400 / 10.0
+    for (x, y), colour in [((15.0, 0.5), asphalt), ((10.0, 5.0), ground), ((10.0, -0.2), ground)]:
+        pixel = frame[round(200 - (y - 5.0) * scale), round(400 + (x - 10.0) * scale)]
+        assert tuple(pixel) == colour
+
+
+@pytest.mark.parametrize("view", ["car_0", "car_1"])
+def test_a_followed_car_stays_in_the_middle(race, view):
+    car = int(view[-1])
+    for moment in (0, 7, 20):
+        frame = Renderer(race, 600, 300, view=view).render(race.cars[moment])
+        rows, columns = np.nonzero(near(frame, (BLUE, AMBER)[car]))
+        middle = np.abs(columns - 300) < 30
+        assert middle.sum() > 60
+        assert rows[middle].mean() == pytest.approx(150, abs=3)
+
+
+def test_both_cars_stay_in_sight(race):
+    renderer = Renderer(race, 300, 300, view="both")
+    for apart in (0.5, 4.0, 14.0):
+        frame = renderer.render(np.array([state(2.0, 0.6, 0.0), state(2.0 + apart, 0.6, 0.0)]))
+        assert near(frame, BLUE).sum() > 20
+        assert near(frame, AMBER).sum() > 20
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_frame_does_not_depend_on_those_before(race, view):
+    used = Renderer(race, 320, 200, view=view)
+    for cars in race.cars[:15]:
+        used.render(cars)
+    assert np.array_equal(used.render(race.cars[20]), Renderer(race, 320, 200, view=view).render(race.cars[20]))
+
+
+@pytest.mark.parametrize("delta", [-0.4, 0.0, 0.4])
+def test_front_wheels_turn_with_the_steering(race, delta):
+    renderer = Renderer(race, 400, 400, view="car_0", half_sizes=np.full((2, 2), 2.0))
+    frame = renderer.render(np.array([state(5.0, 5.0, 0.0, delta)]))
+    for ahead, angle in [(True, delta), (False, 0.0)]:
+        # The tyres on the car's left are the dark spots in the upper half of the picture.
+        rows, columns = np.nonzero(near(frame, (28, 35, 44), 9)[:160])
+        mine = (columns > 200) == ahead
+        spread = np.cov(columns[mine], -rows[mine])
+        assert 0.5 * np.arctan2(2 * spread[0, 1], spread[0, 0] - spread[1, 1]) == pytest.approx(angle, abs=0.03)
+
+
+def test_plans_trails_and_candidates_are_drawn(race):
+    renderer = Renderer(race, 600, 400, view="car_0")
+    cars = race.cars[10]
+    plain = renderer.render(cars)
+    reach = np.linspace(0.0, 2.0, 5)
+    fan = cars[:, None, None, :2] + np.stack([reach[None] + 0 * reach[:3, None], np.outer([-0.3, 0.0, 0.3], reach)], -1)
+    assert (renderer.render(cars, plans=race.paths[5]) != plain).any()
+    assert (renderer.render(cars, trails=race.cars[:11, :, :2]) != plain).any()
+    assert (renderer.render(cars, text="12.0 s") != plain).any()
+    all_good = renderer.render(cars, candidates=fan, costs=np.ones((2, 3)))
+    one_bad = renderer.render(cars, candidates=fan, costs=np.array([[1.0, 2.0, np.inf]] * 2))
+    reddish = [np.count_nonzero(f[..., 0].astype(int) > f[..., 1] + 20 + f[..., 2] * 0.1) for f in (all_good, one_bad)]
+    assert reddish[1] > reddish[0] + 50
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_a_track_is_a_scene_too(oval, theme):
+    renderer = Renderer(oval, 320, 200, theme=theme)
+    x, y = oval.line[0, :2]
+    frame = renderer.render(np.array([state(x, y, 0.0)]))
+    assert frame.shape == (200, 320, 3)
+    assert len(np.unique(frame.reshape(-1, 3), axis=0)) > 50
+
+
+def test_frames_of_a_replay(race):
+    frames = list(replay_frames(race, Renderer(race, 160, 100), fps=10.0))
+    assert len(frames) == 11
+    assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=10.0, speed=0.5))) == 21
+    # Candidates that were not kept are not missed.
+    assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=5.0, candidates=True))) == 6
+
+
+def test_frames_show_the_candidates_that_were_kept(race):
+    """From the plan on for which they were kept; before, there are none."""
+    fan = np.stack([race.cars[10, :, None, :2] + [[0.0, 0.0], [4.0, slope]] for slope in (-1.0, 0.0, 1.0)], axis=1)
+    kept = dataclasses.replace(race, candidate_steps=[5], candidates=fan[None], costs=np.array([[[1.0, 2.0, 3.0]] * 2]))
+    with_them, without = (
+        list(replay_frames(kept, Renderer(kept, 160, 100), fps=10.0, candidates=shown)) for shown in (True, False)
+    )
+    assert [bool((a != b).any()) for a, b in zip(with_them, without, strict=True)] == [False] * 5 + [True] * 6
+
+
+def test_a_gif_plays_the_race(race, tmp_path):
+    path = write_gif(race, tmp_path / "race.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0)
+    with Image.open(path) as gif:
+        assert gif.size == (160, 100)
+        assert gif.n_frames == 11
+        assert gif.info["duration"] == 100
+    assert [file.name for file in tmp_path.iterdir()] == ["race.gif"]
+    again = write_gif(race, tmp_path / "b.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_impossible_arguments_are_named(race, tmp_path):
+    for name, value in [("mode", "ansi"), ("view", "car_2"), ("theme", "pink"), ("width", 10), ("height", 2.5)]:
+        with pytest.raises(InputError, match=name):
+            Renderer(race, **{name: value})
+    with pytest.raises(InputError, match="scene"):
+        Renderer("Spielberg")
+    renderer = Renderer(race, 100, 100)
+    for cars in (np.zeros((3, 7)), np.zeros(7), np.full((2, 7), np.nan)):
+        with pytest.raises(InputError, match="cars"):
+            renderer.render(cars)
+    with pytest.raises(InputError, match="fps"):
+        replay_frames(race, fps=0.0)
+    with pytest.raises(InputError, match="gif"):
+        write_gif(race, tmp_path / "race.mp4")
+    with pytest.raises(InputError, match="fps must be above 0 and at most 50, got 60"):
+        write_gif(race, tmp_path / "race.gif", fps=60)
+    with pytest.raises(InputError, match="folder"):
+        write_gif(race, tmp_path / "none" / "race.gif")
+
+
+def test_a_window_shows_frames(race, monkeypatch):
+    pytest.importorskip("pygame", reason="pygame-ce is not installed")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    renderer = Renderer(race, 200, 120, mode="human", fps=1000.0)
+    assert renderer.render(race.cars[0]) is None
+    shown = renderer._pygame.surfarray.array3d(renderer._window).swapaxes(0, 1)
+    assert np.array_equal(shown, Renderer(race, 200, 120).render(race.cars[0]))
+    assert renderer.render(race.cars[1]) is None
+    renderer.close()
+    renderer.close()
+    with pytest.raises(InputError, match="rgb_array"):
+        replay_frames(race, renderer)
+
+
+def test_a_missing_window_library_is_named(race, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(ImportError, match=r"pcs-racing\[window\]"):
+        Renderer(race, mode="human")
+    assert Renderer(race, 100, 100).render(race.cars[0]).shape == (100, 100, 3)
+
+
+def test_rendering_needs_no_display_and_no_pygame():
+    code = "import sys, pcs_racing.race.rendering; print(sorted({'pygame', 'matplotlib', 'torch'} & set(sys.modules)))"
+    environment = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_one_car_and_sizes_of_its_own(race):
+    small = Renderer(race, 400, 200, view="car_0").render(race.cars[0, :1])
+    large = Renderer(race, 400, 200, view="car_0", half_sizes=np.array([[0.6, 0.3], [0.6, 0.3]])).render(
+        race.cars[0, :1]
+    )
+    assert near(large, BLUE).sum() > 2 * near(small, BLUE).sum()
+    from_replay = Renderer(dataclasses.replace(race, half_sizes=[[0.6, 0.3]] * 2), 400, 200, view="car_0")
+    assert np.array_equal(from_replay.render(race.cars[0, :1]), large)

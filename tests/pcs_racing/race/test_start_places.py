@@ -1,0 +1,155 @@
+"""Start places are those from which pairs of drivers get away."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.race import start_places
+from pcs_racing.race.config import CONTEST, PAPER
+from pcs_racing.race.driving import kernel_settings
+from pcs_racing.race.races import RaceSetup, run_races
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.start_places import BLOCK, PLACE_EVERY, drive_away, fit_places, places_of, split_places
+
+
+@pytest.fixture(scope="module")
+def driven(oval):
+    """How the first seconds go at every place of the oval, at a reckless speed."""
+    return drive_away(oval, PAPER, kernel_settings(PAPER, (1.2, 1.5)), 0.9)
+
+
+def test_what_is_counted_at_a_place_is_what_races_from_there_do(oval, driven):
+    crashes, favour = driven
+    place = int(np.flatnonzero((crashes > 0.0) & (crashes < 1.0))[0])
+    pairs = start_places._pairs()
+    rules = replace(PAPER, speed_range=(1.2, 1.5), duration=start_places.FIRST_SECONDS)
+    starts = Starts(np.full(2 * len(pairs), place * PLACE_EVERY), np.tile([0, 1], len(pairs)))
+    egos, rivals = (
+        [start_places.LATTICE.policy(theta) for theta in np.repeat(pairs[:, car], 2, axis=0)] for car in range(2)
+    )
+    result = run_races(oval, egos, rivals, rules, starts=starts)
+    assert result.crashed.mean() == crashes[place]
+    left_leads = np.sign(np.where(starts.side == 0, result.lead, -result.lead)).reshape(-1, 2)
+    assert favour[place] == left_leads[start_places.EQUALS].mean()
+
+
+def test_the_number_of_threads_changes_nothing(oval, driven):
+    again = drive_away(oval, PAPER, kernel_settings(PAPER, (1.2, 1.5)), 0.9, threads=1)
+    np.testing.assert_array_equal(again, driven)
+
+
+def test_a_place_where_the_cars_do_not_fit_is_no_place(oval):
+    settings = kernel_settings(PAPER, (0.8, 1.0))
+    assert (drive_away(oval, PAPER, settings, 2.2)[0] == 1.0).all()
+    with pytest.raises(InputError, match=r"track 'oval' has no place .* side-by-side start .* 2.2 m apart; widen"):
+        fit_places(oval, PAPER, settings, [2.2])
+
+
+@pytest.fixture
+def pretend(oval, monkeypatch):
+    """Let the races at the places of the oval go as a test says: crashes by spacing, and the side that is favoured."""
+
+    def pretend_so(crashes, favour=None):
+        count = len(np.arange(0.0, oval.length, PLACE_EVERY))
+        alternating = np.where(np.arange(count) < count // 2, 1.0, -1.0) if favour is None else favour
+        monkeypatch.setattr(
+            start_places, "drive_away", lambda *given, **named: (np.zeros(count) + crashes[given[3]], alternating)
+        )
+        monkeypatch.setattr(start_places, "_gain", lambda *given: 0.2 if given[4][0][0] == 0.0 else -0.1)
+        return count
+
+    return pretend_so
+
+
+def test_the_first_spacing_that_works_is_taken(oval, pretend):
+    count = pretend({0.9: 1.0, 1.0: 0.5, 0.8: 0.0, 1.1: 0.0})
+    spacing, places, share = fit_places(oval, PAPER, kernel_settings(PAPER, (0.8, 1.0)), [0.9, 1.0, 0.8, 1.1])
+    assert spacing == 0.8
+    assert share == 0.33
+    half = count // 2 * PLACE_EVERY
+    assert places == {"left": ((0.0, half - PLACE_EVERY),), "right": ((half, (count - 1) * PLACE_EVERY),)}
+
+
+def test_a_start_one_behind_the_other_favours_the_front(oval, pretend):
+    count = pretend({0.45: 0.0})
+    places = fit_places(oval, CONTEST, kernel_settings(CONTEST, (0.8, 1.0)), [0.45])[1]
+    assert places == {"front": ((0.0, (count - 1) * PLACE_EVERY),)}
+
+
+def test_stretches_hold_the_places_that_are_fit_with_their_neighbours(oval, pretend):
+    crashes = np.ones(pretend({0.45: 0.0}))
+    crashes[10:30] = 0.0
+    crashes[50:70] = 0.0
+    pretend({0.45: crashes})
+    stretches = fit_places(oval, CONTEST, kernel_settings(CONTEST, (0.8, 1.0)), [0.45])[1]["front"]
+    # The outermost places have a neighbour that always crashes.
+    assert stretches == ((11 * PLACE_EVERY, 28 * PLACE_EVERY), (51 * PLACE_EVERY, 68 * PLACE_EVERY))
+    np.testing.assert_array_equal(places_of(stretches) / PLACE_EVERY, [*range(11, 29), *range(51, 69)])
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "share"),
+    [(0.2, -0.1, 0.33), (0.1, -0.3, 0.75), (0.1, -0.1, 0.5), (0.1, 0.3, 1.0), (-0.2, -0.1, 0.0)],
+)
+def test_where_the_left_gains_more_it_gets_fewer_lines(left, right, share):
+    assert start_places._left_share(left, right) == share
+    if left * right < 0.0:
+        assert share * left + (1.0 - share) * right == pytest.approx(0.0, abs=0.005)
+
+
+def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):
+    crashes = np.full(pretend({0.9: 0.0}), 0.018)
+    crashes[:60] = 0.0
+    settings = kernel_settings(PAPER, (0.8, 1.0))
+    pretend({0.9: crashes}, np.where(np.arange(len(crashes)) % 2, 1.0, -1.0))
+    few = fit_places(oval, PAPER, settings, [0.9])[1]
+    assert max(stretches[-1][1] for stretches in few.values()) == 59 * PLACE_EVERY
+    pretend({0.9: crashes}, np.where(np.arange(len(crashes)) < 70, 1.0, -1.0))  # no safe place favours the right
+    many = fit_places(oval, PAPER, settings, [0.9])[1]
+    assert many["right"] == ((70 * PLACE_EVERY, (len(crashes) - 1) * PLACE_EVERY),)
+
+
+def test_training_and_tests_share_the_places_block_by_block():
+    places = np.arange(0.0, 40.0, PLACE_EVERY)
+    train, test = (split_places(places, split) for split in ("train", "test"))
+    np.testing.assert_array_equal(np.sort(np.concatenate([train, test])), places)
+    assert (train // BLOCK % 2 == 1).all()
+    assert (test // BLOCK % 2 == 0).all()
+
+
+def test_places_in_blocks_of_one_kind_are_shared_one_by_one():
+    places = np.array([0.0, 0.5, 2.0, 4.0, 4.5, 6.0, 8.0, 8.5])
+    np.testing.assert_array_equal(split_places(places, "train"), places[1::2])
+    np.testing.assert_array_equal(split_places(places, "test"), places[::2])
+
+
+def test_shipped_circuits_start_where_hardly_a_race_is_over_at_once():
+    from pcs_racing.track.maps import list_tracks
+    from pcs_racing.track.track import load_track
+
+    rng = np.random.default_rng(5)
+    over, races = 0, 40
+    for name in list_tracks():
+        for config in (PAPER, CONTEST):
+            short = replace(config, duration=2.0)
+            egos, rivals = (
+                [start_places.LATTICE.policy({"pace": pace}) for pace in rng.uniform(size=races)] for _ in "ab"
+            )
+            over += int(run_races(load_track(name), egos, rivals, short, seed=2).crashed.sum())
+    assert over <= 0.02 * 2 * races * len(list_tracks())
+
+
+def test_every_shipped_circuit_has_the_usual_spacing_and_places_of_both_kinds():
+    from pcs_racing.track.maps import list_tracks
+    from pcs_racing.track.track import load_track
+
+    for name in list_tracks():
+        track = load_track(name)
+        for config in (PAPER, CONTEST):
+            own = track.calibration[config.name]
+            assert RaceSetup(track, config, (start_places.LATTICE,) * 2).start_spacing == own.start_spacing
+            for stretches in own.start_places.values():
+                places = places_of(stretches)
+                assert min(len(split_places(places, split)) for split in ("train", "test")) >= 2

@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from pcs_racing import Parameter, Planner, PolicyArchive, get_planner, load_archive, load_track
+from pcs_racing.planners.planner import OPP_V
+from pcs_racing.testing import check_archive, check_planner
+
+PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
+
+
+@pytest.fixture(scope="module")
+def track():
+    return load_track("Pipkin")
+
+
+def driver(drive, memory_size=0) -> Planner:
+    return Planner("mine", (PACE,), drive=drive, memory_size=memory_size)
+
+
+def test_a_sound_planner_passes(track):
+    check_planner(get_planner("lattice"), track)
+    check_planner(driver(lambda track, theta, view, memory: (0.0, 1.0 + theta[0])), track, seconds=0.8)
+
+
+def keeps_a_secret():
+    calls = [0]
+
+    def drive(track, theta, view, memory):
+        calls[0] += 1
+        return 0.001 * (calls[0] % 7), 2.0
+
+    return drive
+
+
+def writes_to_theta(track, theta, view, memory):
+    theta[0] = 0.0
+    return 0.0, 2.0
+
+
+def remembers_nonsense(track, theta, view, memory):
+    memory[0] = np.nan
+    return 0.0, 2.0
+
+
+@pytest.mark.parametrize(
+    ("planner", "message"),
+    [
+        (driver(keeps_a_secret()), "the same races end differently"),
+        (driver(writes_to_theta), "writes to its parameters"),
+        (driver(remembers_nonsense, 1), "NaN or infinity in memory of race 0"),
+    ],
+)
+def test_the_check_finds_what_is_wrong_with_a_planner(track, planner, message):
+    with pytest.raises(AssertionError, match=f"planner 'mine'.*{message}"):
+        check_planner(planner, track, seconds=0.8)
+
+
+def test_a_planner_that_sees_beyond_its_sight_is_noticed(track):
+    def drive(track, theta, view, memory):
+        return 0.0, 2.0 + 0.01 * view[OPP_V]
+
+    check_planner(driver(drive), track, seconds=0.8)
+    with pytest.raises(AssertionError, match="has sight 5, but drives differently when only an opponent"):
+        check_planner(Planner("mine", (PACE,), drive=drive, sight=5.0), track, seconds=0.8)
+
+
+def test_a_car_that_stands_is_noticed(track):
+    with pytest.raises(AssertionError, match="the cars stand still after 2 s"):
+        check_planner(driver(lambda track, theta, view, memory: (0.0, 0.0)), track, seconds=2.0)
+
+
+def test_the_shipped_archive_passes(track):
+    check_archive(load_archive("default"))
+    check_archive(load_archive("default"), track)
+
+
+def change(**values) -> PolicyArchive:
+    default = load_archive("default")
+    return PolicyArchive(**{**{key: getattr(default, key) for key in default.__dataclass_fields__}, **values})
+
+
+def test_the_check_finds_what_is_wrong_with_an_archive():
+    with pytest.raises(AssertionError, match="planner 'nobody' is unknown"):
+        check_archive(change(planner="nobody"))
+    with pytest.raises(AssertionError, match="no move leads from any policy to another"):
+        check_archive(change(ideal=np.full(2, 1e-6), nadir=np.zeros(2)))
+    with pytest.raises(AssertionError, match="parameter 'length' is 50"):
+        check_archive(change(parameters=np.full_like(load_archive("default").parameters, 50.0)))

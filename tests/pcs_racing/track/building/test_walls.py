@@ -1,0 +1,193 @@
+"""Walls as polylines: true to the cells, the track on their left, and listed wherever they can be seen."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numba import njit
+
+from pcs_racing.track import frenet
+from pcs_racing.track.building.walls import simplify, trace_outlines
+from pcs_racing.track.frenet import LEFT, RIGHT
+from pcs_racing.track.track import load_track
+
+grids = hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))).map(lambda grid: np.pad(grid, 1))
+
+
+def _faces(outlines):
+    """Start and end of each face, the cell on its left."""
+    start = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])[outlines.side]
+    end = np.array([[1, 0], [1, 1], [0, 1], [0, 0]])[outlines.side]
+    cell = np.column_stack([outlines.col, outlines.row])
+    return cell + start, cell + end
+
+
+@given(drivable=grids)
+def test_outlines_hold_every_wall_face_once_in_closed_loops(drivable):
+    outlines = trace_outlines(drivable)
+    expected = set()
+    for side, (di, dj) in enumerate([(-1, 0), (0, 1), (1, 0), (0, -1)]):
+        for i, j in np.argwhere(drivable):
+            if not drivable[i + di, j + dj]:
+                expected.add((i, j, side))
+    found = list(zip(outlines.row.tolist(), outlines.col.tolist(), outlines.side.tolist(), strict=True))
+    assert len(found) == len(set(found)) == len(expected)
+    assert set(found) == expected
+    start, end = _faces(outlines)
+    for first, last in zip(outlines.start[:-1], outlines.start[1:], strict=True):
+        np.testing.assert_array_equal(end[first:last], np.roll(start[first:last], -1, axis=0))
+    # Green's theorem: loops with the region on their left enclose its area.
+    assert np.sum(start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]) == 2 * np.count_nonzero(drivable)
+
+
+@given(drivable=grids, tolerance=st.floats(0.3, 1.5))
+def test_segments_stay_within_the_tolerance_of_the_faces_they_stand_for(drivable, tolerance):
+    outlines = trace_outlines(drivable)
+    segments, owner, start = simplify(outlines, tolerance, 0.0)
+    middle = 0.5 * sum(_faces(outlines))
+    x0, y0, x1, y1 = segments[owner].T
+    along = np.column_stack([x1 - x0, y1 - y0])
+    t = np.sum((middle - np.column_stack([x0, y0])) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-12)
+    foot = np.column_stack([x0, y0]) + np.clip(t, 0.0, 1.0)[:, None] * along
+    assert np.linalg.norm(middle - foot, axis=1).max(initial=0.0) <= tolerance + 1e-9
+    for first, last in itertools.pairwise(start):
+        np.testing.assert_array_equal(segments[first:last, 2:], np.roll(segments[first:last, :2], -1, axis=0))
+
+
+def test_straight_walls_are_exact_and_the_room_is_on_their_left():
+    drivable = np.zeros((12, 30), dtype=bool)
+    drivable[1:11, 1:29] = True
+    segments, _, _ = simplify(trace_outlines(drivable), 0.3, 0.25)
+    assert len(segments) <= 9
+    dx, dy = (segments[:, 2:] - segments[:, :2]).T
+    to_centre = np.array([15.0, 6.0]) - segments[:, :2]
+    assert (dx * to_centre[:, 1] - dy * to_centre[:, 0] > 0.0).all()
+    longest = segments[np.argsort(np.hypot(dx, dy))[-2:]]
+    np.testing.assert_allclose(np.sort(longest[:, 1]), [1.0, 11.0])
+    np.testing.assert_allclose(longest[:, 1], longest[:, 3])
+
+
+def test_specks_keep_their_shape():
+    """A single wall cell on the track is seen from every side."""
+    drivable = np.zeros((11, 11), dtype=bool)
+    drivable[1:10, 1:10] = True
+    drivable[5, 5] = False
+    segments, _, start = simplify(trace_outlines(drivable), 0.5, 0.25)
+    speck = segments[start[1] : start[2]]
+    assert len(speck) == 4
+    assert np.abs(np.sum(speck[:, 0] * speck[:, 3] - speck[:, 1] * speck[:, 2])) > 0.5
+
+
+@njit
+def _scan(walls, chosen, x, y, angles, reach):
+    """Ranges by trying every chosen wall segment on every beam."""
+    out = np.full(angles.size, reach)
+    for a in range(angles.size):
+        c, s = np.cos(angles[a]), np.sin(angles[a])
+        for k in chosen:
+            px, py = walls[k, 0] - x, walls[k, 1] - y
+            dx, dy = walls[k, 2] - walls[k, 0], walls[k, 3] - walls[k, 1]
+            det = c * dy - s * dx
+            if det != 0.0:
+                r = (px * dy - py * dx) / det
+                u = (px * s - py * c) / det
+                if 0.0 < r < out[a] and 0.0 <= u <= 1.0:
+                    out[a] = r
+    return out
+
+
+def _missed(track, views, beams, rng):
+    """Share of beams whose range differs when only the segments listed for the stretch are tried."""
+    arrays = track.arrays
+    angles = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    everything = np.arange(len(arrays.walls), dtype=np.int32)
+    missed = 0
+    for s in rng.uniform(0.0, track.length, views):
+        row = track.line[int(s / arrays.ds) % len(track.line)]
+        x, y, _ = frenet.to_cartesian(arrays, s, rng.uniform(-row[RIGHT] + 0.1, row[LEFT] - 0.1))
+        m = int(s / arrays.seen_stretch)
+        listed = arrays.seen[arrays.seen_start[m] : arrays.seen_start[m + 1]]
+        missed += np.count_nonzero(
+            _scan(arrays.walls, listed, x, y, angles, 60.0) > _scan(arrays.walls, everything, x, y, angles, 60.0)
+        )
+    return missed / (views * beams)
+
+
+def test_lists_hold_all_that_is_seen(oval):
+    assert _missed(oval, 60, 720, np.random.default_rng(7)) == 0.0
+
+
+def test_lists_are_complete_and_near_segments_come_first(oval):
+    arrays = oval.arrays
+    assert arrays.seen_start[0] == 0
+    assert arrays.seen_start[-1] == len(arrays.seen)
+    assert len(arrays.seen_start) == round(oval.length / arrays.seen_stretch) + 1
+    for m in range(0, len(arrays.seen_start) - 1, 5):
+        listed = arrays.seen[arrays.seen_start[m] : arrays.seen_start[m + 1]]
+        assert len(set(listed.tolist())) == len(listed)
+        middle = oval.to_cartesian([(m + 0.5) * arrays.seen_stretch, 0.0])[:2]
+        ends = arrays.walls[listed].reshape(-1, 2, 2)
+        nearest = np.linalg.norm(np.linspace(ends[:, 0], ends[:, 1], 20) - middle, axis=2).min(axis=0)
+        assert nearest[: len(listed) // 4].max() < nearest[-len(listed) // 4 :].max()
+
+
+def test_listed_distances_are_those_of_the_segments_from_the_middle_of_their_stretch(oval):
+    """Rounded down, by less than a millimetre, and rising along each list."""
+    arrays = oval.arrays
+    for m in range(len(arrays.seen_start) - 1):
+        part = slice(arrays.seen_start[m], arrays.seen_start[m + 1])
+        start, way = (
+            arrays.walls[arrays.seen[part], :2],
+            np.diff(arrays.walls[arrays.seen[part]].reshape(-1, 2, 2), axis=1),
+        )
+        to = arrays.seen_middle[m] - start
+        share = np.clip((to * way[:, 0]).sum(axis=1) / (way[:, 0] ** 2).sum(axis=1), 0.0, 1.0)
+        exact = np.linalg.norm(to - share[:, None] * way[:, 0], axis=1)
+        listed = arrays.seen_distance[part].astype(float)
+        assert (listed <= exact + 1e-12).all()
+        np.testing.assert_allclose(listed, exact, atol=1e-3)
+        assert (np.diff(listed) >= 0.0).all()
+        s, d = oval.to_frenet(arrays.seen_middle[m])
+        assert abs(s - (m + 0.5) * arrays.seen_stretch) < arrays.seen_stretch
+        assert abs(d) < 0.3
+
+
+@pytest.mark.parametrize("name", ["Spielberg", "Oschersleben"])
+def test_lists_of_real_circuits_hold_nearly_all_that_is_seen(real_maps, name):
+    assert _missed(load_track(real_maps / name), 60, 720, np.random.default_rng(7)) < 1e-4
+
+
+def test_scans_of_the_walls_agree_with_the_exact_ones(real_maps, reference):
+    """The walls stand for the cells: the goals of the lidar are met by them, before anything else."""
+    walls = load_track(real_maps / "Spielberg").arrays.walls
+    everything = np.arange(len(walls), dtype=np.int32)
+    with np.load(reference / "scans_spielberg.npz") as file:
+        poses, angles, exact, reach = file["poses"], file["beam_angles"], file["exact_scans"], float(file["max_range"])
+    found = np.array([_scan(walls, everything, x, y, psi + angles, reach) for x, y, psi in poses])
+    error = np.abs(found - exact)
+    assert np.median(error) <= 0.01
+    assert np.quantile(error, 0.99) <= 0.2
+    assert np.mean(error > 1.0) <= 1e-3
+    # These scans take pixels up to 128 for wall, the map's own threshold those up to 140: its walls are a bit nearer.
+    assert abs(np.mean(np.clip(found - exact, -0.3, 0.3))) < 0.01
+
+
+def test_distances_on_a_real_circuit_are_those_to_the_nearest_wall(real_maps):
+    """Interpolated distances against the wall cells' squares: within the bound that the docstring states."""
+    track = load_track(real_maps / "Oschersleben")
+    arrays = track.arrays
+    rng = np.random.default_rng(2)
+    rows, cols = np.nonzero(arrays.distance > 0.0)
+    for k in rng.integers(len(rows), size=300):
+        i, j = rows[k], cols[k]
+        u, v = rng.random(2)
+        near = arrays.distance[max(i - 40, 0) : i + 41, max(j - 40, 0) : j + 41]
+        wall_i, wall_j = np.nonzero(near == 0.0)
+        dx = np.maximum(np.abs(wall_j + max(j - 40, 0) - j - u + 0.5) - 0.5, 0.0)
+        dy = np.maximum(np.abs(wall_i + max(i - 40, 0) - i - v + 0.5) - 0.5, 0.0)
+        exact = arrays.cell * np.hypot(dx, dy).min()
+        point = [arrays.origin_x + (j + u) * arrays.cell, arrays.origin_y + (i + v) * arrays.cell]
+        assert abs(track.wall_distance(point) - exact) <= 0.71 * arrays.cell

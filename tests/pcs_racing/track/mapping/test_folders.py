@@ -1,0 +1,131 @@
+"""Map folders: generated, imported from a bare picture, and the shipped ones made again."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+from repository import REPOSITORY
+
+from pcs_racing.base.errors import InputError, MapError
+from pcs_racing.track.building.clearance import wall_clearance
+from pcs_racing.track.building.curves import resample, signed_area
+from pcs_racing.track.building.raceline import raceline_rows
+from pcs_racing.track.mapping.circuits import generate_circuit
+from pcs_racing.track.mapping.folders import generate_map, import_map, regenerate
+from pcs_racing.track.maps import read_map
+from pcs_racing.track.track import load_track
+
+SHIPPED = sorted(path for path in (REPOSITORY / "maps").iterdir() if path.is_dir())
+
+
+def bare(folder: Path, source: Path) -> Path:
+    """Copy of a map folder with nothing but the grid."""
+    folder.mkdir()
+    found = read_map(source)
+    head = yaml.safe_load((source / f"{found.name}_map.yaml").read_text())
+    head["image"] = f"{folder.name}_map.png"
+    (folder / f"{folder.name}_map.yaml").write_text(yaml.safe_dump(head))
+    (folder / f"{folder.name}_map.png").write_bytes((source / f"{found.name}_map.png").read_bytes())
+    return folder
+
+
+def test_a_generated_folder_holds_the_circuit(tmp_path):
+    folder = tmp_path / "Round the Houses"
+    made = generate_map(folder, 2, "hull", description="A test")
+    names = ("_map.yaml", "_map.png", "_centerline.csv", "_raceline.csv", "_track.yaml", ".png")
+    assert sorted(path.name for path in folder.iterdir()) == sorted(f"Round the Houses{name}" for name in names)
+    circuit, found = generate_circuit(2, "hull"), read_map(folder)
+    np.testing.assert_array_equal(found.occupied, circuit.occupied)
+    np.testing.assert_allclose(found.origin, circuit.origin)
+    np.testing.assert_allclose(found.centerline, circuit.centerline, atol=1e-5)
+    np.testing.assert_allclose(found.raceline[:, 1:3], raceline_rows(circuit.raceline)[:, 1:3], atol=1e-5)
+    assert found.info["seed"] == 2
+    assert found.info["description"] == "A test"
+    loaded = load_track(folder)
+    assert loaded.name == made.name == "Round the Houses"
+    assert loaded.length == pytest.approx(made.length, abs=1e-3)
+    with Image.open(folder / "Round the Houses.png") as picture:
+        assert picture.width > 400
+
+
+def test_regenerating_restores_the_files_and_keeps_the_rest(tmp_path):
+    folder = tmp_path / "Loop"
+    generate_map(folder, 5, "voronoi", picture=False)
+    note = folder / "Loop_track.yaml"
+    own = "{speed_range: [0.9, 1.2], start_spacing: 0.45, start_places: {front: [[1.0, 5.5]]}, left_share: 0.5}"
+    note.write_text(f"{note.read_text()}calibration: {{contest: {own}}}\n")
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    (folder / "Loop_raceline.csv").write_text("")
+    (folder / "Loop_raceline.csv").unlink()
+    regenerate(folder)
+    for name in ("Loop_map.png", "Loop_map.yaml", "Loop_centerline.csv", "Loop_raceline.csv"):
+        assert (folder / name).read_bytes() == before[name], name
+    assert read_map(folder).info["calibration"]["contest"]["speed_range"] == [0.9, 1.2]
+
+
+def test_a_bare_map_is_completed(tmp_path):
+    source = bare(tmp_path / "Bare Map", SHIPPED[0])
+    track = import_map(source, tmp_path / "Full", picture=False)
+    found = read_map(tmp_path / "Full")
+    assert found.name == track.name == "Full"
+    assert sorted(path.name for path in source.iterdir()) == ["Bare Map_map.png", "Bare Map_map.yaml"]
+    race = resample(found.raceline[:-1, 1:3], 0.02)
+    free = wall_clearance(race, found.occupied, found.resolution, np.array(found.origin), 1.0)
+    assert free.min() >= 0.305 - 1e-4
+
+
+def test_an_import_follows_the_direction_and_start_of_the_shipped_line(tmp_path):
+    clockwise = next(path for path in SHIPPED if path.name == "Saltmere")
+    track = import_map(clockwise, tmp_path / "Again", picture=False)
+    shipped = read_map(clockwise).centerline
+    np.testing.assert_allclose(track.centerline[0, :2], shipped[0, :2], atol=0.2)
+    assert (track.centerline[1, :2] - track.centerline[0, :2]) @ (shipped[1, :2] - shipped[0, :2]) > 0.0
+    elsewhere = shipped[len(shipped) // 3, :2]
+    moved = import_map(clockwise, tmp_path / "Moved", seed_point=elsewhere, picture=False).centerline
+    np.testing.assert_allclose(moved[0, :2], elsewhere, atol=0.2)
+    assert signed_area(moved[:, :2]) < 0.0
+    back = import_map(clockwise, tmp_path / "Back", direction="counterclockwise", picture=False)
+    ahead = back.centerline[1, :2] - back.centerline[0, :2]
+    nearest = np.argmin(np.hypot(*(shipped[:, :2] - back.centerline[0, :2]).T))
+    assert ahead @ (shipped[(nearest + 1) % len(shipped), :2] - shipped[nearest, :2]) < 0.0
+
+
+def test_nothing_is_written_when_it_fails(tmp_path):
+    with pytest.raises(InputError, match="width is -1"):
+        generate_map(tmp_path / "Never", 0, width=-1.0)
+    with pytest.raises(MapError, match=r"seed point .* is off the map"):
+        import_map(SHIPPED[0], tmp_path / "Never", seed_point=(1e4, 0.0))
+    with pytest.raises(MapError, match="the source itself"):
+        import_map(SHIPPED[0], SHIPPED[0])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_map_that_was_not_generated_says_so(tmp_path):
+    with pytest.raises(MapError, match="no seed and no style"):
+        regenerate(bare(tmp_path / "Bare", SHIPPED[0]))
+
+
+def test_the_shipped_circuits_are_six_or_more_of_different_character():
+    infos = [read_map(path).info for path in SHIPPED]
+    assert len(SHIPPED) >= 6
+    assert {info["style"] for info in infos} == {"hull", "voronoi", "hairpin"}
+    assert {info["direction"] for info in infos} == {"clockwise", "counterclockwise"}
+    assert all(info["license"] == "MIT" and info["description"] for info in infos)
+    assert sum(path.stat().st_size for path in SHIPPED[0].parent.rglob("*") if path.is_file()) < 1.5e6
+
+
+@pytest.mark.parametrize("folder", SHIPPED, ids=lambda path: path.name)
+def test_shipped_circuits_come_from_their_seeds_and_keep_their_clearance(folder):
+    found = read_map(folder)
+    settings = ("seed", "style", "direction", "width", "length_range", "resolution")
+    circuit = generate_circuit(**{key: found.info[key] for key in settings})
+    np.testing.assert_allclose(found.centerline, circuit.centerline, atol=1e-4)
+    # Another processor may round a cell of the grid differently.
+    assert np.count_nonzero(found.occupied != circuit.occupied) <= 5
+    np.testing.assert_allclose(found.raceline[:-1, 1:3], raceline_rows(circuit.raceline)[:-1, 1:3], atol=0.05)
+    race = resample(found.raceline[:-1, 1:3], 0.02)
+    free = wall_clearance(race, found.occupied, found.resolution, np.array(found.origin), 1.0)
+    assert free.min() >= 0.305 - 1e-4
+    assert (folder / f"{found.name}.png").is_file()

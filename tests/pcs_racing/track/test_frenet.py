@@ -1,0 +1,203 @@
+"""Frenet coordinates: there and back, without jumps, and without a hint."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import njit
+
+from pcs_racing.track import frenet
+from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT
+
+fractions = st.floats(0.0, 1.0, exclude_max=True)
+
+
+@pytest.fixture(scope="module")
+def spielberg(real_maps):
+    from pcs_racing.track import track
+
+    return track.load_track(real_maps / "Spielberg")
+
+
+def _difference(track, a, b):
+    """Signed way along the line from b to a."""
+    return (a - b + 0.5 * track.length) % track.length - 0.5 * track.length
+
+
+def _inside(track, rng, count, share=0.95):
+    """Random points (s, d) between the walls, nearer than the line's centre of curvature."""
+    s = rng.uniform(0.0, track.length, count)
+    row = track.line[(s / track.arrays.ds).astype(int) % len(track.line)]
+    d = share * rng.uniform(-row[:, RIGHT], row[:, LEFT])
+    limit = 0.8 / np.maximum(np.abs(row[:, KAPPA]), 1e-9)
+    return np.column_stack([s, np.clip(d, -limit, limit)])
+
+
+@given(along=fractions, across=st.floats(-1.0, 1.0), off=st.floats(-1.0, 1.0))
+def test_projecting_a_point_that_was_built_from_s_and_d_gives_them_back(oval, along, across, off):
+    s = along * oval.length
+    x, y, _ = frenet.to_cartesian(oval.arrays, s, across)
+    s_found, d_found = frenet.project(oval.arrays, x, y, s + off)
+    assert abs(_difference(oval, s_found, s)) < 1e-9
+    assert abs(d_found - across) < 1e-9
+    assert 0.0 <= s_found < oval.length
+
+
+def test_the_oval_is_what_geometry_says(oval):
+    """Left of the line (d > 0) is inside, since the oval is driven counterclockwise; its bends have a radius of 4 m."""
+    x, y, psi = oval.to_cartesian([[0.0, 0.0], [6.0, 0.5], [12.0 + 2.0 * np.pi, 1.0]]).T
+    np.testing.assert_allclose(np.column_stack([x, y]), [[-6.0, -4.0], [0.0, -3.5], [9.0, 0.0]], atol=0.01)
+    np.testing.assert_allclose(psi, [0.0, 0.0, 0.5 * np.pi], atol=0.02)
+
+
+@pytest.mark.parametrize("step", [0.003, 0.05])
+def test_s_grows_and_d_stays_without_jumps_along_a_parallel_line(oval, step):
+    """All the way round, over every sample and over the start line."""
+    across = 0.9
+    s = np.arange(0.0, oval.length + 1.0, step)
+    points = oval.to_cartesian(np.column_stack([s, np.full_like(s, across)]))[:, :2]
+    found = np.empty_like(points)
+    hint = 0.0
+    for k, (x, y) in enumerate(points):
+        found[k] = frenet.project(oval.arrays, x, y, hint)
+        hint = found[k, 0]
+    np.testing.assert_allclose(_difference(oval, found[1:, 0], found[:-1, 0]), step, atol=1e-9)
+    np.testing.assert_allclose(found[:, 1], across, atol=1e-9)
+
+
+@given(
+    along=fractions,
+    across=st.floats(-0.9, 0.9),
+    direction=st.floats(-np.pi, np.pi),
+)
+def test_s_and_d_are_continuous_in_every_direction(oval, along, across, direction):
+    """Steps of 1 mm change s by at most 1 mm / (1 - kappa d), and d by at most 1 mm."""
+    x, y, _ = frenet.to_cartesian(oval.arrays, along * oval.length, across)
+    r = np.arange(200) * 1e-3
+    found = np.array(
+        [
+            frenet.project(oval.arrays, x + a * np.cos(direction), y + a * np.sin(direction), along * oval.length)
+            for a in r
+        ]
+    )
+    stretch = 1.0 / (1.0 - np.abs(oval.line[:, KAPPA]).max() * (abs(across) + 0.2))
+    assert np.abs(_difference(oval, found[1:, 0], found[:-1, 0])).max() <= 1.001e-3 * stretch
+    assert np.abs(np.diff(found[:, 1])).max() <= 1.0001e-3
+
+
+@given(hint=st.floats(-1e6, 1e6), along=fractions)
+def test_any_real_hint_is_wrapped(oval, hint, along):
+    x, y, _ = frenet.to_cartesian(oval.arrays, along * oval.length, 0.0)
+    s, _ = frenet.project(oval.arrays, x, y, along * oval.length + np.round(hint / 100.0) * oval.length)
+    assert abs(_difference(oval, s, along * oval.length)) < 1e-6
+    assert 0.0 <= frenet.wrap_s(oval.arrays, hint) < oval.length
+
+
+@given(along=fractions, across=st.floats(-1.0, 1.0))
+def test_a_point_is_located_without_a_hint(oval, along, across):
+    s, d = oval.to_frenet(oval.to_cartesian([along * oval.length, across])[:2])
+    assert abs(_difference(oval, s, along * oval.length)) < 1e-9
+    assert abs(d - across) < 1e-9
+
+
+def test_points_outside_the_map_are_projected_too(oval):
+    s, d = oval.to_frenet([0.0, -50.0])
+    np.testing.assert_allclose([s, d], [6.0, -46.0], atol=0.01)
+    s, d = oval.to_frenet([60.0, 0.0])
+    np.testing.assert_allclose([s, d], [12.0 + 2.0 * np.pi, -50.0], atol=0.05)
+
+
+def test_shapes_are_kept(oval):
+    assert oval.to_frenet(np.zeros((3, 4, 2))).shape == (3, 4, 2)
+    assert oval.to_cartesian(np.zeros((3, 4, 2))).shape == (3, 4, 3)
+    assert oval.wall_distance(np.zeros((3, 4, 2))).shape == (3, 4)
+
+
+def test_headings_are_those_of_the_line_between_samples(oval):
+    """The heading is the direction in which `to_cartesian` moves with s."""
+    s = np.arange(0.0, oval.length, 0.013)
+    sd = np.column_stack([s, np.zeros_like(s)])
+    eps = np.array([1e-5, 0.0])
+    move = oval.to_cartesian(sd + eps)[:, :2] - oval.to_cartesian(sd - eps)[:, :2]
+    psi = oval.to_cartesian(sd)[:, 2]
+    turned = np.arctan2(move[:, 1], move[:, 0]) - psi
+    assert np.abs((turned + np.pi) % (2.0 * np.pi) - np.pi).max() < 1e-6
+    np.testing.assert_allclose(np.linalg.norm(move, axis=1), 2e-5, rtol=1e-4)
+
+
+def test_a_real_circuit_round_trip(spielberg):
+    sd = _inside(spielberg, np.random.default_rng(5), 20_000)
+    points = spielberg.to_cartesian(sd)[:, :2]
+    found = spielberg.to_frenet(points)
+    np.testing.assert_allclose(spielberg.to_cartesian(found)[:, :2], points, atol=1e-9)
+    np.testing.assert_allclose(_difference(spielberg, found[:, 0], sd[:, 0]), 0.0, atol=1e-9)
+    np.testing.assert_allclose(found[:, 1], sd[:, 1], atol=1e-9)
+
+
+@njit
+def _drive(track, xs, ys, hint):
+    s = np.empty(xs.size)
+    d = np.empty(xs.size)
+    for k in range(xs.size):
+        hint, d[k] = frenet.project(track, xs[k], ys[k], hint)
+        s[k] = hint
+    return s, d
+
+
+def test_a_lap_of_the_centre_line_of_a_real_circuit_has_no_jumps(spielberg):
+    """The centre line's tightest corner is sharper than half the width; on the race line s still grows all the way."""
+    centre = spielberg.centerline[:, :2]
+    closed = np.vstack([centre, centre[:1]])
+    t = np.arange(0.0, len(centre), 0.02)
+    xs = np.interp(t, np.arange(len(closed)), closed[:, 0])
+    ys = np.interp(t, np.arange(len(closed)), closed[:, 1])
+    s, d = _drive(spielberg.arrays, xs, ys, spielberg.to_frenet(centre[0])[0])
+    steps = _difference(spielberg, s[1:], s[:-1])
+    way = np.hypot(np.diff(xs), np.diff(ys))
+    assert (steps > 0.0).all()
+    assert (steps < 3.0 * way + 1e-9).all()
+    assert (np.abs(np.diff(d)) <= way + 1e-9).all()
+    assert abs(steps.sum() - spielberg.length) < 1.0
+
+
+@settings(max_examples=20)
+@given(angle=st.floats(-100.0, 100.0), other=st.floats(-100.0, 100.0))
+def test_angle_between_is_the_short_way_round(angle, other):
+    found = frenet.angle_between(angle, other)
+    assert -np.pi <= found <= np.pi
+    assert abs(np.sin(0.5 * (angle - other - found))) < 1e-9
+
+
+def test_psi_is_continuous_along_the_line(oval):
+    assert np.abs(np.diff(oval.line[:, PSI])).max() < 0.1
+    assert abs(oval.line[-1, PSI] - oval.line[0, PSI] - 2.0 * np.pi) < 0.1
+
+
+def test_wall_distance_is_interpolated_between_the_centres_of_the_four_cells_around_a_point(oval):
+    arrays = oval.arrays
+    field, (rows, cols) = arrays.distance.astype(float), arrays.distance.shape
+    rng = np.random.default_rng(4)
+    points = rng.uniform([0.0, 0.0], [cols, rows], (3000, 2))  # in cells from the corner
+    expected = []
+    for u, v in points - 0.5:
+        j, i = int(np.floor(u)), int(np.floor(v))
+        if i < 0 or j < 0 or i + 1 >= rows or j + 1 >= cols:
+            expected.append(0.0)  # beyond the outermost centres
+            continue
+        right, up = u - j, v - i
+        weights = np.outer([1.0 - up, up], [1.0 - right, right])
+        expected.append((weights * field[i : i + 2, j : j + 2]).sum())
+    found = oval.wall_distance(points * arrays.cell + [arrays.origin_x, arrays.origin_y])
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert np.max(found) > 1.0
+
+
+def test_the_slope_of_the_line_between_samples_is_that_of_its_points(oval):
+    """Heading against finite differences of the points, all along the line and off it."""
+    s = np.arange(0.013, oval.length - 0.1, 0.037)
+    for d in (0.0, 0.7, -0.9):
+        at = np.full_like(s, d)
+        here = oval.to_cartesian(np.column_stack([s, at]))
+        ahead, behind = (oval.to_cartesian(np.column_stack([s + h, at]))[:, :2] for h in (1e-5, -1e-5))
+        way = np.arctan2(*(ahead - behind).T[::-1])
+        np.testing.assert_allclose(np.cos(way - here[:, 2]), 1.0, atol=1e-7)

@@ -1,0 +1,108 @@
+"""Tools for occupancy grids, each against the plainest way to compute the same."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from pcs_racing.track.grid import cast, distance_to_walls, flood, lookup_grid, way_out
+
+grids = hnp.arrays(np.bool_, st.tuples(st.integers(1, 14), st.integers(1, 14)))
+
+
+def _padded(grid):
+    return np.pad(grid, 1)
+
+
+@given(drivable=grids)
+def test_distances_are_exact_at_cell_centres(drivable):
+    drivable = _padded(drivable)
+    wall_rows, wall_cols = np.nonzero(~drivable)
+    found = distance_to_walls(drivable, 0.5)
+    for i, j in np.ndindex(drivable.shape):
+        dx = np.maximum(np.abs(wall_cols - j) - 0.5, 0.0)
+        dy = np.maximum(np.abs(wall_rows - i) - 0.5, 0.0)
+        expected = 0.5 * np.hypot(dx, dy).min() if drivable[i, j] else 0.0
+        np.testing.assert_allclose(found[i, j], expected, rtol=1e-6)
+    assert found.dtype == np.float32
+
+
+@given(free=grids, seed=st.integers(0, 2**32 - 1))
+def test_flooding_reaches_what_repeated_growing_reaches(free, seed):
+    row, col = (int(np.random.default_rng(seed).integers(n)) for n in free.shape)
+    expected = np.zeros_like(free)
+    expected[row, col] = free[row, col]
+    for _ in range(free.size):
+        grown = _padded(expected)
+        expected |= free & (grown[:-2, 1:-1] | grown[2:, 1:-1] | grown[1:-1, :-2] | grown[1:-1, 2:])
+    reached, box = flood(~free, np.array([row]), np.array([col]))
+    np.testing.assert_array_equal(reached, expected)
+    if expected.any():
+        rows, cols = np.nonzero(expected)
+        assert box == (rows.min(), rows.max(), cols.min(), cols.max())
+
+
+def test_flooding_a_large_field_reaches_all_of_it():
+    """However many cells wait at a time; from several places at once, up to a wall."""
+    occupied = np.zeros((120, 90), np.bool_)
+    reached, box = flood(occupied, np.array([60]), np.array([45]))
+    assert reached.all()
+    assert box == (0, 119, 0, 89)
+    occupied[:, 30] = True
+    reached, box = flood(occupied, np.array([5, 5, 7]), np.array([2, 3, 30]))
+    np.testing.assert_array_equal(reached, np.broadcast_to(np.arange(90) < 30, (120, 90)))
+    assert box == (0, 119, 0, 29)
+    reached, box = flood(occupied, np.array([5, 9]), np.array([2, 80]))
+    np.testing.assert_array_equal(reached, ~occupied)
+    assert flood(occupied, np.array([5]), np.array([30]))[1] == (120, -1, 90, -1)
+
+
+@given(
+    drivable=grids,
+    x=st.floats(0.0, 1.0),
+    y=st.floats(0.0, 1.0),
+    angle=st.floats(-np.pi, np.pi) | st.sampled_from([0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi]),
+)
+def test_a_ray_ends_at_the_first_wall_that_small_steps_find(drivable, x, y, angle):
+    height, width = drivable.shape
+    drivable = _padded(drivable)
+    x, y = 1.0 + x * width * 0.999, 1.0 + y * height * 0.999
+    cos, sin = np.cos(angle), np.sin(angle)
+    distance, row, col, side = cast(drivable, x, y, cos, sin, np.inf)
+    if not drivable[int(y), int(x)]:
+        assert (distance, side) == (0.0, -1)
+        return
+    assert drivable[row, col]
+    assert not drivable[row + (side == 2) - (side == 0), col + (side == 1) - (side == 3)]
+    r = np.arange(0.0, distance - 1e-6, 0.01)
+    rows, cols = np.floor(y + r * sin + 1e-9).astype(int), np.floor(x + r * cos + 1e-9).astype(int)
+    # A small step may cut a corner that the ray goes round by less than the step.
+    assert np.count_nonzero(~drivable[rows, cols]) <= 1
+    assert cast(drivable, x, y, cos, sin, 0.5 * distance)[0] == 0.5 * distance
+
+
+def test_the_lookup_does_not_go_through_walls():
+    """Two corridors, one cell of wall between them; a point of the upper one lies close to the wall."""
+    drivable = _padded(np.ones((7, 20), dtype=bool))
+    drivable[4, 1:19] = False  # open at the right end only
+    x = np.concatenate([np.arange(1.5, 20.0), [20.5], np.arange(19.5, 1.0, -1.0)])
+    y = np.concatenate([np.full(19, 1.5), [4.5], np.full(19, 5.5)])
+    table = lookup_grid(drivable, x, y, 1)
+    for col in range(2, 17):
+        assert y[table[3, col]] == 1.5  # the other corridor's point is nearer here ...
+        assert abs(x[table[3, col]] - col - 0.5) <= 1.0
+        assert y[table[6, col]] == 5.5
+    assert (table >= 0).all()
+    coarse = lookup_grid(drivable, x, y, 4)
+    assert coarse.shape == (3, 6)
+    assert (coarse >= 0).all()
+
+
+def test_the_way_out_leads_through_the_gap():
+    occupied = np.zeros((30, 40), dtype=bool)
+    occupied[5, 5:35] = occupied[25, 5:35] = occupied[5:26, 5] = occupied[5:26, 34] = True
+    occupied[25, 20] = False
+    way = way_out(occupied, np.array([10]), np.array([10]))
+    assert [25, 20] in way.tolist()
+    assert way[-1].tolist() == [10, 10]
+    assert way[0, 0] == 29

@@ -1,0 +1,343 @@
+"""Map folders: what is written reads back, every common shape is found, and bad input gives one clear error."""
+
+import os
+import struct
+import zlib
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from pcs_racing.base.errors import MapError, UnknownNameError
+from pcs_racing.track import maps
+from pcs_racing.track.maps import MapFolder, find_map, find_shipped, list_tracks, read_map, write_map
+
+
+def _map(folder, name="Ring"):
+    grid = np.zeros((30, 40), dtype=bool)
+    grid[5, 5:30] = True
+    t = np.linspace(0.0, 2.0 * np.pi, 25)
+    lines = np.column_stack([np.cos(t), np.sin(t), np.full(25, 0.5), np.full(25, 0.6)])
+    race = np.column_stack([t, np.cos(t), np.sin(t), t, np.ones(25), np.full(25, 3.0), np.zeros(25)])
+    own = {"speed_range": [0.9, 1.2], "start_spacing": 0.45, "start_places": {"front": [[1.0, 5.5]]}, "left_share": 0.5}
+    info = {"seed": 5, "style": "hull", "license": "MIT", "calibration": {"contest": own}}
+    return MapFolder(name, folder, grid, 0.05, (-1.25, 2.5), lines[:-1], race, info)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_map(_map(tmp_path / "Ring"))
+
+
+def _edit(folder, **changes):
+    """Change values of the map's yaml file; None takes one out."""
+    file = folder / "Ring_map.yaml"
+    values = yaml.safe_load(file.read_text()) | changes
+    file.write_text(yaml.safe_dump({key: value for key, value in values.items() if value is not None}))
+
+
+def _picture(folder, array, mode=None, name="Ring_map.png"):
+    Image.fromarray(np.asarray(array, dtype=np.uint8), mode=None).convert(mode).save(folder / name)
+
+
+# Written and read
+
+
+def test_what_is_written_reads_back(folder):
+    written, found = _map(folder), read_map(folder)
+    np.testing.assert_array_equal(found.occupied, written.occupied)
+    np.testing.assert_allclose(found.centerline, written.centerline, atol=1e-9)
+    np.testing.assert_allclose(found.raceline, written.raceline, atol=1e-9)
+    assert (found.name, found.folder, found.resolution, found.origin) == ("Ring", folder, 0.05, (-1.25, 2.5))
+    assert found.info == written.info
+    assert sorted(file.name for file in folder.parent.iterdir()) == ["Ring"]
+
+
+def test_writing_the_same_map_gives_the_same_bytes(folder, tmp_path):
+    again = write_map(_map(tmp_path / "other"))
+    for file in folder.iterdir():
+        assert (again / file.name).read_bytes() == file.read_bytes()
+
+
+def test_a_map_of_the_same_name_is_replaced_and_other_files_stay(folder):
+    (folder / "notes.txt").write_text("kept")
+    write_map(_map(folder)._replace(resolution=0.1))
+    assert read_map(folder).resolution == 0.1
+    assert (folder / "notes.txt").read_text() == "kept"
+
+
+def test_foreign_folders_and_impossible_names_are_refused(tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("...")
+    with pytest.raises(MapError, match="holds no map called Ring"):
+        write_map(_map(tmp_path / "mine"))
+    assert os.listdir(tmp_path / "mine") == ["thesis.tex"]
+    for name in ("", "a/b", "..", ".hidden", "a\nb", " a"):
+        with pytest.raises(MapError, match="can't name a map"):
+            write_map(_map(tmp_path / "new", name))
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_that_can_not_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(MapError, match=r"can't write .*Ring: (Not a directory|File exists)"):
+        write_map(_map(tmp_path / "file" / "Ring"))
+
+
+def test_nothing_is_written_if_a_value_is_impossible(tmp_path):
+    for change in ({"info": {"color": "red"}}, {"resolution": 2.0}, {"centerline": np.full((20, 4), np.nan)}):
+        with pytest.raises(MapError):
+            write_map(_map(tmp_path / "new")._replace(**change))
+    assert list(tmp_path.iterdir()) == []
+
+
+# Found
+
+
+def test_the_map_is_found_by_the_folders_name_or_as_the_only_one(folder, tmp_path):
+    assert find_map(folder).name == "Ring"
+    renamed = folder.rename(tmp_path / "with space")
+    assert find_map(renamed).name == "Ring"
+    assert find_map(renamed).raceline == renamed / "Ring_raceline.csv"
+    assert find_map(renamed / "Ring_map.yaml") == find_map(renamed)
+    (renamed / "Ring_map.yaml").rename(renamed / "Ring.yaml")
+    assert find_map(renamed).name == "Ring"
+    (renamed / "Other_map.yaml").write_text("image: x.png")
+    (renamed / "Third_map.yaml").write_text("image: x.png")
+    with pytest.raises(MapError, match=r"several maps \(Other_map.yaml, Third_map.yaml\)"):
+        find_map(renamed)
+
+
+def test_shipped_tracks_are_found_whatever_the_case(folder, monkeypatch):
+    monkeypatch.setattr(maps, "shipped_folder", lambda: folder.parent)
+    assert list_tracks() == ["Ring"]
+    assert find_shipped("rInG") == folder
+    with pytest.raises(UnknownNameError, match=r"unknown track 'Rong': .* \(Ring\)"):
+        find_shipped("Rong")
+
+
+# The grid
+
+
+@pytest.mark.parametrize(("negate", "wall"), [(0, 0), (1, 255)])
+def test_walls_are_dark_or_light_as_the_yaml_says(folder, negate, wall):
+    grey = np.full((20, 20), 255 - wall, dtype=np.uint8)
+    grey[0, 3] = wall  # the picture's first row is the grid's last
+    _picture(folder, grey)
+    _edit(folder, negate=negate)
+    occupied = read_map(folder).occupied
+    assert np.argwhere(occupied).tolist() == [[19, 3]]
+
+
+@given(level=st.integers(0, 255), threshold=st.floats(0.3, 0.9))
+def test_the_threshold_is_that_of_ros(tmp_path_factory, level, threshold):
+    folder = write_map(_map(tmp_path_factory.mktemp("map") / "Ring"))
+    grey = np.full((9, 9), 255, dtype=np.uint8)
+    grey[4, 4] = level
+    _picture(folder, grey)
+    _edit(folder, occupied_thresh=threshold)
+    assert read_map(folder).occupied[4, 4] == ((255 - level) / 255.0 > threshold)
+
+
+def test_unknown_regions_are_walls_and_soft_edges_are_not(folder):
+    grey = np.full((30, 30), 255, dtype=np.uint8)
+    grey[:, :8] = 205  # as SLAM tools paint what they have not seen
+    grey[10, 12:20] = 180  # the fringe of a line
+    grey[11, 12:20] = 40
+    _picture(folder, grey)
+    occupied = read_map(folder).occupied[::-1]
+    assert occupied[:, :8].all()
+    assert np.count_nonzero(occupied[:, 8:]) == 8
+    assert occupied[11, 12:20].all()
+
+
+@pytest.mark.parametrize("name", ["Spielberg", "Catalunya", "Oschersleben"])
+def test_the_walls_of_real_maps_are_nearly_those_of_the_established_simulator(real_maps, name):
+    """It takes pixels up to 128 whatever the map says; these maps' own threshold of 0.45 means up to 140."""
+    found = read_map(real_maps / name).occupied
+    grey = np.asarray(Image.open(real_maps / name / f"{name}_map.png"))[::-1]
+    np.testing.assert_array_equal(found, grey <= 140)
+    assert np.count_nonzero(found != (grey <= 128)) < 0.04 * np.count_nonzero(found)
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "RGBA"])
+def test_grey_pictures_of_any_mode_are_read(folder, mode):
+    grey = np.where(_map(folder).occupied, 0, 255)[::-1]
+    _picture(folder, grey, mode)
+    np.testing.assert_array_equal(read_map(folder).occupied, _map(folder).occupied)
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"resolution": None}, "missing 'resolution'"),
+        ({"color": "red"}, "unknown 'color'; the keys of a ROS map are image, resolution"),
+        ({"resolution": 0.0}, "resolution must be from 0.001 to 1"),
+        ({"resolution": 1e-9}, "resolution must be from 0.001 to 1"),
+        ({"resolution": float("nan")}, "resolution must be a number from 0 to 1, got nan"),
+        ({"resolution": True}, "resolution must be a number"),
+        ({"resolution": "wide"}, "resolution must be a number from 0 to 1, got 'wide'"),
+        ({"origin": [0.0, 0.0, 0.5]}, "yaw of origin is 0.5, only 0 is supported"),
+        ({"origin": [0.0, float("inf"), 0.0]}, "origin must be a number from -1e"),
+        ({"origin": 3}, r"origin must be \[x, y, yaw\]"),
+        ({"negate": 2}, "negate must be 0 or 1, got 2"),
+        ({"mode": "raw"}, "mode must be trinary or scale, got 'raw'"),
+        ({"occupied_thresh": 0.1, "free_thresh": 0.2}, "free_thresh 0.2 must not be above"),
+        ({"image": 5}, "image must be a file name, got 5"),
+        ({"image": "nothing.png"}, "image 'nothing.png' is not there"),
+        ({"image": "../outside.png"}, r"image '\.\./outside\.png' lies outside the map's folder"),
+        ({"image": "/etc/hostname"}, "lies outside the map's folder"),
+        ({"image": "link.png"}, "image 'link.png' lies outside the map's folder"),
+        ({"image": "a\0b"}, "is not there"),
+        ({"image": "."}, "is not there"),
+        ({"image": "Ring_map.yaml"}, "can't be read as a picture"),
+    ],
+)
+def test_impossible_yaml_values_are_refused(folder, changes, message):
+    Image.new("L", (20, 20), 255).save(folder.parent / "outside.png")
+    (folder / "link.png").symlink_to(folder.parent / "outside.png")
+    _edit(folder, **changes)
+    with pytest.raises(MapError, match=message) as caught:
+        read_map(folder)
+    assert str(folder) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("image: [", "is not valid yaml"),
+        ("- 1", "must hold keys and values, got list"),
+        ("!!python/object/apply:os.system ['true']", "is not valid yaml"),
+        ("\x00", "is not valid yaml"),
+        ("[" * 5000, "is not valid yaml"),
+    ],
+)
+def test_broken_yaml_is_refused(folder, text, message):
+    (folder / "Ring_map.yaml").write_text(text)
+    with pytest.raises(MapError, match=message):
+        read_map(folder)
+
+
+def test_numbers_that_yaml_takes_for_text_are_read(folder):
+    file = folder / "Ring_map.yaml"
+    file.write_text(file.read_text().replace("0.05", "5e-2"))
+    assert read_map(folder).resolution == 0.05
+
+
+def _png_header(width, height):
+    """A png that claims a size and holds no pixels."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "can't be read as a picture"),
+        (b"not a picture", "can't be read as a picture"),
+        (_png_header(9000, 9000), "has 9000 x 9000 pixels: at most 64000000"),
+        (_png_header(2**31 - 1, 2**31 - 1), "at most|can't be read"),
+        (_png_header(100, 100), "can't be read as a picture"),
+    ],
+)
+def test_broken_and_huge_pictures_are_refused_before_they_are_decoded(folder, data, message):
+    (folder / "Ring_map.png").write_bytes(data)
+    with pytest.raises(MapError, match=message):
+        read_map(folder)
+
+
+def test_coloured_and_transparent_pictures_are_refused(folder):
+    colour = np.zeros((10, 10, 3), dtype=np.uint8)
+    colour[3, 3] = (255, 0, 0)
+    _picture(folder, colour)
+    with pytest.raises(MapError, match="coloured pixels: save it as an 8-bit grey picture"):
+        read_map(folder)
+    _picture(folder, np.zeros((10, 10, 4)))
+    with pytest.raises(MapError, match="transparent pixels"):
+        read_map(folder)
+    Image.fromarray(np.zeros((10, 10), dtype=np.uint16)).save(folder / "Ring_map.png")
+    with pytest.raises(MapError, match="mode I;16"):
+        read_map(folder)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("1.0, 2.0, 1.1", "line 30: '1.0, 2.0, 1.1' should be 4 finite numbers separated by ','"),
+        ("1.0, 2.0, nan, 1.1", "line 30: .* should be 4 finite numbers"),
+        ("1.0; 2.0; 1.1; 1.1", "should be 4 finite numbers"),
+        ("one, two, 1.1, 1.1", "should be 4 finite numbers"),
+    ],
+)
+def test_broken_rows_are_named(folder, line, message):
+    file = folder / "Ring_centerline.csv"
+    rows = file.read_text().splitlines()
+    file.write_text("\n".join([*rows, *[""] * (29 - len(rows)), line]))
+    with pytest.raises(MapError, match=message) as caught:
+        read_map(folder)
+    assert str(file) in str(caught.value)
+
+
+def test_short_and_binary_lines_are_refused(folder):
+    file = folder / "Ring_raceline.csv"
+    file.write_text("# nothing\n")
+    with pytest.raises(MapError, match=r"raceline\.csv has 0 points: at least 10"):
+        read_map(folder)
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(MapError, match="is no text"):
+        read_map(folder)
+
+
+def calibration(speeds: str = "[0.5, 1.0]", spacing: str = "0.45", places: str = "{front: [[1.0, 2.0]]}") -> str:
+    """A track file with a calibration for one preset, as text."""
+    own = f"speed_range: {speeds}, start_spacing: {spacing}, start_places: {places}, left_share: 0.5"
+    return f"calibration: {{contest: {{{own}}}}}"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sead: 5", "unknown 'sead'; the keys are description, license, seed"),
+        ("seed: -1", "seed must be a whole number of at least 0, got -1"),
+        ("seed: 1.5", "seed must be a whole number"),
+        ("style: 5", "style must be text, got 5"),
+        ("width: [1]", "width must be a number"),
+        ("length_range: [9, 5]", "length_range must be .* with 0 < low < high"),
+        ("calibration: 1.0", "calibration must give values for each race preset"),
+        (
+            "calibration: {contest: {speed_range: [0.5, 1.0]}}",
+            "must have the keys speed_range, start_spacing",
+        ),
+        (calibration(speeds="[1.0]"), r"speed_range in the calibration of contest must be \[low, high\]"),
+        (calibration(speeds="[0.0, 1.0]"), "0 < low < high"),
+        (calibration(speeds="[.nan, 1.0]"), "must be a number from 0 to 10"),
+        (calibration(spacing="-1.0"), "start_spacing in the calibration of contest must be a number from 0 to 10"),
+        (calibration(places="[]"), "must list stretches for each side"),
+        (calibration(places="{front: []}"), r"start_places front .* must list \[first, last\]"),
+        (calibration(places="{front: [[5.0, 1.0]]}"), "must be .* one after the other"),
+        (calibration(places="{front: [[1.0, 2.0], [1.5, 3.0]]}"), "must be .* one after the other"),
+        (calibration(places="{front: [[a, b]]}"), "must be .* one after the other"),
+    ],
+)
+def test_impossible_track_values_are_refused(folder, text, message):
+    (folder / "Ring_track.yaml").write_text(text)
+    with pytest.raises(MapError, match=message):
+        read_map(folder)
+
+
+def test_folders_that_can_not_be_read_are_named(tmp_path):
+    with pytest.raises(MapError, match=r"no map folder at .*gone"):
+        read_map(tmp_path / "gone")
+    (tmp_path / "a.txt").write_text("")
+    with pytest.raises(MapError, match="no map folder at"):
+        read_map(tmp_path / "a.txt")

@@ -1,0 +1,148 @@
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcs_racing import InputError, get_planner
+from pcs_racing_agents.agents import Agent, Driver, as_competitor, make
+from pcs_racing_agents.agents.agent import competitor_hash
+from pcs_racing_agents.agents.agents import always, random_moves
+from pcs_racing_agents.agents.drawing import draw, hash_rows
+from pcs_racing_agents.agents.zoo import build
+
+
+def test_an_agent_answers_like_a_model_of_sb3(setting, seen):
+    agent = always(setting, "restraint +")
+    moves, state = agent.predict(seen[0])
+    assert moves.shape == (40,)
+    assert state is None
+    assert (moves == 2).all()
+    one, state = agent.predict(seen[0][3], None, np.array([True]), deterministic=False)
+    assert (one.shape, int(one), state) == ((), 2, None)
+    assert agent.probabilities(seen[0][:0]).shape == (0, 5)
+
+
+def test_what_a_mixed_strategy_draws_depends_on_what_is_seen_and_its_seed_alone(setting, seen):
+    agent = random_moves(setting, seed=4)
+    everything = np.concatenate(seen)
+    moves, _ = agent.predict(everything)
+    assert len(set(moves.tolist())) == 4  # the paper's rules offer no "stay"
+    backwards, _ = agent.predict(everything[::-1])
+    np.testing.assert_array_equal(backwards[::-1], moves)
+    alone = [int(agent.predict(row)[0]) for row in everything]
+    np.testing.assert_array_equal(alone, moves)
+    other, _ = replace(agent, seed=5).predict(everything)
+    assert 0.1 < np.mean(other == moves) < 0.4
+
+
+def test_draws_follow_the_chances():
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(20_000, 31)).astype(np.float32)
+    chances = np.tile([0.1, 0.0, 0.6, 0.3, 0.0], (20_000, 1))
+    share = np.bincount(draw(chances, rows, 0), minlength=5) / 20_000
+    np.testing.assert_allclose(share, chances[0], atol=0.02)
+    assert share[1] == share[4] == 0.0
+    # A change in the last bit of one number is another situation.
+    changed = rows.copy()
+    changed[:, 17] = np.nextafter(rows[:, 17], np.float32(np.inf))
+    assert abs(np.mean(draw(chances, changed, 0) == draw(chances, rows, 0)) - 0.46) < 0.02
+    assert len(np.unique(hash_rows(rows, 0))) == 20_000
+    np.testing.assert_array_equal(
+        hash_rows(np.zeros((1, 3), np.float32), 1), hash_rows(-np.zeros((1, 3), np.float32), 1)
+    )
+
+
+def test_rounding_never_draws_what_is_impossible():
+    """Chances that add up to a bit less or more than 1."""
+    rows = np.random.default_rng(1).normal(size=(5000, 2)).astype(np.float32)
+    for chances in ([0.0, 1.0 - 1e-16, 0.0], [0.3, 0.3, 0.4 - 1e-12], [0.0, 1e-300, 0.0], [0.1] * 10):
+        drawn = draw(np.tile(chances, (5000, 1)), rows, 3)
+        assert (np.array(chances)[drawn] > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("observation", "message"),
+    [
+        (np.zeros(30), r"got an observation of shape \(1, 30\); it takes \(31,\) or \(B, 31\)"),
+        (np.zeros((2, 3, 31)), r"shape \(2, 3, 31\)"),
+        (np.full(31, np.nan), "holds NaN or infinity"),
+    ],
+)
+def test_observations_that_do_not_fit_are_refused(setting, observation, message):
+    with pytest.raises(InputError, match=message):
+        random_moves(setting).predict(observation)
+
+
+def test_agents_and_drivers_travel_to_other_processes(setting, seen):
+    agent = pickle.loads(pickle.dumps(random_moves(setting, seed=7)))
+    np.testing.assert_array_equal(agent.predict(seen[1])[0], random_moves(setting, seed=7).predict(seen[1])[0])
+    assert agent.content_hash == random_moves(setting, seed=7).content_hash
+    driver = pickle.loads(pickle.dumps(make("lane-switcher")))
+    assert driver.planner is get_planner("lane-switcher")
+    assert [policy.name for policy in driver.policies] == [f"lane-switcher:{i}" for i in range(20)]
+    assert driver.content_hash == make("lane-switcher").content_hash
+
+
+def test_digests_tell_what_somebody_does(setting, network):
+    first = always(setting, "restraint +")
+    assert first.content_hash == always(setting, "restraint+", name="other name").content_hash
+    others = [always(setting, "restraint -"), random_moves(setting), random_moves(setting, seed=1)]
+    others.append(build("cfr-argmax", setting, network=network))
+    others.append(build("cfr-regret-matching", setting, network=network))
+    changed = replace(network, biases=(network.biases[0], network.biases[1] + 1.0))
+    others.append(build("cfr-argmax", setting, network=changed))
+    assert len({first.content_hash, *(agent.content_hash for agent in others)}) == 7
+    assert competitor_hash(make("lattice:pace=0.3")) != competitor_hash(make("lattice:pace=0.4"))
+
+
+def test_what_can_not_be_told_from_another_is_not_kept(setting):
+    function = Agent("function", lambda seen: np.full((len(seen), 5), 0.2), setting)
+    for unknown in (Model(), as_competitor(Model(), "named"), function):
+        with pytest.raises(InputError, match="nothing tells it from another one of that name"):
+            competitor_hash(as_competitor(unknown))
+    known = Model()
+    known.content_hash = "abc"
+    assert competitor_hash(as_competitor(known, "x")) == competitor_hash(as_competitor(known, "y"))
+
+
+class Model:
+    """Stands in for a trained model."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.zeros(len(observation), int), state
+
+
+def test_models_and_policies_become_competitors(setting):
+    assert as_competitor(Model()).name == "Model"
+    assert as_competitor(Model(), "mine").name == "mine"
+    driver = as_competitor(get_planner("lattice").policy(), "L")
+    assert isinstance(driver, Driver)
+    assert (driver.name, len(driver.policies)) == ("L", 1)
+    agent = random_moves(setting)
+    assert as_competitor(agent) is agent
+    assert isinstance(as_competitor(agent, "other"), Agent)
+    renamed = as_competitor(driver, "M")
+    assert (renamed.name, renamed.policies) == ("M", driver.policies)
+    for wrong in ("never-switch", 3, Model):
+        with pytest.raises(InputError, match="can't race"):
+            as_competitor(wrong)
+
+
+def test_what_agents_and_drivers_look_like(setting):
+    assert repr(random_moves(setting)) == "<Agent 'random-moves': archive 'toy', paper rules>"
+    assert repr(make("lane-switcher")) == "<Driver 'lane-switcher': 20 policies of planner 'lane-switcher'>"
+
+
+def test_bad_agents_and_drivers_are_refused(setting):
+    with pytest.raises(InputError, match="an agent's name is ''; it must be a non-empty text"):
+        random_moves(setting, name="")
+    with pytest.raises(InputError, match="seed of agent 'random-moves' is -1"):
+        random_moves(setting, seed=-1)
+    with pytest.raises(InputError, match="'jump' is no move; the moves are aggressiveness"):
+        always(setting, "jump")
+    with pytest.raises(InputError, match="'d' has no policy"):
+        Driver("d", ())
+    lattice, pursuit = get_planner("lattice").policy(), get_planner("pure-pursuit").policy()
+    with pytest.raises(InputError, match="all must be of one planner"):
+        Driver("d", (lattice, pursuit))

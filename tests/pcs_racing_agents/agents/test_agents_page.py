@@ -1,0 +1,104 @@
+"""docs/agents.md and docs/zoo.md: the code runs, and what the zoo says of itself stands there."""
+
+import re
+
+import numpy as np
+import pytest
+from repository import REPOSITORY
+
+from pcs_racing_agents import make, names
+from pcs_racing_agents.agents import describe, make_setting, measured
+from pcs_racing_agents.agents.agent import competitor_hash
+from pcs_racing_agents.agents.describe import facts_of, option_meanings, zoo_page
+from pcs_racing_agents.agents.measured import SETTINGS, Measured, measurements, write_measurements
+from pcs_racing_agents.agents.zoo import ZOO, options
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.tournament import RaceRow
+
+DOCS = REPOSITORY / "docs"
+PAGE = (DOCS / "agents.md").read_text(encoding="utf-8")
+ZOO_PAGE = (DOCS / "zoo.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+AGAIN = "run: python benchmarks/zoo.py --write"
+
+made_under_v0 = pytest.mark.xfail(
+    reason="shipped archives, networks and figures were made under -v0; they are made again once all races have changed"
+)
+
+
+@pytest.mark.parametrize("number", range(len(BLOCKS)))
+def test_the_code_runs(number, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(BLOCKS[number], "docs/agents.md", "exec"), {"__name__": "snippet"})
+
+
+@made_under_v0
+def test_every_agent_has_its_page_as_it_is_now():
+    assert zoo_page() == ZOO_PAGE, AGAIN
+    for name in (*ZOO, "always-MOVE"):
+        assert f"\n### `{name}`\n" in ZOO_PAGE
+
+
+@made_under_v0
+@pytest.mark.parametrize(("archive", "race"), SETTINGS)
+def test_every_agent_was_measured_as_it_is_now(archive, race):
+    known = {name: one.sha256 for (*where, name), one in measurements().items() if where == [archive, race]}
+    shipped = {}
+    for name in names(archive, race):
+        try:
+            shipped[name] = competitor_hash(make(name, archive=archive, race=race))
+        except LookupError:  # nothing is shipped for it
+            continue
+    changed = sorted(name for name in {*known, *shipped} if known.get(name) != shipped.get(name))
+    assert not changed, f"{', '.join(changed)} not measured as they are: {AGAIN}"
+
+
+def test_every_option_is_explained():
+    for name, entry in ZOO.items():
+        assert set(options(name)) <= set(option_meanings(entry.build)), name
+
+
+def test_every_column_of_the_results_is_explained():
+    for column in ("preset", *RaceRow._fields):
+        assert f"`{column}`" in PAGE
+
+
+def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, tmp_path):
+    monkeypatch.setattr(measured, "_file", lambda: tmp_path / "measured.csv")
+    measurements.cache_clear()
+    try:
+        setting = make_setting("default", "paper")
+        digest = competitor_hash(make("never-switch"))
+        assert facts_of("never-switch", setting) == [
+            "Strength and cost: not measured as it is.",
+            f"Hash: {digest[:16]}.",
+        ]
+        one = Measured(
+            *("default", "paper", "never-switch", digest, "Tarnfjord, Saltmere", 300.0, 0.5, -12.0, -40.0, 20.0, 0.02),
+            *(46.0, 0.53, {"random-moves": 0.625}),
+        )
+        write_measurements([one, one._replace(agent="lane-switcher", many_us=np.nan, against={})])
+        assert measurements()["default", "paper", "never-switch"] == one
+        strength, cost, _ = facts_of("never-switch", setting)
+        assert strength.startswith("Strength: score 0.500, rating -12 [-40, +20], on Tarnfjord, Saltmere in 300 races")
+        assert "(0.625 against random-moves)" in strength
+        assert cost == "Cost: 46 us for one observation, 0.53 us for each of 1,000 at once."
+        assert measured.measured("default", "paper", "never-switch", "0" * 64) is None
+        assert np.isnan(measurements()["default", "paper", "lane-switcher"].many_us)
+        page = describe.zoo_page()
+        assert "| `never-switch` | 0.500 | -12 [-40, +20] | 2.0% | 46 | 0.53 |" in page
+        assert "| `lane-switcher` |" not in page
+    finally:
+        measurements.cache_clear()
+
+
+def test_the_command_tells_the_same(capsys):
+    assert main(["agents", "cfr-argmax"]) == 0
+    out = capsys.readouterr().out
+    for line in facts_of("cfr-argmax", make_setting("default", "paper")):
+        assert f"- {line}\n" in out
+    assert "With archive default in the paper race:" in out
+    assert main(["agents", "cfr-argmax", "--archive", "contest", "--preset", "contest"]) == 0
+    assert "Network: contest-contest-regret" in capsys.readouterr().out
+    assert main(["agents", "ppo", "--archive", "contest"]) == 0
+    assert "- Not shipped for this game." in capsys.readouterr().out

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcs_racing import InputError
+from pcs_racing_agents.agents.agents import best_fixed, best_schedule, never_switch
+from pcs_racing_agents.agents.blind import path_moves
+
+
+def test_never_switching_is_staying(setting, seen):
+    chances = never_switch(setting).probabilities(seen[2])
+    np.testing.assert_array_equal(chances, np.tile([0, 0, 0, 0, 1], (40, 1)))
+
+
+def test_a_schedule_follows_the_steps(setting, game):
+    plan = ["restraint +", "stay", "aggressiveness-", "restraint +"]
+    agent = best_schedule(setting, moves=plan)
+    state = game.reset(games=3, seed=5)
+    for expected in (2, 4, 1, 2):
+        moves, _ = agent.predict(game.observation(state)[:, 0])
+        np.testing.assert_array_equal(moves, expected)
+        state = game.step(state, np.full((3, 2), 4))
+    assert agent.facts["plan"] == "restraint +, stay, aggressiveness -, restraint +"
+    with pytest.raises(InputError, match="a game has 4 moves"):
+        best_schedule(setting, moves=plan[:3])
+    with pytest.raises(InputError, match="moves and a fit; give one"):
+        best_schedule(setting, moves=plan, fit="somewhere.yaml")
+
+
+@pytest.mark.parametrize("target", [0, 5, 11])
+def test_a_walk_arrives_and_stays(setting, game, target):
+    """Every policy of the archive, by the rules of the game itself."""
+    agent = best_fixed(setting, target=target)
+    table, place = setting.table, setting.archive.normalised
+    policy = np.arange(len(setting.archive))
+    for _ in range(20):
+        seen = np.zeros((len(policy), 31), np.float32)
+        seen[:, :2] = place[policy]
+        seen[:, 5] = 1.0
+        policy = table[policy, agent.predict(seen)[0]]
+    reached = _reachable(table)
+    for start, end in enumerate(policy):
+        away = np.linalg.norm(place[reached[start]] - place[target], axis=1)
+        assert np.linalg.norm(place[end] - place[target]) == pytest.approx(away.min())
+    seen = np.zeros((1, 31), np.float32)
+    seen[0, :2], seen[0, 5] = place[target], 1.0
+    assert int(agent.predict(seen)[0][0]) == 4  # stay
+
+
+def _reachable(table) -> list[list[int]]:
+    found = []
+    for start in range(len(table)):
+        known, new = {start}, [start]
+        while new:
+            new = [int(there) for here in new for there in table[here] if there not in known]
+            known.update(new)
+        found.append(sorted(known))
+    return found
+
+
+@st.composite
+def worlds(draw):
+    policies, moves = draw(st.integers(1, 7)), draw(st.integers(1, 4))
+    table = draw(st.lists(st.lists(st.integers(0, policies - 1), min_size=moves, max_size=moves), min_size=policies,
+                          max_size=policies))  # fmt: skip
+    return np.array(table), draw(st.integers(0, policies - 1))
+
+
+@given(worlds())
+def test_paths_are_shortest(world):
+    table, target = world
+    points = np.random.default_rng(len(table)).normal(size=(len(table), 2))
+    first = path_moves(table, points, target)
+    reached = _reachable(table)
+    for start in range(len(table)):
+        goal = min(reached[start], key=lambda k: float(np.linalg.norm(points[k] - points[target])))
+        fewest, layer = 0, {start}
+        while goal not in layer:
+            layer = {int(there) for here in layer for there in table[here]}
+            fewest += 1
+        here = start
+        for _ in range(fewest):
+            here = table[here, first[here]]
+        assert here == goal
+
+
+def test_targets_that_do_not_exist_are_refused(setting):
+    for target in (-1, 12, "7", True):
+        with pytest.raises(InputError, match=r"must be the index of a policy in archive 'toy', 0 to 11"):
+            best_fixed(setting, target=target)

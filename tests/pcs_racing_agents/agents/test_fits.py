@@ -1,0 +1,72 @@
+from dataclasses import replace
+
+import pytest
+
+from pcs_racing import InputError, UnknownNameError
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.fits import Fit, find_fit, load_fit, make_fit, save_fit
+from pcs_racing_agents.agents.zoo import build
+
+PLAN = ["stay", "restraint +", "aggressiveness -", "stay"]
+CHOICES = {"best-schedule": PLAN, "best-fixed": 3, "psro": {"never-switch": 0.25, "random-moves": 0.75}}
+
+
+@pytest.mark.parametrize("kind", CHOICES)
+def test_a_fit_is_kept_and_followed(setting, tmp_path, kind, seen):
+    fit = make_fit(kind, CHOICES[kind], setting, {"races": 10, "reached": 0.5})
+    path = save_fit(fit, tmp_path / "fit.yaml")
+    assert vars(load_fit(path)) == vars(fit)
+    agent = build(kind, setting, fit=str(path))
+    assert agent.facts["trained on"] == "races 10, reached 0.5"
+    direct = {"best-schedule": {"moves": PLAN}, "best-fixed": {"target": 3}, "psro": {"weights": CHOICES["psro"]}}
+    same = build(kind, setting, **direct[kind])
+    assert (agent.predict(seen[0])[0] == same.predict(seen[0])[0]).all()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["fit.yaml"]
+
+
+def test_a_fit_of_another_game_is_refused(setting, archive):
+    fit = make_fit("best-fixed", 3, setting, {})
+    for change, message in [({"epsilon": 0.7}, "epsilon"), ({"moves": 3}, "number of moves 4; the game has 3")]:
+        with pytest.raises(InputError, match=message):
+            find_fit("best-fixed", make_setting(archive, replace(setting.config, **change)), fit)
+    fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
+    with pytest.raises(InputError, match="was made for archive"):
+        find_fit("best-fixed", make_setting(fewer, setting.config), fit)
+    with pytest.raises(InputError, match="is one of 'best-fixed'; agent 'psro' needs its own"):
+        find_fit("psro", setting, fit)
+    for kind, given in (("best-fixed", {"target": 3}), ("psro", {"weights": {"never-switch": 1.0}})):
+        with pytest.raises(InputError, match=f"agent '{kind}' got .* and a fit; give one of the two"):
+            build(kind, setting, fit=fit, **given)
+    with pytest.raises(UnknownNameError, match="none is shipped for archive 'toy' and rules 'paper'"):
+        find_fit("psro", setting)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "x"}, "is no fit"),
+        ({"version": 2}, "is no fit"),
+        ({"kind": "worst"}, "fit of 'worst' is unknown"),
+        ({"choice": "7"}, "must be the index of a policy"),
+        ({"extra": 1}, "unknown or missing extra"),
+        ({"race": 3}, "race is 3; it must be a text"),
+        ({"training": [1]}, r"training is \[1\]; it must be a mapping"),
+    ],
+)
+def test_files_that_are_no_fit_are_refused(setting, tmp_path, change, message):
+    import yaml
+
+    path = save_fit(make_fit("best-fixed", 3, setting, {}), tmp_path / "fit.yaml")
+    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **change}))
+    with pytest.raises(InputError, match=message):
+        load_fit(path)
+
+
+def test_files_that_are_nothing_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"can't read .*nothing"):
+        load_fit(tmp_path / "nothing")
+    (tmp_path / "odd.yaml").write_bytes(b"\x80: [")
+    with pytest.raises(InputError, match="not valid YAML"):
+        load_fit(tmp_path / "odd.yaml")
+    with pytest.raises(UnknownNameError, match="there are fits of"):
+        Fit("x", 3, "a", "b", "paper", [0.35], 4)

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+from pcs_racing import InputError
+from pcs_racing_agents.agents import Agent, make_setting
+from pcs_racing_agents.agents.agents import (
+    always,
+    from_network,
+    never_switch,
+    psro,
+    random_moves,
+    restricted_response,
+)
+from pcs_racing_agents.agents.mixture import make_mixture
+
+
+def on_the_way(chances: np.ndarray, table: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """How likely a strategy goes from one policy to another, whichever of the moves that do it makes."""
+    return (chances * (table[here] == there[:, None])).sum(axis=1)
+
+
+def test_drawing_on_the_way_is_drawing_before_the_game(game, setting, network):
+    """Kuhn's theorem: every course of a game is as likely under the mixture as if a member had been drawn for it."""
+    members = [
+        random_moves(setting),
+        from_network(setting, name="regrets", kind="regret", decision="regret-matching", network=network),
+        from_network(setting, name="logits", kind="regret", decision="softmax", network=network),
+    ]
+    weights = np.array([0.2, 0.5, 0.3])
+    mixture = Agent("mixture", make_mixture(members, weights), setting)
+    state = game.reset(games=30, seed=4)
+    rng = np.random.default_rng(1)
+    behaviour, drawn = np.ones(30), np.ones((3, 30))
+    differed = False
+    while not game.done(state).all():
+        going = ~game.done(state)
+        seen = game.observation(state)[:, 0]
+        after = game.step(state, rng.integers(0, 4, (30, 2)))
+        way = (setting.table, state.policy[:, 0], after.policy[:, 0])
+        steps = [on_the_way(one.probabilities(seen), *way) for one in (mixture, *members)]
+        differed |= bool((np.abs(steps[0] - weights @ np.array(steps[1:])) > 0.01).any())
+        behaviour *= np.where(going, steps[0], 1.0)
+        drawn *= np.where(going, steps[1:], 1.0)
+        state = after
+    np.testing.assert_allclose(behaviour, weights @ drawn, rtol=1e-9, atol=1e-15)
+    assert differed, "the members must have become unequally likely, or this test says nothing"
+
+
+def test_a_member_that_would_not_have_come_here_is_out(setting, game):
+    stays, goes = never_switch(setting), always(setting, "aggressiveness +")
+    mixture = Agent("mixture", make_mixture([stays, goes], [0.5, 0.5]), setting)
+    state = game.reset(games=4, seed=1, policies=(0, 3))
+    np.testing.assert_allclose(mixture.probabilities(game.observation(state)[:, 0]), [[0.5, 0, 0, 0, 0.5]] * 4)
+    moved = game.step(state, np.tile([0, 4], (4, 1)))
+    assert (moved.policy[:, 0] != 0).all()
+    np.testing.assert_array_equal(mixture.probabilities(game.observation(moved)[:, 0]), [[1, 0, 0, 0, 0]] * 4)
+    stayed = game.step(state, np.full((4, 2), 4))
+    np.testing.assert_array_equal(mixture.probabilities(game.observation(stayed)[:, 0]), [[0, 0, 0, 0, 1]] * 4)
+
+
+def test_mixtures_by_name(setting, seen):
+    blend = restricted_response(setting, exploit="always-restraint+", safe="never-switch", share=0.25)
+    np.testing.assert_allclose(blend.probabilities(seen[0]), [[0, 0, 0.25, 0, 0.75]] * 40)
+    assert blend.facts["mixture"] == "0.25 always-restraint+, 0.75 never-switch"
+    own = always(setting, "aggressiveness -", name="mine")
+    drawn = psro(setting, weights={"mine": 3.0, "never-switch": 1.0, "nobody": 0.0}, members=[own])
+    np.testing.assert_allclose(drawn.probabilities(seen[0]), [[0, 0.75, 0, 0, 0.25]] * 40)
+    moves = np.concatenate([drawn.predict(rows)[0] for rows in seen[:1]])
+    assert 0.5 < np.mean(moves == 1) < 0.95
+
+
+def test_bad_mixtures_are_refused(setting, archive):
+    stay = never_switch(setting)
+    for weights in ([], [1.0, 2.0], [-1.0], [0.0], [np.nan]):
+        with pytest.raises(InputError, match="weights"):
+            make_mixture([stay], weights)
+    with pytest.raises(InputError, match="'never-switch' can't be a member of a mixture; only agents can"):
+        make_mixture([stay, "never-switch"], [1, 1])
+    other = never_switch(make_setting(archive, "contest"))
+    with pytest.raises(InputError, match="different archives or rules"):
+        make_mixture([stay, other], [1, 1])
+    with pytest.raises(InputError, match="'lane-switcher' makes no moves"):
+        restricted_response(setting, exploit="lane-switcher", safe=stay)
+    with pytest.raises(InputError, match=r"share of agent 'restricted-response' is 1\.5"):
+        restricted_response(setting, exploit=stay, safe=stay, share=1.5)

@@ -1,0 +1,92 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from zoo_games import untrained
+
+from pcs_racing import InputError, UnknownNameError
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.agents import adaptive, from_network, random_moves
+from pcs_racing_agents.agents.zoo import build
+
+
+def test_the_papers_agent_makes_the_move_of_highest_regret(setting, network, seen):
+    agent = build("cfr-argmax", setting, network=network)
+    rows = np.concatenate(seen)
+    np.testing.assert_array_equal(agent.predict(rows)[0], network.choose(rows))
+    clipped = build("cfr-argmax", setting, network=replace(network, clipped=True))
+    np.testing.assert_array_equal(clipped.predict(rows)[0], network.choose(rows))
+    assert agent.facts["source"] == "the paper's GT agent, Equations 8 and 9"
+    assert len(agent.facts["weights sha256"]) == 64
+
+
+def test_regret_matching_draws_in_proportion_to_positive_regret(setting, network, seen):
+    agent = build("cfr-regret-matching", setting, network=network)
+    values = np.maximum(network.unclipped(seen[1]), 0.0).astype(float)
+    some = values.sum(axis=1) > 0.0
+    expected = values[some] / values[some].sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(agent.probabilities(seen[1])[some], expected)
+
+
+def test_a_network_may_not_know_the_move_stay(setting, seen):
+    short = untrained(setting, stay=False)
+    agent = build("cfr-argmax", setting, network=short)
+    assert (agent.probabilities(seen[0])[:, 4] == 0.0).all()
+    np.testing.assert_array_equal(agent.predict(seen[0])[0], short.choose(seen[0]))
+
+
+def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more(setting, seen):
+    network = untrained(setting, "gain")
+    rows = np.concatenate(seen)
+    values = network.unclipped(rows)
+    habit = build("always-restraint-", setting)
+    gain = values.max(axis=1) - values[:, 3]
+    leaves = {}
+    for margin in (0.0, float(np.median(gain)), 1e9):
+        agent = adaptive(setting, network=network, blind=habit, margin=margin)
+        expected = np.where(gain > margin, values.argmax(axis=1), 3)
+        np.testing.assert_array_equal(agent.predict(rows)[0], expected)
+        leaves[margin] = np.mean(expected != 3)
+    assert sorted(leaves.values(), reverse=True) == list(leaves.values())
+    assert list(leaves.values())[-1] == 0.0
+    trained = adaptive(setting, network=replace(network, training={"margin": 1e9}), blind="never-switch")
+    assert (trained.predict(rows)[0] == 4).all()
+    assert trained.facts["keeps to"] == "never-switch"
+    with pytest.raises(InputError, match="margin of agent 'adaptive' is -1"):
+        adaptive(setting, network=network, blind=habit, margin=-1)
+
+
+def test_staying_is_worth_nothing_to_a_network_of_advantages(setting, seen):
+    short = untrained(setting, "gain", stay=False)
+    agent = adaptive(setting, network=short, blind="never-switch", margin=0.0)
+    values = short.unclipped(seen[0])
+    expected = np.where(values.max(axis=1) > 0.0, values.argmax(axis=1), 4)
+    np.testing.assert_array_equal(agent.predict(seen[0])[0], expected)
+
+
+def test_a_random_habit_is_kept_at_random(setting, seen):
+    network = untrained(setting, "gain")
+    agent = adaptive(setting, network=network, blind=random_moves(setting), margin=1e9)
+    np.testing.assert_allclose(agent.probabilities(seen[0]), [[0.25, 0.25, 0.25, 0.25, 0.0]] * 40)
+
+
+def test_a_network_of_another_game_is_refused(setting, network, archive):
+    longer = make_setting(archive, replace(setting.config, moves=5))
+    with pytest.raises(InputError, match=r"agent 'cfr-argmax': network 'untrained-regret' sees 31 .* the game has 37"):
+        build("cfr-argmax", longer, network=network)
+    wider = make_setting(archive, replace(setting.config, epsilon=0.7))
+    with pytest.raises(InputError, match=r"was made for moves of epsilon 0.5; the game has 0.7"):
+        build("nash", wider, network=network)
+    fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
+    with pytest.raises(InputError, match="was made for archive 'toy'"):
+        build("advantage", make_setting(fewer, setting.config), network=network)
+    with pytest.raises(UnknownNameError, match="needs a network, and none called 'toy-paper-static-q' is shipped"):
+        build("static-q", setting)
+    with pytest.raises(UnknownNameError, match="decision 'best' is unknown"):
+        from_network(setting, name="mine", kind="regret", decision="best", network=network)
+
+
+def test_networks_are_read_from_folders(setting, network, seen, tmp_path):
+    network.save(tmp_path / "net")
+    agent = build("cfr-argmax", setting, network=str(tmp_path / "net"))
+    np.testing.assert_array_equal(agent.predict(seen[0])[0], network.choose(seen[0]))

@@ -1,0 +1,30 @@
+import numpy as np
+
+from pcs_racing_agents.agents import observing
+
+
+def test_observations_are_read_as_the_game_writes_them(game, seen):
+    names = [element.name for element in game.observation_elements]
+    for step, rows in enumerate(seen):
+        going = rows[:, names.index(f"seen_{step}")] == 1.0  # games that crashed stay behind
+        assert going.any()
+        np.testing.assert_array_equal(observing.moves_made(rows, 2)[going], step)
+        for part, name in ((observing.own, "own"), (observing.opponent, "opponent")):
+            at = [names.index(f"{name}_{axis}_{step}") for axis in ("aggressiveness", "restraint")]
+            np.testing.assert_array_equal(part(rows, 2)[going], rows[going][:, at])
+            np.testing.assert_array_equal(part(rows, 2, step)[going], rows[going][:, at])
+    assert observing.step_count(seen[0], 2) == 5
+
+
+def test_what_was_seen_earlier_can_be_seen_later(seen):
+    last = seen[-1]
+    made = observing.moves_made(last, 2)
+    for step, rows in enumerate(seen[:-1]):
+        long_enough = made >= step
+        np.testing.assert_array_equal(observing.earlier(last, 2, step)[long_enough], rows[long_enough])
+
+
+def test_the_own_policy_is_known_from_its_coordinates(game, setting):
+    state = game.reset(games=10, seed=3)
+    rows = game.observation(state)[:, 1]
+    np.testing.assert_array_equal(setting.archive.nearest(observing.own(rows, 2)), state.policy[:, 1])

@@ -1,0 +1,36 @@
+"""Every agent of the zoo races with its defaults, with both shipped archives."""
+
+import numpy as np
+import pytest
+
+import pcs_racing_agents
+from pcs_racing import make_game
+from pcs_racing.race.start_grid import Starts
+from pcs_racing_agents.networks import list_networks, load_network
+from pcs_racing_agents.tournament.matches import play_games, variant_count
+
+GAMES = (("default", "paper", "Tarnfjord"), ("contest", "contest", "Brackwater"))
+
+
+@pytest.mark.parametrize(("archive", "race", "track"), GAMES)
+def test_every_name_that_is_offered_races(archive, race, track):
+    game = make_game(track, archive, race, threads=1)
+    starts, seeds = Starts(game.start_lines[:2], np.array([0, 1])), np.array([7, 8], np.uint64)
+    rival = pcs_racing_agents.make("never-switch", archive=archive, race=race)
+    for name in pcs_racing_agents.names(archive, race):
+        agent = pcs_racing_agents.make(name, archive=archive, race=race)
+        policies = np.array([[3, 5], [5, 3]]) % variant_count(game, agent)
+        played = play_games(game, agent, rival, policies=policies, starts=starts, seeds=seeds)
+        again = play_games(game, agent, rival, policies=policies[:1], starts=starts.take([0]), seeds=seeds[:1])
+        assert played.lead[0] == again.lead[0], name
+
+
+def test_networks_name_what_they_are_for():
+    names = list_networks()
+    assert {"default-paper-regret", "default-paper-gain", "contest-contest-regret", "contest-contest-gain"} <= set(
+        names
+    )
+    for name in names:
+        network = load_network(name)
+        assert network.training, name
+        assert name == network.name

@@ -1,0 +1,152 @@
+import numpy as np
+import pytest
+from zoo_games import untrained
+
+import pcs_racing_agents
+from pcs_racing import InputError, UnknownNameError, make_game
+from pcs_racing_agents.agents import Agent, Decider, Driver, make, names, parse_agent, register_agent, zoo
+from pcs_racing_agents.agents.agents import always, random_moves
+from pcs_racing_agents.agents.zoo import ZOO, build, entries, options
+
+
+def learned(name: str, setting) -> dict:
+    """What an agent of the zoo must be given if nothing is shipped for its game."""
+    given = {
+        "best-schedule": {"moves": ["stay"] * 4},
+        "best-fixed": {"target": 3},
+        "psro": {"weights": {"never-switch": 1.0, "random-moves": 1.0}},
+        "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
+        "restricted-response": {"exploit": "random-moves", "safe": "never-switch"},
+    }
+    if name in ZOO and ZOO[name].needs == "network" and name != "adaptive":
+        return {"network": untrained(setting)}
+    return given.get(name, {})
+
+
+def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
+    listed = names(setting.archive, setting.config)
+    assert len(listed) == len(set(listed)) >= 20
+    assert {"always-aggressiveness+", "always-restraint-"} <= set(listed)
+    for name in listed:
+        made = build(name, setting, seed=3, **learned(name, setting))
+        assert made.name == name
+        if isinstance(made, Driver):
+            assert name in ("random-policy", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit")
+            continue
+        if name == "receding-horizon":
+            assert isinstance(made, Decider)
+            continue
+        assert isinstance(made, Agent)
+        for rows in seen[:-1]:
+            chances = made.probabilities(rows)
+            np.testing.assert_allclose(chances.sum(axis=1), 1.0, atol=1e-9)
+            moves, _ = made.predict(rows)
+            assert (chances[np.arange(len(rows)), moves] > 0.0).all()
+        if name in ZOO:
+            assert made.facts["does"] == ZOO[name].summary
+
+
+def test_made_by_name_for_a_shipped_archive():
+    agent = pcs_racing_agents.make("random-moves", race="contest", seed=1)
+    assert isinstance(agent, Agent)
+    assert agent.setting.race == "contest"
+    assert agent.setting.offered == 5  # the contest offers "stay" to everybody
+    assert "never-switch" in pcs_racing_agents.names()
+    assert len(make("lane-switcher").policies) == 20
+    explored = make("random-policy")
+    assert len(explored.policies) == len(agent.setting.archive.explored_parameters)
+    with pytest.raises(AttributeError, match="has no attribute 'mak'"):
+        pcs_racing_agents.mak  # noqa: B018
+
+
+def test_an_agent_is_an_opponent_of_the_environments(setting, oval):
+    import gymnasium as gym
+
+    opponent = always(setting, "restraint +")
+    duel = gym.make(
+        "pcs_racing/Duel-v1", track=oval, archive=setting.archive, step_seconds=0.8, stay=True, opponent=opponent
+    )
+    duel.reset(seed=1)
+    assert duel.step(4)[-1]["opponent_move"] == "restraint +"
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        ("cfr-armax", {}, "did you mean 'cfr-argmax'?"),
+        ("always-jump", {}, "'jump' is no move"),
+        ("never-switch", {"speed": 3}, "agent 'never-switch' has no option 'speed'; it has none"),
+        ("best-fixed", {"goal": 3}, "has no option 'goal'; it has target, fit"),
+        ("always-restraint+", {"x": 1}, "has no option 'x'"),
+        (7, {}, "agent 7 must be a name"),
+        ("lattice:pace=7", {}, "must lie in"),
+    ],
+)
+def test_bad_names_and_options(setting, name, given, message):
+    with pytest.raises(InputError, match=message):
+        build(name, setting, **given)
+    with pytest.raises(UnknownNameError, match="unknown archive 'nowhere'"):
+        make("never-switch", archive="nowhere")
+
+
+def test_agents_as_text(setting):
+    assert parse_agent("best-fixed:target=3", setting).name == "best-fixed:target=3"
+    assert parse_agent("always-restraint +", setting).name == "always-restraint+"
+    assert len(parse_agent("lane-switcher", setting).policies) == 20
+    (only,) = parse_agent("lane-switcher:4", setting).policies
+    assert only.name == "lane-switcher:4"
+    drawn = parse_agent("restricted-response:exploit=random-moves,safe=never-switch,share=0.5", setting)
+    assert drawn.facts["mixture"] == "0.5 random-moves, 0.5 never-switch"
+    for text in ("best-fixed:3", "best-fixed:target=3,target=4", "best-fixed:name=x", "best-fixed:target=[1"):
+        with pytest.raises(InputError, match="agent 'best-fixed"):
+            parse_agent(text, setting)
+
+
+class Zero:
+    """An agent of somebody else: a plain object with ``predict``."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.zeros(len(observation), np.int64), state
+
+
+def third_party(setting, *, name="x", seed=0, bold=False):
+    """Make the first move for ever."""
+    return always(setting, setting.moves[0], name=name, seed=seed) if bold else Zero()
+
+
+@pytest.fixture
+def empty_registry(monkeypatch):
+    monkeypatch.setattr(zoo, "_registered", {})
+
+
+def test_agents_of_other_people(setting, empty_registry, monkeypatch):
+    register_agent("first-move", third_party)
+    register_agent("first-move", third_party)  # again changes nothing
+    assert entries()["first-move"].summary == "Make the first move for ever."
+    assert "first-move" in names(setting.archive, setting.config)
+    assert options("first-move") == {"bold": False}
+    made = build("first-move", setting)
+    assert made.name == "first-move"
+    assert isinstance(build("first-move", setting, bold=True), Agent)
+    with pytest.raises(InputError, match="there is an agent 'first-move' already"):
+        register_agent("first-move", random_moves)
+    for name in ("", "a b", "nash", "always-x", "a:b"):
+        with pytest.raises(InputError, match="agent"):
+            register_agent(name, third_party)
+
+    monkeypatch.setattr(zoo, "_declared", lambda: {"far": f"{__name__}:third_party", "broken": "no.such:thing"})
+    assert {"far", "broken"} <= set(names(setting.archive, setting.config))
+    assert build("far", setting, bold=True).name == "far"
+    with pytest.raises(InputError, match=r"agent 'broken' can't be loaded from no\.such:thing"):
+        build("broken", setting)
+
+
+def test_an_agent_of_another_archive_is_refused(game, setting, oval):
+    from pcs_racing_agents.tournament.matches import game_between
+
+    other = make("never-switch")
+    with pytest.raises(InputError, match=r"agent 'never-switch' is made for archive 'default' \(.*\), but the game"):
+        game_between(game, other, other)
+    agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.7)
+    with pytest.raises(InputError, match=r"with epsilon 0\.5, but this game has epsilon 0\.7"):
+        game_between(wider, agent, agent)

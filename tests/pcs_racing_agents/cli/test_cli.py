@@ -1,0 +1,366 @@
+import argparse
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from pcs_racing import list_tracks, load_track, read_replay
+from pcs_racing.planners import BUILT_IN
+from pcs_racing.track.maps import shipped_folder
+from pcs_racing.track.track import calibration_values
+from pcs_racing_agents.cli.main import _parser, main
+
+SHORT = ["--duration", "4"]
+PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command; returns exit code, stdout and stderr."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def copied(tmp_path) -> Path:
+    """A shipped circuit, copied to a folder whose name has a space."""
+    return Path(shutil.copytree(shipped_folder() / "Pipkin", tmp_path / "my maps" / "Pipkin"))
+
+
+def test_a_race_tells_what_happened(run):
+    code, out, _ = run("race", "--track", "Pipkin", *PAIR, *SHORT, "--seed", 3)
+    assert code == 0
+    assert out.startswith("Pipkin, 58.")
+    assert "preset paper, seed 3, race 0" in out
+    assert "car 0: lattice:pace=0.8, " in out
+    assert re.search(r"\n(lattice:pace=0.\d wins by .* m after 4 s|crash after .* s, fault of .*)\nto watch it: ", out)
+    assert run("race", "--track", "Pipkin", *PAIR, *SHORT, "--seed", 3)[1] == out  # the same seed, the same race
+
+
+def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = run("race")
+    assert code == 0
+    assert out.startswith("Quillburg, ")
+    assert " overtakes\n" in out
+    assert re.search(r"\n(\S+) wins by \d+\.\d m after 40 s\n", out)  # no crash
+    (again,) = re.findall(r"^to watch it: pcs-racing (.*)$", out, re.MULTILINE)
+    code, watched, _ = run(*shlex.split(again))
+    assert code == 0
+    assert watched.splitlines()[:-1] == out.splitlines()[:-1]  # the same race
+    assert watched.endswith("replay: race.html\n")
+    assert read_replay(tmp_path / "race.html").track_name == "Quillburg"
+
+
+def test_two_cars_of_one_policy_are_told_apart(run):
+    code, out, _ = run("race", "--track", "Pipkin", "--ego", "lattice", "--opponent", "lattice", *SHORT)
+    assert code == 0
+    assert "car 0: lattice (car 0), " in out
+    assert "car 1: lattice (car 1), " in out
+    assert re.search(r"\n(lattice \(car [01]\) wins by|crash after .*, fault of lattice \(car [01]\))", out)
+
+
+def test_a_race_writes_a_replay(run, tmp_path):
+    for name in ("race.html", "race.json"):
+        code, out, _ = run("race", "--track", "Pipkin", *PAIR, *SHORT, "--replay", tmp_path / name)
+        assert code == 0
+        assert str(tmp_path / name) in out
+        replay = read_replay(tmp_path / name)
+        assert replay.track_name == "Pipkin"
+        assert replay.candidates is not None
+
+
+def test_a_map_folder_with_a_space_in_its_name(run, copied):
+    code, out, _ = run("race", "--track", copied, *PAIR, *SHORT)
+    assert code == 0
+    assert out.startswith("Pipkin, ")
+
+
+def test_a_map_of_yaml_and_picture_alone(run, copied):
+    for file in copied.glob("*.csv"):
+        file.unlink()
+    code, out, _ = run("race", "--track", copied, *PAIR, *SHORT)
+    assert code == 0
+    assert out.startswith("Pipkin, ")
+
+
+def test_real_circuits(run, real_maps):
+    code, out, _ = run("race", "--track", real_maps / "Spielberg", *PAIR, *SHORT)
+    assert code == 0
+    assert out.startswith("Spielberg, 3")
+
+
+def test_a_tournament_prints_the_table_and_writes_the_results(run, tmp_path):
+    out_folder = tmp_path / "a b" / "results"
+    policies = ["lattice", "lattice:pace=0.9", "lane-switcher:3"]
+    arguments = ["--track", "Pipkin", "--policies", *policies, "--races", 4, *SHORT]
+    code, out, err = run("tournament", *arguments, "--preset", "contest", "--out", out_folder)
+    assert code == 0
+    assert "12 races of 4 s, preset contest, on Pipkin; seed 0" in out
+    assert all(out.count(f" {policy} ") or f"\n{policy} " in out for policy in policies)
+    assert "12/12 races" in err
+    assert len((out_folder / "results.csv").read_text().splitlines()) == 13
+
+
+def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, tmp_path):
+    arguments = ["tournament", "--track", "Pipkin", "--agents", "random-moves", "always-restraint +", "--races", 2]
+    code, out, err = run(*arguments, *SHORT, "--out", tmp_path / "out")
+    assert code == 0
+    assert "2 races of 4 s, preset paper, on Pipkin" in out
+    results = (tmp_path / "out" / "results.csv").read_bytes()
+    assert b"random-moves,always-restraint+,Pipkin" in results
+    (tmp_path / "out" / "results.csv").unlink()
+    code, again, _ = run(*arguments, *SHORT, "--out", tmp_path / "out")
+    assert (code, again) == (0, out)
+    assert (tmp_path / "out" / "results.csv").read_bytes() == results
+    code, _, err = run(*arguments, *SHORT, "--seed", 1, "--out", tmp_path / "out")
+    assert code == 2
+    assert "holds another run: its seed is 0, not 1" in err
+
+
+def test_agents_lists_the_zoo(run):
+    code, out, _ = run("agents")
+    assert code == 0
+    assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= {line.split()[0] for line in out.splitlines()}
+    code, out, _ = run("agents", "best-fixed")
+    assert code == 0
+    assert "- Option target, by default None. The policy's index." in out
+
+
+def test_agents_tells_of_one_that_makes_the_same_move(run):
+    code, out, _ = run("agents", "always-restraint+")
+    assert code == 0
+    assert "Makes the same move again and again." in out
+    assert "With archive default in the paper race:" in out
+
+
+def test_a_tournament_without_a_folder_prints_its_table_and_writes_nothing(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["tournament", "--track", "Pipkin", "--agents", "random-moves", "never-switch", "--races", 2]
+    code, out, _ = run(*arguments, *SHORT)
+    assert code == 0
+    assert "2 races of 4 s, preset paper, on Pipkin" in out
+    assert not list(tmp_path.iterdir())
+
+
+def test_rules_from_a_file(run, tmp_path):
+    rules = tmp_path / "rules.yaml"
+    rules.write_text("preset: contest\nname: sprint\nduration: 2.0\n")
+    code, out, _ = run("race", "--track", "Pipkin", *PAIR, "--preset", rules)
+    assert code == 0
+    assert "preset sprint" in out
+
+
+def test_track_list_and_show(run, tmp_path):
+    code, out, _ = run("track", "list")
+    assert code == 0
+    assert [line.split()[0] for line in out.splitlines()] == list_tracks()
+    code, out, _ = run("track", "show", "pipkin", "--out", tmp_path / "picture.png")
+    assert code == 0
+    assert out.startswith("Pipkin")
+    with Image.open(tmp_path / "picture.png") as picture:
+        assert picture.width > 300
+
+
+def test_track_import_completes_a_map(run, copied, tmp_path):
+    bare = tmp_path / "bare" / "hall"
+    bare.mkdir(parents=True)
+    shutil.copy(copied / "Pipkin_map.png", bare)
+    shutil.copy(copied / "Pipkin_map.yaml", bare / "hall.yaml")
+    start = load_track(copied).to_cartesian([0.0, 0.0])
+    target = tmp_path / "out" / "Hall"
+    code, out, _ = run(
+        "track", "import", bare, "--out", target, "--seed-point", start[0], start[1], "--direction", "clockwise"
+    )
+    assert code == 0
+    assert str(target) in out
+    found = load_track(target)
+    assert found.name == "Hall"
+    assert found.length == pytest.approx(load_track(copied).length, rel=0.03)
+    ahead = np.exp(1j * found.to_cartesian([0.0, 0.0])[2])
+    assert (ahead * np.exp(-1j * start[2])).real < -0.9  # the other way round
+
+
+def test_track_generate_is_repeatable(run, tmp_path):
+    for name in ("one", "two"):
+        assert run("track", "generate", "--seed", 2, "--name", "Dell", "--out", tmp_path / name)[0] == 0
+    one, two = (load_track(tmp_path / name) for name in ("one", "two"))
+    assert one.name == "Dell"
+    assert one.content_hash == two.content_hash
+
+
+def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, copied):
+    file = copied / "Pipkin_track.yaml"
+    before = yaml.safe_load(file.read_text())
+    before.pop("calibration")
+    file.write_text(yaml.safe_dump(before))
+    code, out, _ = run("track", "calibrate", copied, "--preset", "contest")
+    assert code == 0
+    assert "Pipkin, contest: speed range" in out
+    assert load_track(copied).calibration == {}  # nothing is kept unless asked for
+    run("track", "calibrate", copied, "--preset", "contest", "--write")
+    own = load_track(copied).calibration["contest"]
+    assert own == load_track("Pipkin").calibration["contest"]
+    low, high = own.speed_range
+    assert f"speed range {low:.2f} to {high:.2f}" in out
+    after = yaml.safe_load(file.read_text())
+    assert after.pop("calibration") == {"contest": calibration_values(own)}
+    assert after == before
+
+
+def test_policies_lists_every_planner_and_parameter(run):
+    code, out, _ = run("policies")
+    assert code == 0
+    assert {*BUILT_IN, "ppo-drive"} <= set(out.splitlines())
+    code, out, _ = run("policies", "lattice")
+    assert code == 0
+    assert "side_margin" in out
+    assert "air to keep beside the opponent, m" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["race", "--track", "Nurburg", *PAIR], "unknown track 'Nurburg'"),
+        (["race", "--track", "no/such folder", *PAIR], "no/such folder"),
+        (["race", "--track", "Pipkin", "--ego", "latice", "--opponent", "lattice"], "did you mean 'lattice'?"),
+        (["race", "--track", "Pipkin", "--ego", "lattice:pace=nan", "--opponent", "lattice"], "must be finite"),
+        (["race", "--track", "Pipkin", *PAIR, "--preset", "cup"], "race preset 'cup' is unknown"),
+        (["race", "--track", "Pipkin", *PAIR, "--duration", "-1"], "duration is -1.0"),
+        (["race", "--track", "Pipkin", *PAIR, "--seed", "-1"], "seed is -1"),
+        (["race", "--track", "Pipkin", *PAIR, "--index", "-1"], "index is -1"),
+        (
+            ["race", *PAIR, "--index", "20000000000"],
+            "index is 20000000000; it must be a whole number from 0 to 4294967295",
+        ),
+        (["race", *PAIR, "--index", "1000000000000"], "index is 1000000000000"),
+        (["track", "calibrate", "--write"], "--write changes a map folder: say which"),
+        (["race", "--track", "Pipkin", *PAIR, "--replay", "no/such/folder/race.html"], "there is no folder"),
+        (["race", "--track", "Pipkin", *PAIR, "--replay", "race.mp4"], "must end in .html or .json"),
+        (["tournament", "--track", "Pipkin", "--policies", "lattice"], "a tournament needs at least 2"),
+        (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
+        (["tournament", "--track", "Pipkin", "--agents", "random-moves", "cfr-argmax:network=nowhere"], "'nowhere'"),
+        (["tournament", "--track", "Pipkin", "--agents", "random-moves", "--archive", "x"], "unknown archive 'x'"),
+        (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice:pace=1", "--duration", "3.7"], "0.5 s"),
+        (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice"], "more than one lattice"),
+        (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice:pace=1", "--races", "5"], "even"),
+        (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
+        (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
+        (["policies", "latice"], "did you mean 'lattice'?"),
+        (["agents", "cfr"], "agent 'cfr' is unknown"),
+    ],
+)
+def test_an_error_is_one_line(run, arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(*arguments)
+    assert code == 2
+    assert out == ""
+    assert err.startswith("pcs-racing: error: ")
+    assert message in err
+    assert err.count("\n") == 1
+    assert not list(tmp_path.iterdir())  # nothing half done
+
+
+@pytest.mark.parametrize(
+    ("stopped", "code", "told"),
+    [
+        (KeyboardInterrupt(), 130, "pcs-racing: interrupted\n"),
+        (
+            PermissionError(13, "Permission denied", "results.csv"),
+            2,
+            "can't read or write results.csv: Permission denied",
+        ),
+        (OSError("no room for\n  two lines"), 2, "pcs-racing: error: no room for two lines\n"),
+    ],
+)
+def test_what_stops_a_command_is_told_in_a_line(run, monkeypatch, stopped, code, told):
+    def fails(_name):
+        raise stopped
+
+    monkeypatch.setattr("pcs_racing_agents.cli.policies.get_planner", fails)
+    found, _, err = run("policies", "lattice")
+    assert found == code
+    assert told in err
+    assert err.count("\n") == 1
+
+
+def test_a_folder_in_the_place_of_a_picture(run, tmp_path):
+    (tmp_path / "made.png").mkdir()
+    code, _, err = run("track", "show", "Pipkin", "--out", tmp_path / "made.png")
+    assert code == 2
+    assert err == f"pcs-racing: error: can't write {tmp_path / 'made.png'}: it is a folder\n"
+
+
+def test_an_error_in_the_program_itself_is_not_hidden(run, monkeypatch):
+    monkeypatch.setattr("pcs_racing_agents.cli.policies.get_planner", lambda name: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        run("policies", "lattice")
+
+
+def commands(parser: argparse.ArgumentParser, name: str = "pcs-racing"):
+    """Every command by its whole name, groups of commands included."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for key, command in action.choices.items():
+                yield f"{name} {key}", command
+                yield from commands(command, f"{name} {key}")
+
+
+COMMANDS = dict(commands(_parser()))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_a_help_text_with_examples_that_it_understands(name, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([*name.split()[1:], "--help"])
+    assert stop.value.code == 0
+    told = capsys.readouterr().out
+    examples = re.findall(r"^(?:examples?:)?\s*(pcs-racing .*)$", told[told.rindex("example") :], re.MULTILINE)
+    assert examples
+    for example in examples:
+        assert example.startswith(name)
+        _parser().parse_args(shlex.split(example)[1:])
+    for action in COMMANDS[name]._actions:
+        assert action.help or isinstance(action, argparse._SubParsersAction), f"{name} {action.dest}"
+
+
+@pytest.mark.parametrize("name", [name for name, parser in COMMANDS.items() if "--track" in parser.format_help()])
+def test_every_command_that_needs_a_circuit_has_one(name):
+    own = "Tarnfjord, Vellindra, Kestrelheim" if name.endswith("synthesize") else "Quillburg"
+    assert f"(default: {own}" in " ".join(COMMANDS[name].format_help().split())
+
+
+@pytest.mark.parametrize("arguments", [["show"], ["calibrate"]])
+def test_a_circuit_that_nobody_named_is_told(run, arguments):
+    code, out, _ = run("track", *arguments)
+    assert code == 0
+    assert out.startswith("Quillburg")
+
+
+def test_as_a_process(tmp_path):
+    """The installed command: version, exit code of an error, and a reader that goes away."""
+    command = [sys.executable, "-m", "pcs_racing_agents"]
+    done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"pcs-racing {version('pcs-racing')}\n"
+    done = subprocess.run([*command, "track", "show", "Nowhere"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("pcs-racing: error: unknown track 'Nowhere'")
+    assert "Traceback" not in done.stderr
+    done = subprocess.run(
+        f"'{sys.executable}' -m pcs_racing_agents policies | head -n 1",
+        shell=True, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stderr == ""

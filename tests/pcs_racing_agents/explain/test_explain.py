@@ -1,0 +1,238 @@
+"""One race explained: the facts, the words and the pictures."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from zoo_games import untrained
+
+from pcs_racing import InputError, make_game
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.race.races import draw_starts
+from pcs_racing_agents.agents import Agent, make_setting
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.explain.explain import Unit, explain_match, value_unit
+from pcs_racing_agents.explain.pcs_picture import in_units
+from pcs_racing_agents.explain.pictures import explanation_picture
+from pcs_racing_agents.explain.words import lead_words, opponent_words, story, why
+from pcs_racing_agents.pictures.style import CARS, picture_bytes
+from pcs_racing_agents.tournament.matches import play_games
+
+
+@pytest.fixture(scope="module")
+def contest(oval, archive):
+    return make_game(oval, archive, "contest", step_seconds=0.8)
+
+
+@pytest.fixture(scope="module")
+def setting(contest):
+    return make_setting(contest.archive, contest.config)
+
+
+def network_of(setting, target="advantage", **training):
+    return replace(untrained(setting, target), training=training)
+
+
+def explained(contest, ego, rival, game=0, **options):
+    """A race that is not over before the moves are made."""
+    return explain_match(
+        contest,
+        ego,
+        rival,
+        policies=[4, 6],
+        start=draw_starts(contest.track, contest.setup.config, 8, 3).take([game]),
+        seed=int(race_seeds(5, 8)[game]),
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def race(contest, setting):
+    """An agent with a network, of which two moves are alike, against one that draws."""
+    ego = build("cfr-argmax", setting, network=network_of(setting, worth="win"))
+    return explained(contest, ego, build("random-moves", setting))
+
+
+def test_the_facts_are_those_of_the_match(contest, setting, race):
+    ego = build("cfr-argmax", setting, network=network_of(setting, worth="win"))
+    played = play_games(
+        contest,
+        ego,
+        build("random-moves", setting),
+        policies=[[4, 6]],
+        starts=draw_starts(contest.track, contest.setup.config, 8, 3).take([0]),
+        seeds=race_seeds(5, 8)[:1],
+    )
+    assert race.match.lead == played.lead
+    made = played.moves[0, 0][played.moves[0, 0] >= 0]
+    assert [step.move for step in race.steps] == made.tolist()
+    assert [step.policy for step in race.steps] == played.policy[0, 0, : len(made)].tolist()
+    assert [step.time for step in race.steps] == pytest.approx([0.8 * (k + 1) for k in range(len(made))])
+    for k, step in enumerate(race.steps):
+        assert step.move == np.argmax(step.values)
+        assert step.chances[step.move] == 1.0
+        assert step.next_policy == setting.table[step.policy, step.move]
+        assert step.own == pytest.approx(np.clip(contest.archive.normalised[step.policy], -1, 2), abs=1e-6)
+        frame = round(step.time / race.replay.frame_dt)
+        assert step.lead == pytest.approx(race.lead[frame], abs=1e-3)
+        assert step.opponent_move == played.moves[0, 1, k]
+
+
+def test_what_was_seen_of_the_opponent_was_measured_in_the_step_before(contest, setting):
+    """Played step by step, the game's own estimates are those of the explanation."""
+    ego, rival = build("random-moves", setting, seed=3), build("random-moves", setting, seed=4)
+    race = explained(contest, ego, rival)
+    state = contest.reset(
+        race_seeds(5, 8)[:1],
+        policies=[[4, 6]],
+        starts=draw_starts(contest.track, contest.setup.config, 8, 3).take([0]),
+    )
+    for k, step in enumerate(race.steps):
+        assert step.opponent == pytest.approx(state.estimates[0, 1, k], abs=1e-6)
+        state = contest.step(state, np.array([[step.move, step.opponent_move]]))
+
+
+def test_the_other_car_sees_the_other_side(contest, setting):
+    ego, rival = build("random-moves", setting, seed=3), build("random-moves", setting, seed=4)
+    first, second = (explained(contest, ego, rival, car=car) for car in (0, 1))
+    for mine, theirs in zip(first.steps, second.steps, strict=True):
+        assert mine.lead == pytest.approx(-theirs.lead, abs=1e-5)
+        assert (mine.move, mine.opponent_move) == (theirs.opponent_move, theirs.move)
+    assert np.array_equal(first.lead, -second.lead)
+    assert story(second).startswith("random-moves (car 1) against random-moves (car 0)")
+
+
+def test_moves_are_events_of_the_replay(race):
+    told = [(event.time, event.text) for event in race.replay.events if event.kind == "move" and event.car == 0]
+    assert told == [(pytest.approx(step.time), race.moves[step.move]) for step in race.steps]
+
+
+# Words
+
+
+def test_the_story_tells_every_step(race):
+    text = story(race)
+    assert text.startswith("cfr-argmax (car 0) against random-moves on oval, contest rules: ")
+    assert text.count("saw:") == text.count("did:") == text.count("then:") == text.count("why:") == len(race.steps) > 0
+    for step in race.steps:
+        assert f"did: {race.moves[step.move]}, " in text
+
+
+def test_the_opponent_is_described_in_relation_to_the_archive(race):
+    middle = race.middle
+    step = race.steps[0]._replace(opponent=middle + np.array([-0.2, 0.05]))
+    assert opponent_words(race, step) == (
+        "opponent restrained (aggressiveness 0.20 below the middle, restraint 0.05 above the middle)"
+    )
+    step = step._replace(opponent=middle + np.array([0.31, -0.4]))
+    assert opponent_words(race, step).startswith("opponent aggressive and daring (aggressiveness 0.31 above")
+    assert opponent_words(race, step._replace(opponent=middle)).startswith("opponent in the middle of the archive")
+
+
+@pytest.mark.parametrize(("lead", "words"), [(3.14, "ahead by 3.1 m"), (-3.14, "behind by 3.1 m"), (0.1, "level")])
+def test_leads_are_put_into_words(lead, words):
+    assert lead_words(lead) == words
+
+
+def test_a_move_is_compared_with_staying_and_with_the_next_best(race):
+    step = race.steps[0]._replace(move=0, values=np.array([0.3, 0.1, 0.22, -0.1, 0.2]))
+    assert why(race, step) == "worth 0.100 of a win more than staying, 0.080 of a win more than restraint +"
+    assert why(race, step._replace(move=4)) == "worth 0.100 of a win less than aggressiveness +"
+    drawn = step._replace(move=2, values=np.array([0.3, 0.1, 0.22]))
+    assert why(race, drawn) == "worth 0.080 of a win less than aggressiveness +"
+    assert why(race, drawn._replace(move=4)) == "its network has no value for stay"
+    assert why(race, step._replace(values=None)) == ""
+
+
+def test_values_are_counted_in_what_they_mean(setting):
+    assert value_unit(network_of(setting, worth="win"), "lead") == Unit(1.0, "of a win")
+    assert value_unit(network_of(setting), "win") == Unit(0.5, "of a win")
+    assert value_unit(network_of(setting), "lead") == Unit(1.0, "m of lead")
+    assert value_unit(network_of(setting, "regret"), "win") == Unit(1.0, "")
+    plain = network_of(setting, "regret")
+    assert plain.target == "regret"
+
+
+def test_an_agent_with_a_habit_says_why_it_left_or_kept_it(contest, setting):
+    network = network_of(setting, worth="win")
+    rival = build("never-switch", setting)
+    bold, shy = (
+        explained(contest, build("adaptive", setting, network=network, blind="never-switch", margin=margin), rival)
+        for margin in (0.0, 1000.0)
+    )
+    assert shy.habit.name == "never-switch"
+    for step in shy.steps:
+        assert step.move == step.usual == shy.moves.index("stay")
+        if np.argmax(step.values) != step.usual:
+            assert why(shy, step).startswith("keeps to never-switch: the best move, ")
+            assert "not above the margin of 1000.000 of a win" in why(shy, step)
+    left = [step for step in bold.steps if step.move != step.usual]
+    assert left
+    for step in left:
+        gain = step.values[step.move] - step.values[step.usual]
+        assert f"worth {gain:.3f} of a win more than stay, what never-switch would do" in why(bold, step)
+
+
+def test_blind_agents_are_called_blind(contest, setting):
+    race = explained(contest, build("always-aggressiveness+", setting), build("lane-switcher", setting))
+    assert "never looks at the opponent" in story(race)
+    assert "why:" not in story(race)
+    race = explained(contest, build("lane-switcher", setting), build("random-moves", setting), car=1)
+    assert re.search(r"drawn with a chance of 2[05]%", story(race))
+
+
+def test_whoever_answers_predict_can_be_explained(contest, setting):
+    class Model:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return np.zeros(len(observation), np.int64), None
+
+    race = explained(contest, Model(), build("never-switch", setting))
+    assert all(step.values is None and step.chances is None for step in race.steps)
+    assert story(race).startswith("Model (car 0)")
+    assert picture_bytes(explanation_picture(race)).startswith(b"<?xml")
+
+
+def test_drivers_have_nothing_to_explain(contest, setting):
+    with pytest.raises(InputError, match="'lane-switcher' in car 0 makes no moves"):
+        explained(contest, build("lane-switcher", setting), build("never-switch", setting))
+    with pytest.raises(InputError, match="car is 2"):
+        explained(contest, build("never-switch", setting), build("never-switch", setting), car=2)
+
+
+def test_a_race_that_ends_at_once_is_told(race):
+    empty = replace(race, steps=())
+    assert story(empty).endswith("over before the first move.")
+    assert picture_bytes(explanation_picture(empty)).startswith(b"<?xml")
+
+
+# Pictures
+
+
+def test_the_pictures_show_what_was_seen_and_done(race):
+    figure = explanation_picture(race)
+    space, track, *panels, lead = figure.axes
+    marks = [text for text in space.texts if text.get_text().isdigit()]
+    seen = {text.get_text(): text.xy for text in marks if text.get_bbox_patch().get_facecolor() == rgba(CARS[1])}
+    for k, step in enumerate(race.steps):
+        right, up = in_units(race.archive, step.opponent)[[1, 0]]
+        assert seen[str(k + 1)] == pytest.approx((right, up))
+    bars = [[patch.get_width() for patch in axes.patches] for axes in panels if axes.get_visible()]
+    assert [len(row) for row in bars] == [len(race.moves)] * len(race.steps)
+    for row, step in zip(bars, race.steps, strict=True):
+        assert row == pytest.approx(step.values.tolist())
+    assert {race.moves[step.move] for step in race.steps} <= {text.get_text() for text in lead.texts}
+    assert len(track.lines) >= 2
+
+
+def rgba(colour):
+    from matplotlib.colors import to_rgba
+
+    return to_rgba(colour)
+
+
+def test_chances_stand_in_for_values(contest, setting):
+    race = explained(contest, build("random-moves", setting), build("never-switch", setting))
+    panels = [axes for axes in explanation_picture(race).axes[2:-1] if axes.get_visible()]
+    assert sum(patch.get_width() for patch in panels[0].patches) == pytest.approx(1.0)
+    assert isinstance(build("random-moves", setting), Agent)

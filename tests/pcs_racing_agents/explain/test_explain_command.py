@@ -1,0 +1,234 @@
+"""``pcs-racing explain``, on tournaments, on studies, and on two agents."""
+
+import csv
+from dataclasses import replace
+
+import pytest
+
+from pcs_racing import load_race_config, load_track
+from pcs_racing.race.replay import read_replay
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.folders import claim_folder
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.study.config import StudyConfig
+from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
+from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.tournament.play import record_row
+from pcs_racing_agents.tournament.table import write_rows
+from pcs_racing_agents.view.contests import open_results, planned_contest
+
+AGENTS = ["random-moves", "lane-switcher", "never-switch"]
+
+
+@pytest.fixture(scope="module")
+def saved(archive, tmp_path_factory):
+    """The toy archive in a folder, as a command reads it."""
+    return archive.save(tmp_path_factory.mktemp("archives") / "toy")
+
+
+@pytest.fixture(scope="module")
+def folder(saved, tmp_path_factory):
+    """A tournament in a folder, as the command leaves it; and the tournament."""
+    place = tmp_path_factory.mktemp("tournament")
+    rules = load_race_config("contest", duration=5.0)
+    plan = plan_tournament(load_track("Pipkin"), AGENTS, rules, archive=saved, races_per_pair=4, seed=2)
+    settings = {**tournament_settings(plan), "archive": str(saved)}
+    with open_job(place, "tournament", settings) as job:
+        tournament = play_plan(plan, job=job)
+        write_results(tournament, place / "results.csv")
+    return place, tournament
+
+
+def test_every_race_of_a_tournament_is_found_again(folder):
+    place, tournament = folder
+    results = open_results(place)
+    assert len(results.rows) == len(tournament.rows)
+    for number in (0, 5, 11):
+        row = results.row(number)
+        contest = results.contest(row)
+        recording = record_row(tournament, tournament.rows[number], candidates=False)
+        race = int(row["race"])
+        assert contest.seeds[race] == tournament.plan.schedules[0].seeds[race]
+        assert contest.variants[race].tolist() == [int(row["ego_variant"]), int(row["opponent_variant"])]
+        assert f"{recording.match.lead[0]:.4f}" == row["lead"]
+
+
+def test_a_race_is_told_and_drawn(folder, tmp_path, capsys):
+    place, tournament = folder
+    assert main(["explain", str(place), "1", "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("random-moves (car 0) against lane-switcher on Pipkin, contest rules: ")
+    assert (tmp_path / "out" / "race.txt").read_text() in told
+    assert (tmp_path / "out" / "race.png").read_bytes().startswith(b"\x89PNG")
+    replay = read_replay(tmp_path / "out" / "race.html")
+    assert replay.lead[-1] == pytest.approx(tournament.rows[1].lead, abs=0.002)
+
+
+def test_drivers_are_left_to_the_other_car(folder, capsys):
+    place, tournament = folder
+    number = next(i for i, row in enumerate(tournament.rows) if row.ego == "lane-switcher")
+    assert main(["explain", str(place), str(number)]) == 0
+    assert capsys.readouterr().out.startswith("never-switch (car 1) against lane-switcher")
+
+
+def test_all_races_of_an_agent_are_summarised(folder, tmp_path, capsys):
+    place, tournament = folder
+    assert main(["explain", str(place), "--situations", "never-switch", "--out", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    rows = list(csv.DictReader((tmp_path / "situations.csv").read_text().splitlines()))
+    made = sum(len(r.ego_moves) for r in tournament.rows if r.ego == "never-switch")
+    made += sum(len(r.opponent_moves) for r in tournament.rows if r.opponent == "never-switch")
+    assert sum(int(row["races"]) for row in rows) == made
+    assert {row["move"] for row in rows if int(row["races"])} == {"stay"}
+    assert told.startswith("never-switch: moves by step")
+    assert (tmp_path / "situations.png").is_file()
+
+
+def test_two_agents_race_as_in_a_tournament(saved, capsys):
+    arguments = ["explain", "--agents", "random-moves", "never-switch", "--track", "Pipkin", "--duration", "5"]
+    arguments += ["--archive", str(saved), "--races", "4", "--seed", "2", "--preset", "contest"]
+    assert main([*arguments, "--index", "3"]) == 0
+    told = capsys.readouterr().out
+    rules = load_race_config("contest", duration=5.0)
+    contest = planned_contest(["random-moves", "never-switch"], "Pipkin", rules, archive=str(saved), races=4, seed=2)
+    assert len(contest.seeds) == 4
+    assert told.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
+    assert main([*arguments, "--situations", "random-moves"]) == 0
+    assert capsys.readouterr().out.startswith("Pipkin, contest rules, 4 races\n")
+    assert main([*arguments, "--situations", "somebody"]) == 2
+    assert "must be one of random-moves, never-switch" in capsys.readouterr().err
+
+
+def test_a_picture_that_is_left_out_is_told(saved, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("pcs_racing_agents.cli.options.find_spec", lambda name: None)
+    arguments = ["explain", "--agents", "random-moves", "never-switch", "--duration", "5", "--archive", str(saved)]
+    assert main([*arguments, "--races", "2", "--out", str(tmp_path)]) == 0
+    out, err = capsys.readouterr()
+    assert " on Quillburg, paper rules: " in out  # the default circuit
+    assert "picture: " not in out
+    assert 'the picture of the race is not drawn: pip install "pcs-racing[plots]" draws it' in err
+    assert {file.name for file in tmp_path.iterdir()} == {"race.txt", "race.html"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "give a folder of results, or two agents"),
+        (["{folder}", "--agents", "a", "b"], "give a folder of results, or two agents"),
+        (["--agents", "a", "b"], "agent 'a' is unknown"),
+        (["{folder}", "--races", "4"], "--races goes with --agents"),
+        (["{folder}", "1", "--situations", "a"], "leave out the number of one"),
+        (["{folder}", "12"], "there is no race 12"),
+        (["{folder}", "--situations", "a"], "'a' did not race"),
+        (["{folder}/chunks"], "holds no races"),
+        (["{folder}", "5", "--car", "0"], "'lane-switcher' in car 0 makes no moves"),
+        (["--agents", "random-moves", "nobody", "--track", "Pipkin"], "agent 'nobody' is unknown"),
+        (["--agents", "random-moves", "never-switch", "--track", "Pipkin", "--index", "20"], "there are races 0 to 19"),
+    ],
+)
+def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, capsys):
+    place, tournament = folder
+    number = str(next(i for i, row in enumerate(tournament.rows) if row.ego == "lane-switcher"))
+    given = [number if text == "5" else text.format(folder=place) for text in arguments]
+    assert main(["explain", *given]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_agents_and_races_that_have_changed_are_noticed(folder, tmp_path, capsys):
+    place, _ = folder
+    for name, old, new, message in (
+        ("job.yaml", "  never-switch: ", "  never-switch: 0000", "agent 'never-switch' has changed"),
+        ("job.yaml", "  Pipkin: ", "  Pipkin: 0000", "track 'Pipkin' has changed"),
+        ("job.yaml", "archive_sha256: ", "archive_sha256: 0000", "has changed since the races were driven"),
+        ("results.csv", "contest,random-moves", "contest,random-moves", ""),
+        ("job.yaml", "kind: tournament", "kind: fitting", "holds no races"),
+        ("job.yaml", "format:", "- format:", "is damaged"),
+    ):
+        copy = tmp_path / "copy"
+        copy.mkdir(exist_ok=True)
+        for file in ("job.yaml", "results.csv"):
+            text = (place / file).read_text()
+            (copy / file).write_text(text.replace(old, new) if file == name else text)
+        number = str(len(open_results(place).rows) - 1)
+        assert main(["explain", str(copy), number]) == (2 if message else 0)
+        assert message in capsys.readouterr().err
+    rows = (place / "results.csv").read_text().splitlines()
+    lead = rows[1].split(",")[8]
+    (copy / "job.yaml").write_text((place / "job.yaml").read_text())
+    (copy / "results.csv").write_text("\n".join([rows[0], rows[1].replace(lead, "99.0000"), *rows[2:]]))
+    assert main(["explain", str(copy), "0"]) == 2
+    assert "a lead of" in (error := capsys.readouterr().err)
+    assert "instead of 99.0000 m" in error
+
+
+@pytest.fixture(scope="module")
+def study(saved, tmp_path_factory):
+    """The races of a small study, as its stages leave them: cells, and all against all."""
+    place = tmp_path_factory.mktemp("study") / "mine"
+    config = StudyConfig(
+        archive=str(saved),
+        tracks=("Pipkin",),
+        opponents=("lane-switcher",),
+        arms=("never-switch", "always-aggressiveness+"),
+        best="always-aggressiveness+",
+        egos=2,
+        variants=2,
+        lines=2,
+        rivals=("never-switch", "random-moves"),
+        rival_races=2,
+        seed=3,
+    )
+    study = Study(config, place, quiet=True)
+    with claim_folder(place, "study", plain_settings(config)):
+        game = study.game("Pipkin")
+        pairs, rival = {"egos": 2, "opponents": 2}, study.agent("lane-switcher")
+        cells = [play_cell(game, study.agent(arm), rival, lines=2, seed=3, **pairs) for arm in config.arms]
+        # A second table has the same pairs with other lines.
+        cells += [play_cell(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)]
+        write_rows([row for cell in cells for row in cell.rows()], "paper", place / "results.csv")
+        rivals = {name: study.agent(name) for name in config.rivals}
+        plan = plan_tournament(load_track("Pipkin"), rivals, config.game, archive=saved, races_per_pair=2, seed=7)
+        with open_job(place / "rivals", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
+            write_results(play_plan(plan, job=job), place / "rivals.csv")
+    return place, cells
+
+
+def test_races_of_a_study_are_found_again(study, capsys):
+    place, cells = study
+    results = open_results(place)
+    units = cells[1].units
+    contest = results.contest(results.row(len(units)))
+    assert contest.variants.tolist() == units.variants.tolist()
+    assert contest.seeds.tolist() == units.seeds.tolist()
+    assert contest.starts.s.tolist() == units.starts.s.tolist()
+    assert main(["explain", str(place), str(len(units) + 3)]) == 0
+    assert capsys.readouterr().out.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
+    assert main(["explain", str(place), str(2 * len(units) + 2)]) == 0
+    assert main(["explain", str(place), "--situations", "never-switch"]) == 0
+    assert "24/24 races" in capsys.readouterr().err
+
+
+def test_races_of_a_studys_ratings_are_found_again(study, capsys):
+    place, _ = study
+    assert main(["explain", str(place / "rivals"), "1"]) == 0
+    assert capsys.readouterr().out.startswith("never-switch (car 0) against random-moves on Pipkin")
+
+
+def test_settings_of_another_version_are_named(study, tmp_path, capsys):
+    place, _ = study
+    (tmp_path / "results.csv").write_text((place / "results.csv").read_text())
+    (tmp_path / "job.yaml").write_text((place / "job.yaml").read_text().replace("  egos:", "  drivers:"))
+    assert main(["explain", str(tmp_path), "0"]) == 2
+    assert "settings are of another version" in capsys.readouterr().err
+
+
+def test_rows_of_a_contest_keep_their_numbers(folder):
+    place, tournament = folder
+    rows = [row for row in tournament.rows if (row.ego, row.opponent) == ("random-moves", "never-switch")]
+    contest = open_results(place).contest({"track": "Pipkin", "ego": "random-moves", "opponent": "never-switch"})
+    assert [row.start_s for row in rows] == contest.starts.s.tolist()
+    assert replace(tournament, rows=tuple(rows)).rows[0].race == 0

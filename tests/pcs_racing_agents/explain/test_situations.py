@@ -1,0 +1,117 @@
+"""Which move in which situation: a summary of many races."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from pcs_racing import InputError
+from pcs_racing.game.game import encode_observation
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.explain.situations import (
+    LEADS,
+    PACES,
+    situations_picture,
+    situations_text,
+    summarise,
+    write_situations,
+)
+from pcs_racing_agents.pictures.style import picture_bytes
+from pcs_racing_agents.tournament.matches import game_between, play_games
+
+
+@pytest.fixture(scope="module")
+def races(archive):
+    """300 races whose agent keeps to a rule: behind a fast opponent move 0, else move 2; a tenth crash after a move."""
+    rng = np.random.default_rng(0)
+    leads, estimates = 10.0 * rng.normal(size=(300, 5)), rng.uniform(-0.5, 1.5, size=(300, 2, 5, 2))
+    own = np.zeros((300, 2, 5, 2))
+    seen = encode_observation(own, estimates, leads, np.full(300, 4))[:, 0]
+    made = np.where((leads[:, :4] < 0.0) & (estimates[:, 1, :4, 0] > 0.5), 0, 2)
+    made[:30, 1:] = -1
+    return seen, made, leads, estimates[:, 1, :, 0]
+
+
+@pytest.fixture(scope="module")
+def found(races, archive):
+    return summarise(*races[:2], archive, archive.move_names(0.5, True), "somebody")
+
+
+def test_every_race_is_counted_once(found):
+    assert found.counts.shape == (4, 3, 3, 5)
+    assert found.counts.sum(axis=(1, 2, 3)).tolist() == [300, 270, 270, 270]
+    assert found.axis == "aggressiveness"
+    third = found.counts[0].sum(axis=(1, 2))
+    assert third.tolist() == [100, 100, 100]
+    assert found.counts[0].sum(axis=(0, 2)).tolist() == [100, 100, 100]
+
+
+def test_the_edges_are_those_of_what_was_seen(found, races):
+    _, made, leads, pace = races
+    for k in range(4):
+        rows = made[:, k] >= 0
+        assert found.lead_edges[k] == pytest.approx(np.quantile(leads[rows, k], [1 / 3, 2 / 3]), abs=1e-4)
+        assert found.pace_edges[k] == pytest.approx(np.quantile(pace[rows, k], [1 / 3, 2 / 3]), abs=1e-4)
+
+
+def test_a_rule_is_seen_in_the_shares(found):
+    behind_fast, ahead, behind_slow = found.shares[:, 0, 2], found.shares[:, 2], found.shares[:, 0, 0]
+    assert behind_fast[:, 0] == pytest.approx([1.0] * 4)
+    assert ahead[..., 2] == pytest.approx(np.ones((4, 3)))
+    assert behind_slow[:, 2] == pytest.approx([1.0] * 4)
+    text = situations_text(found)
+    assert "somebody: moves by step, lead and aggressiveness of the opponent, in 300 races" in text
+    assert "behind most  opponent high" in text
+    assert text.count("move ") == 4
+
+
+def test_the_csv_holds_every_count(tmp_path, found):
+    path = write_situations(found, tmp_path / "situations.csv")
+    rows = list(csv.DictReader(path.read_text().splitlines()))
+    assert len(rows) == found.counts.size
+    assert sum(int(row["races"]) for row in rows) == found.counts.sum()
+    assert {row["lead"] for row in rows} == set(LEADS)
+    assert {row["opponent"] for row in rows} == set(PACES)
+    first = rows[0]
+    assert (first["lead_low_m"], first["pace_low"]) == ("", "")
+    assert float(first["lead_high_m"]) == pytest.approx(found.lead_edges[0, 0], abs=1e-4)
+    assert write_situations(found, tmp_path / "again.csv").read_bytes() == path.read_bytes()
+
+
+def test_the_heat_map_shows_the_shares(found):
+    figure = situations_picture(found)
+    panel = figure.axes[0]
+    assert panel.images[0].get_array()[0, 2] == pytest.approx(found.shares[0, 0, 2, 0])
+    assert "100" in {text.get_text() for text in panel.texts}
+    assert picture_bytes(figure) == picture_bytes(situations_picture(found))
+
+
+def test_races_that_were_played_can_be_summarised(oval, game, setting, archive):
+    ego, rival = build("random-moves", setting), build("never-switch", setting)
+    arena = game_between(game, ego, rival)
+    rng = np.random.default_rng(1)
+    from pcs_racing.base.seeds import race_seeds
+    from pcs_racing.race.races import draw_starts
+
+    played = play_games(
+        game,
+        ego,
+        rival,
+        policies=rng.integers(0, 12, (60, 2)),
+        starts=draw_starts(oval, game.setup.config, 60, 2),
+        seeds=race_seeds(1, 60),
+    )
+    found = summarise(played.seen[:, 0], played.moves[:, 0], archive, arena.move_names, "random-moves")
+    assert found.counts.sum() == (played.moves[:, 0] >= 0).sum()
+    assert found.counts.sum(axis=(0, 1, 2)).tolist() == [(played.moves[:, 0] == a).sum() for a in range(5)]
+    other = summarise(played.seen[:, 1], played.moves[:, 1], archive, arena.move_names, "never-switch")
+    assert other.counts[..., :4].sum() == 0
+
+
+def test_what_can_not_be_summarised_is_named(races, archive):
+    seen, made, *_ = races
+    names = archive.move_names(0.5, True)
+    with pytest.raises(InputError, match="made no move in these 300 races"):
+        summarise(seen, np.full_like(made, -1), archive, names, "driver")
+    with pytest.raises(InputError, match=r"seen has shape \(300, 0\)"):
+        summarise(seen[:, :0], made, archive, names, "somebody")

@@ -1,0 +1,331 @@
+"""Long jobs on a real cluster: a dask scheduler and worker processes, some of which are killed."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, CancelledError
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from long_jobs import TREES, commands, files
+
+from pcs_racing import InputError
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.jobs import executors
+from pcs_racing_agents.jobs.executors import sent_once, tasks_in_flight, worker_identity
+from pcs_racing_agents.jobs.jobs import JobError, make_executor, open_job
+
+pytest.importorskip("dask.distributed")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+
+HERE = Path(__file__).resolve().parent
+PATIENCE = 120.0  # s, for a busy machine; nothing waits so long on another
+
+
+class Cluster:
+    """A scheduler and workers, each a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.scheduler = self._start("scheduler", "--port", "0", "--host", "127.0.0.1")
+        self.address = self._address()
+        self.workers: list[subprocess.Popen[bytes]] = []
+
+    def add_worker(self) -> subprocess.Popen[bytes]:
+        options = ("--nthreads", "1", "--no-nanny", "--memory-limit", "2GB", "--death-timeout", str(PATIENCE))
+        worker = self._start("worker", self.address, *options, "--local-directory", str(self.folder / "scratch"))
+        self.workers.append(worker)
+        return worker
+
+    def stop(self) -> None:
+        for process in [*self.workers, self.scheduler]:
+            process.kill()
+            process.wait()
+
+    def _start(self, what: str, *arguments: str) -> subprocess.Popen[bytes]:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
+        with open(self.folder / f"{what}.log", "ab") as log:
+            command = [sys.executable, "-m", "dask", what, "--no-dashboard", *arguments]
+            return subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+
+    def _address(self) -> str:
+        log = self.folder / "scheduler.log"
+        wait_for(lambda: "Scheduler at:" in log.read_text() or self.scheduler.poll() is not None)
+        return log.read_text().split("Scheduler at:")[1].split()[0]
+
+
+@contextmanager
+def started(folder: Path, workers: int) -> Iterator[Cluster]:
+    cluster = Cluster(folder)
+    try:
+        for _ in range(workers):
+            cluster.add_worker()
+        yield cluster
+    finally:
+        cluster.stop()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory) -> Iterator[Cluster]:
+    with started(tmp_path_factory.mktemp("cluster"), 3) as cluster, make_executor("dask", None, cluster.address) as ex:
+        ex._client.wait_for_workers(3, timeout=PATIENCE)
+        yield cluster
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    patience = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < patience
+        time.sleep(0.02)
+
+
+# Results
+
+
+@pytest.fixture(scope="module")
+def long_commands(tmp_path_factory) -> dict[str, list[str]]:
+    """Every long command; those that train learn from a few trees."""
+    folder = tmp_path_factory.mktemp("settings")
+    assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
+    assert main(["tree", *TREES, "--ego", "12", "--out", str(folder / "ego")]) == 0
+    few = ["--epochs", "3", "--hidden", "8", "--name", "small", "--no-tensorboard", "--no-picture"]
+    training = {what: ["train", str(folder / what), *few] for what in ("trees", "ego")}
+    return {**commands(folder), "train": training["trees"], "train on ego trees": training["ego"]}
+
+
+@pytest.mark.parametrize("what", ["synthesize", "tree", "ego trees", "tournament", "train", "train on ego trees"])
+def test_a_cluster_gives_the_same_bytes_as_threads(cluster, long_commands, tmp_path, what):
+    if "train" in what:
+        pytest.importorskip("torch")
+    command = long_commands[what]
+    assert main([*command, "--out", str(tmp_path / "here"), "--executor", "threads"]) == 0
+    cluster_options = ["--executor", "dask", "--scheduler", cluster.address]
+    assert main([*command, "--out", str(tmp_path / "there"), *cluster_options]) == 0
+    here, there = files(tmp_path / "here"), files(tmp_path / "there")
+    assert len(here) >= 3
+    assert here == there
+
+
+def test_workers_are_busy_all_of_them(cluster, tmp_path):
+    with open_job(tmp_path, "k", {}) as job, make_executor("dask", address=cluster.address) as executor:
+        executor._client.wait_for_workers(3, timeout=PATIENCE)
+        assert tasks_in_flight(executor) == 6
+        found = job.run("who", who, range(30), executor=executor)
+    assert len({int(result["pid"]) for result in found}) == 3
+
+
+def who(task: int) -> dict[str, int]:
+    time.sleep(0.05)
+    return {"pid": os.getpid()}
+
+
+class Heavy:
+    """A function that carries ten megabytes along."""
+
+    def __init__(self) -> None:
+        self.load = np.random.default_rng(0).random(1_250_000)
+
+    def __call__(self, task: int) -> dict[str, float]:
+        return {"sum": float(self.load[task])}
+
+
+@pytest.mark.parametrize("kind", ["threads", "processes", "dask"])
+def test_a_large_function_travels_once_and_not_with_every_task(tmp_path, kind, request, recwarn):
+    address = request.getfixturevalue("cluster").address if kind == "dask" else None
+    heavy = Heavy()
+    with open_job(tmp_path, "k", {}) as job, make_executor(kind, None if address else 2, address) as executor:
+        found = job.run("heavy", heavy, range(40), executor=executor)
+        with sent_once(heavy, executor) as submit:
+            sent = submit.args[1:]  # what goes along with every task
+            assert kind == "threads" or 0 < len(repr(sent)) < 1000
+    assert [float(result["sum"]) for result in found] == heavy.load[:40].tolist()
+    assert not [warning for warning in recwarn if "large" in str(warning.message)]
+
+
+# Faults
+
+
+def slow(task: tuple[int, str]) -> dict[str, object]:
+    number, folder = task
+    (Path(folder) / str(os.getpid())).touch()
+    time.sleep(0.1)
+    return {"values": np.arange(number) ** 2.0}
+
+
+def undisturbed(tasks, folder: Path) -> dict[str, bytes]:
+    with open_job(folder, "k", {}) as job:
+        job.run("slow", slow, tasks)
+    return files(folder)
+
+
+def test_a_killed_worker_loses_nothing(cluster, tmp_path):
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    tasks = [(number, str(marks)) for number in range(40)]
+    killed = []
+
+    with open_job(tmp_path / "job", "k", {}) as job, make_executor("dask", address=cluster.address) as executor:
+        victim = cluster.workers.pop(0)
+
+        def kill_one(done, total, what):
+            if not killed and (marks / str(victim.pid)).exists():
+                victim.send_signal(signal.SIGKILL)
+                victim.wait()
+                killed.append(done)
+
+        job.run("slow", slow, tasks, executor=executor, progress=kill_one, keep=False)
+    cluster.add_worker()
+    assert killed[0] < len(tasks)  # there was work left
+    assert files(tmp_path / "job") == undisturbed(tasks, tmp_path / "undisturbed")
+
+
+def test_a_worker_killed_while_ppo_learns_costs_a_piece_at_most(cluster, long_commands, tmp_path, monkeypatch):
+    """Three seeds on three workers, of which two are left; compared with a training in this process."""
+    pytest.importorskip("stable_baselines3")
+    command = long_commands["ppo"]
+    assert main([*command, "--out", str(tmp_path / "here")]) == 0
+    told = []
+
+    def kill_one(done, total, what):
+        if not told:
+            victim = cluster.workers.pop(0)
+            victim.send_signal(signal.SIGKILL)
+            victim.wait()
+        told.append((done, total))
+
+    monkeypatch.setattr("pcs_racing_agents.jobs.jobs.show_progress", lambda unit: kill_one)
+    cluster_options = ["--executor", "dask", "--scheduler", cluster.address]
+    assert main([*command, "--out", str(tmp_path / "there"), *cluster_options]) == 0
+    cluster.add_worker()
+    assert told[0][0] < told[-1][0] == told[-1][1] == 4800  # there was work left
+    assert len(told) >= 30  # 10 pieces of each seed
+    here, there = files(tmp_path / "here"), files(tmp_path / "there")
+    assert len(here) >= 7
+    assert here == there
+
+
+def test_a_killed_scheduler_is_told_in_a_line_and_another_goes_on(cluster, tmp_path):
+    (tmp_path / "marks").mkdir()
+    (tmp_path / "first").mkdir()
+    tasks = [(number, str(tmp_path / "marks")) for number in range(25)]
+    with started(tmp_path / "first", 1) as first:
+
+        def kill_it(done, total, what):
+            if done == 5:
+                first.scheduler.send_signal(signal.SIGKILL)
+
+        with (
+            open_job(tmp_path / "job", "k", {}) as job,
+            pytest.raises(JobError, match=r"slow was cut short: .*the cluster is gone.* start the same again to go on"),
+            make_executor("dask", address=first.address) as executor,
+        ):
+            job.run("slow", slow, tasks, executor=executor, progress=kill_it)
+    done = len(list((tmp_path / "job" / "chunks").iterdir()))
+    assert 5 <= done < 25
+    told = []
+    with open_job(tmp_path / "job", "k", {}) as job, make_executor("dask", address=cluster.address) as executor:
+        job.run("slow", slow, tasks, executor=executor, progress=lambda *news: told.append(news[0]))
+    assert told[0] == done
+    assert files(tmp_path / "job") == undisturbed(tasks, tmp_path / "undisturbed")
+
+
+def out_of_memory(task: int) -> dict[str, int]:
+    """What dask says of a task whose workers died several times."""
+    from distributed.scheduler import KilledWorker
+
+    raise KilledWorker("out_of_memory-12", SimpleNamespace(address="tcp://there:1"), 3)
+
+
+def test_a_task_that_kills_its_workers_is_told_in_a_line(tmp_path):
+    with (
+        open_job(tmp_path, "k", {}) as job,
+        pytest.raises(JobError, match=r"deadly was cut short: a worker died.*out_of_memory-12.*what is done is kept"),
+        make_executor("threads", 1) as executor,
+    ):
+        job.run("deadly", out_of_memory, range(2), executor=executor)
+
+
+@pytest.mark.parametrize("error", [BrokenExecutor("a process died"), CancelledError("scheduler-connection-lost")])
+def test_workers_lost_outside_of_jobs_are_told_in_a_line(monkeypatch, capsys, error):
+    """A tournament without a folder keeps nothing, and has no job."""
+
+    def fail(arguments):
+        raise error
+
+    monkeypatch.setattr("pcs_racing_agents.cli.tournament.run", fail)
+    assert main(["tournament", "--track", "Pipkin"]) == 2
+    told = capsys.readouterr().err
+    assert (
+        told
+        == f"pcs-racing: error: a worker died or the cluster is gone ({error}); mend that and start the same again\n"
+    )
+
+
+# Addresses and versions
+
+
+@pytest.mark.parametrize(
+    "address", ["tcp://127.0.0.1:9", "nonsense://there", "tcp://no-such-host.invalid:8786", "127.0.0.1:x", ""]
+)
+def test_a_wrong_address_is_one_clear_error(address, monkeypatch, capfd):
+    monkeypatch.setattr(executors, "ANSWER_SECONDS", 1.0)
+    assert main(["tree", "--archive", "default", "--track", "Pipkin", "--out", "x", "--executor", "dask",
+                 "--scheduler", address]) == 2  # fmt: skip
+    error = capfd.readouterr().err
+    assert error.startswith(f"pcs-racing: error: no dask scheduler answers at {address}: ")
+    assert error.count("\n") == 1
+
+
+def test_a_scheduler_without_workers_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(executors, "WORKER_SECONDS", 0.5)
+    with (
+        started(tmp_path, 0) as lonely,
+        pytest.raises(InputError, match=f"the dask scheduler at {lonely.address} has no workers; start some: dask w"),
+        make_executor("dask", address=lonely.address),
+    ):
+        pass
+
+
+def test_workers_of_other_versions_are_refused(cluster, monkeypatch):
+    theirs = worker_identity()["pcs-racing"]
+    monkeypatch.setattr(executors, "package_version", lambda: "99.0")
+    with (
+        pytest.raises(InputError, match=rf"the worker at tcp://127\S+ has pcs-racing {theirs}, not 99\.0; install"),
+        make_executor("dask", address=cluster.address),
+    ):
+        pass
+
+
+def test_a_machine_that_is_too_busy_for_dasks_own_thread_is_asked_again(monkeypatch):
+    asked = []
+
+    def busy(address, timeout):
+        asked.append(address)
+        if len(asked) < 3:
+            raise AssertionError  # as the thread's starter does after ten seconds
+        return "a client"
+
+    assert executors._client(busy, "tcp://there:1") == "a client"
+    monkeypatch.setattr(executors, "CONNECT_ATTEMPTS", 2)
+    asked.clear()
+    with pytest.raises(JobError, match="dask's own thread does not start: this machine is too busy; start the same"):
+        executors._client(busy, "tcp://there:1")
+
+
+def test_torch_is_compared_where_there_is_one():
+    theirs = {**worker_identity(), "torch": "0.1"}
+    executors._check_workers({"tcp://there:1": {**theirs, "torch": ""}})  # a tournament needs none
+    if worker_identity()["torch"]:
+        with pytest.raises(InputError, match=r"the worker at tcp://there:1 has torch 0\.1, not \d"):
+            executors._check_workers({"tcp://there:1": theirs})
+
+
+def test_processors_of_another_kind_are_told(caplog):
+    executors._check_workers({"tcp://there:1": {**worker_identity(), "processor": "z80"}})
+    assert "the worker at tcp://there:1 has a processor of another kind (z80, here " in caplog.text

@@ -1,0 +1,211 @@
+"""Long commands that are killed, run out of disk, or meet each other: nothing is lost, and the results are the same."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from long_jobs import TREES, commands, files
+from repository import REPOSITORY
+
+from pcs_racing_agents.cli.main import main
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs SIGKILL, flock and a limit on the size of files")
+
+KILLS = 2
+SEEDS = (0,)
+
+KILLED = """
+import os, signal, sys, threading, time
+
+from pcs_racing_agents.cli.main import main
+
+def kill_at(seconds):
+    while time.process_time() < seconds:
+        time.sleep(0.002)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+before = time.process_time()
+if float(sys.argv[1]) > 0.0:
+    threading.Thread(target=kill_at, args=(before + float(sys.argv[1]),), daemon=True).start()
+code = main(sys.argv[2:])
+print(f"processor time {time.process_time() - before:.3f}")
+sys.exit(code)
+"""
+"""Run a command and kill it after some seconds of processor time: they pass alike, however busy the machine is."""
+
+
+def call(script: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY)
+
+
+@pytest.fixture(scope="module")
+def long_commands(tmp_path_factory) -> dict[str, list[str]]:
+    """Every long command; the training is of a network on some trees."""
+    folder = tmp_path_factory.mktemp("settings")
+    found = commands(folder)
+    assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
+    found["train"] = ["train", str(folder / "trees"), "--config", "quick", "--epochs", "12", "--name", "small"]
+    found["train"] += ["--no-tensorboard"]  # nobody compares its curves, which hold times
+    return found
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("what", ["synthesize", "tree", "train", "tournament"])
+def test_killed_at_random_moments_the_results_are_the_same(long_commands, tmp_path, what, seed):
+    if what == "train":
+        pytest.importorskip("torch")
+    command = long_commands[what]
+    whole = call(KILLED, 0, *command, "--out", tmp_path / "whole")
+    assert whole.returncode == 0, whole.stderr
+    seconds = float(whole.stdout.split("processor time ")[1])
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(what),)))
+    killed = 0
+    for moment in rng.uniform(0.2, 0.95, KILLS):
+        done = call(KILLED, moment * seconds, *command, "--out", tmp_path / "killed")
+        assert done.returncode in (0, -signal.SIGKILL), done.stderr
+        killed += done.returncode != 0
+    assert killed > 0
+    assert main([*command, "--out", str(tmp_path / "killed")]) == 0
+    assert files(tmp_path / "killed") == files(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ppo_killed_after_some_checkpoints_ends_with_the_same_weights(long_commands, tmp_path, seed):
+    """The other commands' test, counting checkpoints in place of seconds: loading torch takes most of these."""
+    pytest.importorskip("stable_baselines3")
+    command = long_commands["ppo"]
+    assert main([*command, "--out", str(tmp_path / "whole")]) == 0
+    killed = tmp_path / "killed"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pcs_racing_agents", *command, "--out", str(killed)],
+        cwd=REPOSITORY,
+        stderr=subprocess.DEVNULL,
+    )
+    last = killed / "chunks" / "seed-00002.npz"
+    written: set[int] = set()
+    rng = np.random.default_rng(seed)
+    count, later = rng.integers(1, 6), rng.uniform(0.0, 0.1)
+    while len(written) < count:
+        assert process.poll() is None
+        if last.exists():
+            written.add(last.stat().st_mtime_ns)
+        time.sleep(0.002)
+    time.sleep(later)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    assert not (killed / "policy").exists()  # there was work left
+    assert main([*command, "--out", str(killed)]) == 0
+    assert files(killed) == files(tmp_path / "whole")
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """A limit on the size of files stands in for a full disk: the write itself fails."""
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@contextmanager
+def somebody_else() -> Iterator[None]:
+    """Without the rights of root, who may write everywhere."""
+    before = os.geteuid()
+    if before == 0:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(before)
+
+
+def only_error(text: str) -> str:
+    """Return the line that tells of an error, the only one."""
+    (error,) = [line for line in text.splitlines() if "rror" in line]
+    assert error.startswith("pcs-racing: error: can't ")
+    return error
+
+
+@pytest.mark.parametrize("size", [0, 2500])
+@pytest.mark.parametrize("what", ["synthesize", "tree", "train", "tournament"])
+def test_a_full_disk_is_one_clear_error_and_loses_nothing(long_commands, tmp_path, what, size, capsys):
+    if what == "train":
+        pytest.importorskip("torch")
+    with largest_file(size):
+        assert main([*long_commands[what], "--out", str(tmp_path / "out")]) == 2
+    error = only_error(capsys.readouterr().err)
+    assert str(tmp_path / "out") in error
+    assert "File too large" in error
+    assert not list((tmp_path / "out").rglob(".*.????????"))  # no half-written file is left
+
+
+@pytest.mark.parametrize("what", ["tree", "tournament"])  # the settings of the others lie where only we may read
+def test_a_read_only_folder_is_one_clear_error(long_commands, tmp_path, what, capsys, monkeypatch):
+    assert main([*long_commands[what], "--out", str(tmp_path / "warm")]) == 0  # somebody else may not import everything
+    capsys.readouterr()
+    folder = tmp_path / "read-only"
+    folder.mkdir(mode=0o555)
+    monkeypatch.chdir(folder)
+    with somebody_else():
+        assert main([*long_commands[what], "--out", "."]) == 2
+    assert "Permission denied" in only_error(capsys.readouterr().err)
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("what", ["synthesize", "train"])
+def test_half_written_files_of_a_killed_command_are_cleared_away(long_commands, tmp_path, what):
+    if what == "train":
+        pytest.importorskip("torch")
+    (tmp_path / "job").mkdir()
+    (tmp_path / ".archive.npz.0123abcd").write_bytes(b"half")
+    (tmp_path / ".gitignore").write_text("*\n")
+    assert main([*long_commands[what], "--out", str(tmp_path)]) == 0
+    assert [file.name for file in tmp_path.glob(".*") if file.name != ".lock"] == [".gitignore"]
+
+
+@pytest.mark.parametrize("what", ["synthesize", "tree", "ego trees", "tournament"])
+def test_a_damaged_chunk_is_named_and_made_again(long_commands, tmp_path, what, caplog):
+    command = [*long_commands[what], "--out", str(tmp_path)]
+    assert main(command) == 0
+    before = files(tmp_path)
+    chunks = sorted(tmp_path.rglob("chunks/*.npz"))
+    damaged = chunks[len(chunks) // 2]
+    content = bytearray(damaged.read_bytes())
+    content[len(content) // 3] ^= 1
+    damaged.write_bytes(content)
+    for name in before:
+        if "job.yaml" not in name and "chunks" not in name:
+            (tmp_path / name).unlink()  # results are made again, too
+    assert main(command) == 0
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{damaged} is damaged: it is not what was written; it is made again"
+    ]
+    assert files(tmp_path) == before
+
+
+@pytest.mark.parametrize("what", ["synthesize", "tree", "train", "tournament"])
+def test_the_second_of_two_in_one_folder_is_refused(long_commands, tmp_path, what, capsys):
+    import fcntl
+
+    command = [*long_commands[what], "--out", str(tmp_path / "out")]
+    place = tmp_path / "out" / ("job" if what == "synthesize" else "")
+    place.mkdir(parents=True)
+    with open(place / ".lock", "w+b") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        lock.write(f"{os.getpid()}\n".encode())
+        lock.flush()
+        assert main(command) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.endswith(f"in use by process {os.getpid()}; wait until it ends, or choose another folder")
+    assert [file.name for file in place.iterdir()] == [".lock"]

@@ -1,0 +1,178 @@
+"""Driving in the learner's races is driving as the planner that comes of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcs_racing import InputError, load_track, parse_policy
+from pcs_racing.planners.network import INPUTS, network_planner
+from pcs_racing.race.config import load_race_config
+from pcs_racing.race.races import run_races
+from pcs_racing_agents.learning.ppo.drives import Drives
+from pcs_racing_agents.learning.ppo.learner import actor_layers, make_learner, own_randomness
+from pcs_racing_agents.learning.ppo.level import make_level
+from pcs_racing_agents.learning.ppo.parts import part_seeds, split_envs
+from pcs_racing_agents.learning.ppo.scores import total
+from pcs_racing_agents.networks.driver import driver_planner, flat_weights, learning_planner
+from pcs_racing_agents.networks.layers import Layers
+
+
+@pytest.fixture(scope="module")
+def track():
+    return load_track("Pipkin")
+
+
+def drives(track, races=6, **changes):
+    rules = load_race_config("contest", duration=2.0)
+    return Drives(races, track, rules, [parse_policy("lattice:pace=0"), parse_policy("lattice")], **changes)
+
+
+def layers(hidden=(8,), size=0.4, seed=0):
+    rng = np.random.default_rng(seed)
+    sizes = [len(INPUTS), *hidden, 2]
+    shapes = list(zip(sizes[1:], sizes[:-1], strict=True))
+    return Layers(
+        tuple(rng.normal(0.0, size, shape).astype(np.float32) for shape in shapes),
+        tuple(rng.normal(0.0, 0.1, shape[0]).astype(np.float32) for shape in shapes),
+    )
+
+
+@pytest.mark.parametrize("hold", [2, 4, 10])
+def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, drive_settings, hold):
+    """The same races, once driven by SB3's predict step by step, once by the planner in the compiled loop."""
+    settings = replace(drive_settings, hold=hold, noise=0.1)
+    with own_randomness():
+        learner = make_learner(settings, [drives(track, hold=hold)], 5, "tanh", 10.0)
+    part = learner.model.env.parts[0]
+    seen = part.reset(9)
+    batch = part.batch
+    seeds, opponents = batch.state.seed.copy(), batch.chosen.copy()
+    places = [int(np.flatnonzero((batch.grid.cars == car).all(axis=(1, 2)))[0]) for car in batch.state.cars]
+
+    from pcs_racing.race.races import advance
+    from pcs_racing.race.state import take
+
+    weights = actor_layers(learner)
+    for planner, theta in (
+        (learning_planner((8,), hold), flat_weights(weights)),
+        (driver_planner("driver", weights, hold), np.zeros(0)),
+    ):
+        setup = replace(batch.setup, planners=(planner, batch.setup.planners[1]))
+        state = take(batch.grid, places)._replace(seed=seeds.copy(), memory=np.zeros((6, 2, setup.memory_size)))
+        both = np.zeros((6, 2, setup.theta_size))
+        both[:, 0, : len(theta)] = theta
+        both[:, 1, : batch.parameters.shape[1]] = batch.parameters[opponents]
+        seen = part.reset(9)
+        for _ in range(100 // hold):
+            step = part.step(learner.model.predict(seen, deterministic=True)[0])
+            seen = step.observations
+            advance(setup, state, both, hold)
+            going = ~(step.terminated | step.truncated | state.crashed)
+            np.testing.assert_allclose(batch.state.cars[going], state.cars[going], atol=2e-4)
+            np.testing.assert_array_equal(step.terminated, state.crashed)
+            if not going.all():
+                break
+        assert going.sum() >= 4
+        assert state.tick.max() >= 20
+
+
+def test_a_driver_of_50_hz_is_a_network_planner(track):
+    weights = layers((8, 5))
+    plain = network_planner("net", (8, 5), flat_weights(weights)).policy()
+    ours = driver_planner("driver", weights, 2).policy()
+    rivals = [parse_policy("lattice")] * 4
+    config = load_race_config("contest", duration=3.0)
+    results = [run_races(track, ego, rivals, config) for ego in (plain, ours)]
+    np.testing.assert_array_equal(results[0].state.cars, results[1].state.cars)
+    assert len(ours.parameters) == 0
+
+
+def test_races_go_on_from_their_state(track):
+    rng = np.random.default_rng(0)
+    actions = rng.normal(0.0, 1.0, (60, 6, 2)).astype(np.float32)
+    part, other = drives(track), drives(track)
+    part.reset(3)
+    other.reset(4)
+    for action in actions[:30]:
+        part.step(action)
+    other.set_state(part.get_state())
+    for action in actions[30:]:
+        for one, two in zip(part.step(action), other.step(action), strict=True):
+            np.testing.assert_array_equal(one, two)
+
+
+def test_rewards_are_progress_less_a_share_of_the_opponents(track):
+    part = drives(track, hold=10, rivalry=0.5, leading=3.0, crash_penalty=7.0)
+    part.reset(0)
+    actions = np.tile(np.array([0.0, 0.5], np.float32), (6, 1))
+    crashes = 0
+    for _ in range(25):
+        before, tick = part.batch.state.progress.copy(), part.batch.state.tick.copy()
+        step = part.step(actions)
+        going = ~(step.terminated | step.truncated)
+        driven = part.batch.state.progress - before
+        np.testing.assert_allclose(
+            step.rewards[going], driven[going] @ [1.0, -0.5] + 0.3 * (part.batch.state.lead[going] > 0.0), atol=1e-12
+        )
+        crashes += int(step.terminated.sum())
+        assert (step.rewards[step.terminated] < -4.0).all()  # straight on into a wall: by own fault
+        assert (part.batch.state.tick[~going] == 0).all()
+        assert (part.batch.state.tick[going] == tick[going] + 10).all()
+    assert crashes > 0
+
+
+def test_a_last_observation_is_the_old_races(track):
+    part = drives(track)
+    part.reset(0)
+    step = part.step(np.zeros((6, 2), np.float32))
+    for _ in range(99):
+        step = part.step(np.zeros((6, 2), np.float32))
+        if (step.terminated | step.truncated).any():
+            break
+    ended = step.terminated | step.truncated
+    assert ended.any()
+    assert np.abs(step.last[ended] - step.observations[ended]).max() > 0.05
+    np.testing.assert_array_equal(step.last[~ended], step.observations[~ended])
+
+
+def test_slow_opponents_are_only_met_in_learning(drive_settings):
+    level = make_level(replace(drive_settings, races=("contest",)))
+    (track,), (rules,) = level.tracks, level.rules
+    learning = level.learning_rules(track, rules)
+    assert learning.duration == 1.0
+    assert learning.speed_range == (0.3, track.calibration["contest"].speed_range[1])
+    assert make_level(replace(drive_settings, slowest=0.0)).learning_rules(track, rules).speed_range is None
+
+
+def test_judging_is_racing_under_the_rules(drive_settings):
+    level = make_level(drive_settings)
+    scores = level.judge(layers())
+    assert scores == level.judge(layers())
+    assert {cell.opponent for cell in scores} == set(drive_settings.opponents)
+    assert {cell.race for cell in scores} == {"short"}
+    mean = total(scores, drive_settings.opponents)
+    assert mean.races == 4
+    assert mean.worth == pytest.approx(mean.won - max(mean.lost, mean.at_fault), abs=0.51)
+
+
+def test_environments_are_shared_out():
+    assert split_envs(10, [3, 1]) == [8, 2]
+    assert split_envs(1, [1, 1, 5]) == [1, 1, 1]
+    assert sum(split_envs(64, [11, 4])) == 64
+    seeds = part_seeds(1, 5, 0) + part_seeds(1, 5, 1) + part_seeds(2, 5, 0)
+    assert len(set(seeds)) == 15
+
+
+def test_drivers_must_fit():
+    sound = layers()
+    with pytest.raises(InputError, match=r"layer 1 has weights of shape \(2, 7\)"):
+        driver_planner("d", Layers((sound.weights[0], np.zeros((2, 7), np.float32)), sound.biases), 2)
+    with pytest.raises(InputError, match="puts out 8 numbers; it must be 2"):
+        driver_planner("d", Layers(sound.weights[:1], sound.biases[:1]), 2)
+    with pytest.raises(InputError, match="a weight of nan"):
+        driver_planner("d", Layers(sound.weights, (sound.biases[0], np.full(2, np.nan, np.float32))), 2)
+    with pytest.raises(InputError, match="a weight of 11"):
+        driver_planner("d", Layers(sound.weights, (sound.biases[0], np.full(2, 11, np.float32))), 2)
+    with pytest.raises(InputError, match="holds its decisions for 3 steps"):
+        driver_planner("d", sound, 3)

@@ -1,0 +1,91 @@
+from dataclasses import replace
+
+import pytest
+
+from pcs_racing import InputError
+from pcs_racing.base.errors import ConfigError, UnknownNameError
+from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.learning.ppo.level import make_level
+from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
+from pcs_racing_agents.study import load_study_config
+
+
+def test_shipped_settings_are_those_of_the_two_levels():
+    found = {name: load_ppo_settings(name) for name in shipped_configs("ppo")}
+    assert set(found) == {"drive", "duel-contest", "duel-paper", "study-contest", "study-paper"}
+    assert isinstance(found["drive"], DriveSettings)
+    assert isinstance(found["duel-contest"], DuelSettings)
+    assert found["duel-contest"].archive == "contest"
+    assert found["duel-paper"].steps >= 1_000_000
+    assert found["drive"].steps >= 2_000_000
+
+
+@pytest.mark.parametrize("name", ["paper", "contest"])
+def test_a_study_trains_its_baseline_as_the_shipped_one_was_trained_but_shorter(name):
+    study, shipped = (load_ppo_settings(f"{kind}-{name}") for kind in ("study", "duel"))
+    lengths = ("steps", "evaluate_every", "evaluation_races", "patience")
+    assert replace(study, **{key: getattr(shipped, key) for key in lengths}) == shipped
+    assert study.steps == 200_000
+    assert load_study_config(name).ppo in (None, f"study-{name}")
+
+
+def test_a_file_changes_what_it_names(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("level: drive\nhold: 10\nopponents: {pure-pursuit: 3}\nseeds: [4, 5]\n")
+    settings = load_ppo_settings(file, steps=77)
+    assert settings == DriveSettings(hold=10, opponents={"pure-pursuit": 3}, seeds=(4, 5), steps=77)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("hidden: [4]", r"level is None; it must be duel or drive"),
+        ("level: duel\nhold: 2", r"unknown ppo setting 'hold'; known are tracks"),
+        ("level: drive\nhold: 3", r"mine.yaml: hold is 3; it must be even"),
+        ("level: drive\narchive: default", r"unknown ppo setting 'archive'"),
+        ("level: duel\nsteps: 1e6", r"steps is '1e6'; it must be a whole number"),
+        ("level: duel\nseeds: []", r"seeds is \(\); it must be a list of 1 to 1000"),
+        ("level: duel\nseeds: [1, 1]", r"seeds is \[1, 1\]; each must be there once"),
+        ("level: duel\nhidden: [0]", r"hidden is \(0,\); it must be a list of 0 to 8 whole numbers from 1"),
+        ("level: duel\nopponents: never-switch", r"opponents is 'never-switch'; it must be a mapping"),
+        ("level: duel\nopponents: {never-switch: 0.5}", r"opponents holds 'never-switch': 0.5"),
+        ("level: duel\ntracks: Tarnfjord", r"tracks is 'Tarnfjord'; it must be a list of different names"),
+        ("level: duel\nlearning_rate: -1", r"learning_rate is -1; it must be a number"),
+        ("level: duel\ndiscount: .nan", r"discount is nan; it must be a number from 0 to 1"),
+        ("- 1", r"holds list; it must be a mapping"),
+        ("level: [duel", r"is not valid YAML"),
+    ],
+)
+def test_impossible_settings_are_named(tmp_path, text, message):
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_ppo_settings(file)
+
+
+def test_unknown_settings_are_told_what_there_is():
+    with pytest.raises(UnknownNameError, match="ppo settings 'nonsense' are unknown; use drive, duel-contest"):
+        load_ppo_settings("nonsense")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tracks": ("Nowhere",)}, "Nowhere"),
+        ({"archive": "nothing"}, "nothing"),
+        ({"race": "sunday"}, "sunday"),
+        ({"opponents": {"always-wrong": 1}}, "opponent 'always-wrong' is unknown"),
+    ],
+)
+def test_what_settings_name_must_exist(duel_settings, changes, message):
+    with pytest.raises(InputError, match=message):
+        make_level(replace(duel_settings, **changes))
+
+
+def test_rules_of_one_name_are_refused(drive_settings, tmp_path):
+    file = tmp_path / "other.yaml"
+    file.write_text("name: short\n")
+    with pytest.raises(InputError, match="two of these rules have the same name"):
+        make_level(replace(drive_settings, races=(*drive_settings.races, str(file))))
+    with pytest.raises(UnknownNameError, match="planner 'tortoise' is unknown"):
+        make_level(replace(drive_settings, opponents={"tortoise": 1}))

@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+
+from pcs_racing import make_game
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing_agents.agents.agents import always, never_switch, random_moves
+from pcs_racing_agents.agents.drivers import planner_driver
+from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.learning.responses import branch_games
+from pcs_racing_agents.learning.responses.branches import outcome
+from pcs_racing_agents.tournament.matches import game_between
+
+
+@pytest.fixture(scope="module")
+def setting():
+    from pcs_racing.game.config import load_game_config
+
+    return make_setting("default", load_game_config("paper", moves=2, step_seconds=2.0))
+
+
+@pytest.fixture(scope="module")
+def game(setting):
+    return make_game("Tarnfjord", setting.archive, setting.config)
+
+
+def test_a_branch_is_what_comes_of_playing_its_moves(game, setting):
+    keys = race_seeds(3, 4)
+    stay = never_switch(setting)
+    found = branch_games(game, random_moves(setting, seed=1), keys, 1, [stay], stay, worth="utility")
+    # The same by hand: stay, then the move, against the same opponent.
+    rival = random_moves(setting, seed=1)
+    for move in range(len(game.move_names)):
+        state = game.reset(keys)
+        for made in (len(game.move_names) - 1, move):
+            reply, _ = rival.predict(game.observation(state)[:, 1])
+            state = game.step(state, np.stack([np.full(4, made), reply], axis=1))
+        np.testing.assert_array_equal(found.outcomes[:, move], game.utility(state)[found.game, 0])
+
+
+def test_branches_do_not_depend_on_the_batch(game, setting):
+    keys = race_seeds(5, 6)
+    rest = ([random_moves(setting), never_switch(setting)], always(setting, "restraint +"))
+    rival = random_moves(setting, seed=2)
+    whole = branch_games(game, rival, keys, 1, *rest)
+    parts = [branch_games(game, rival, keys[k : k + 2], 1, *rest) for k in (0, 2, 4)]
+    np.testing.assert_array_equal(whole.outcomes, np.concatenate([part.outcomes for part in parts]))
+    np.testing.assert_array_equal(whole.observations, np.concatenate([part.observations for part in parts]))
+
+
+def test_a_driver_from_outside_may_be_the_opponent(game, setting):
+    rival = planner_driver(setting, name="lane-switcher")
+    arena = game_between(game, never_switch(setting), rival)
+    found = branch_games(arena, rival, race_seeds(0, 3), 0, [never_switch(setting)], never_switch(setting))
+    assert found.outcomes.shape == (len(found.game), len(arena.move_names))
+    assert np.isin(found.outcomes, (0.0, 0.5, 1.0)).all()
+
+
+def test_impossible_requests_are_refused(game, setting):
+    stay = never_switch(setting)
+    with pytest.raises(InputError, match="step is 2; it must lie in 0 to 1"):
+        branch_games(game, stay, race_seeds(0, 1), 2, [stay], stay)
+    with pytest.raises(InputError, match="worth is 'glory'; it must be one of win, utility"):
+        outcome(game, game.reset(games=1), "glory")
+
+
+def test_branches_tell_who_played_and_how_the_race_ended(game, setting):
+    pilots = [random_moves(setting), never_switch(setting)]
+    found = branch_games(game, always(setting, "restraint +"), race_seeds(5, 6), 1, pilots, pilots[1])
+    np.testing.assert_array_equal(found.behaviour, found.game % 2)
+    assert ((found.rival >= 0) & (found.rival < len(game.archive))).all()
+    won = np.where(found.leads > 0.0, 1.0, np.where(found.leads < 0.0, 0.0, 0.5))
+    assert (found.outcomes == won)[~found.crashed].all()
+    assert (found.outcomes == 0.0)[found.crashed].all()  # by the paper's rule a crash pays nobody

@@ -1,0 +1,198 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from toy_trees import ToyTree, random_tree
+
+from pcs_racing import InputError, UnknownNameError
+from pcs_racing_agents.networks.rows import pair_number
+from pcs_racing_agents.networks.targets import TARGETS, best_moves, get_target, node_targets, solve_for
+from pcs_racing_agents.networks.tree_rows import tree_rows
+from pcs_racing_agents.solvers import GameTree, cfr, solve_exact
+
+
+def targets_of(payoffs, target, **options):
+    tree = GameTree.from_payoffs(payoffs)
+    return node_targets(tree, solve_for(tree, target), target, **options)
+
+
+def test_regrets_of_matching_pennies_by_hand():
+    """Payoff 3 instead of 1 in a corner; both begin with even moves, so the first regrets are q - v."""
+    payoffs = np.array([[3.0, -1.0], [-1.0, 1.0]])
+    tree = GameTree.from_payoffs(payoffs)
+    one = solve_for(tree, "regret", iterations=1)
+    ((r0, r1),) = node_targets(tree, one, "regret")
+    np.testing.assert_allclose(r0, [[1.0 - 0.5, 0.0 - 0.5]])  # q (1, 0), value 0.5
+    np.testing.assert_allclose(r1, [[-1.0 + 0.5, 0.0 + 0.5]])
+    ((q0, q1),) = targets_of(payoffs, "static-q")
+    np.testing.assert_allclose([q0[0], q1[0]], [[1.0, 0.0], [-1.0, 0.0]])
+    ((a0, a1),) = targets_of(payoffs, "advantage")
+    np.testing.assert_allclose([a0[0], a1[0]], np.zeros((2, 2)), atol=1e-9)  # mixed: no move is better
+
+
+def test_regrets_fade_with_the_opponents_reach_and_normalised_ones_do_not():
+    """Car 1 has to choose first; its second move leads to a lower game for car 0, so car 1 keeps to it."""
+    payoffs = np.zeros((1, 2, 2, 1))  # car 0 has one move, then car 0 chooses between 0 and what follows
+    payoffs[0, 0, :, 0] = [10.0, 13.0]  # car 1 avoids this one ...
+    payoffs[0, 1, :, 0] = [0.0, 3.0]  # ... for this one; at both car 0 loses 3 by its first move
+    tree = GameTree.from_payoffs(payoffs)
+    solution = solve_for(tree, "regret", iterations=400)
+    (_, (raw, _)) = node_targets(tree, solution, "regret")
+    (_, (normalised, _)) = node_targets(tree, solution, "normalised")
+    assert raw[1].min() < 50.0 * raw[0].min() < 0.0
+    np.testing.assert_allclose(normalised, raw / np.abs(raw).max(axis=1, keepdims=True))
+    np.testing.assert_allclose(normalised[:, 0], -1.0)
+
+
+def test_rows_that_cfr_never_saw_are_not_known():
+    tree = GameTree.from_payoffs(np.arange(16.0).reshape(2, 2, 2, 2))
+    solution = solve_for(tree, "normalised", iterations=3)
+    solution.opponent_reach[1][0][2] = 0.0
+    (_, (first, _)) = node_targets(tree, solution, "normalised")
+    assert np.isnan(first[2]).all()
+    assert np.isfinite(np.delete(first, 2, axis=0)).all()
+
+
+@given(st.integers(0, 10_000))
+def test_every_target_treats_both_roles_alike(seed):
+    """The same game with the cars' names exchanged has the targets exchanged."""
+    payoffs = np.random.default_rng(seed).normal(size=(3, 3, 3, 3))
+    for target in TARGETS:
+        if target in ("advantage", "nash"):
+            continue  # of several equilibria the solver may find another one
+        here = targets_of(payoffs, target)
+        there = targets_of(-payoffs.transpose(1, 0, 3, 2), target)
+        nodes = np.arange(9).reshape(3, 3).T.ravel()  # history (a, b) becomes (b, a)
+        for k, order in enumerate([[0], nodes]):
+            np.testing.assert_allclose(here[k][0], there[k][1][order], rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(here[k][1], there[k][0][order], rtol=1e-6, atol=1e-6)
+
+
+def test_advantages_are_never_above_zero_and_zero_for_what_is_played():
+    tree = random_tree().game_tree()
+    exact = solve_for(tree, "advantage")
+    for pair, played in zip(node_targets(tree, exact, "advantage"), exact.profile, strict=True):
+        for values, strategy in zip(pair, played, strict=True):
+            assert values.max() < 1e-9
+            np.testing.assert_allclose(values[strategy > 1e-9], 0.0, atol=1e-9)
+
+
+def test_nash_targets_are_the_equilibrium():
+    payoffs = np.array([[3.0, -1.0], [-1.0, 1.0]])
+    ((first, second),) = targets_of(payoffs, "nash")
+    np.testing.assert_allclose([first[0], second[0]], [[1 / 3, 2 / 3]] * 2)
+
+
+def test_static_opponents():
+    """An opponent that never switches: its move is the last one; what remains is a choice of one's own best path."""
+    rng = np.random.default_rng(0)
+    payoffs = rng.normal(size=(3, 3, 3, 3))
+    (first, _), (second, _) = targets_of(payoffs, "static-q", opponent="never-switch", stay=2)
+    np.testing.assert_allclose(first[0], payoffs[:, 2, :, 2].max(axis=1))
+    np.testing.assert_allclose(second, payoffs[:, :, :, 2].reshape(9, 3))
+    (first, _), (second, other) = targets_of(payoffs, "static-q", opponent="fixed-sequence")
+    np.testing.assert_allclose(first[0], payoffs.mean(axis=3).max(axis=2).mean(axis=1))
+    np.testing.assert_allclose(second, payoffs.mean(axis=3).reshape(9, 3))
+    np.testing.assert_allclose(other, -payoffs.mean(axis=2).reshape(9, 3))
+
+
+def test_best_moves_forgive_rounding_and_know_the_mask():
+    targets = np.array([[1.0, 1.0 + 1e-8, 0.5], [-1e4, -1e4 - 1e-3, -2e4], [0.0, 0.0, -1e-3]])
+    np.testing.assert_array_equal(best_moves(targets), [[1, 1, 0], [1, 1, 0], [1, 1, 0]])
+    mask = np.array([[False, False, True], [True] * 3, [False, True, True]])
+    np.testing.assert_array_equal(best_moves(targets, mask), [[0, 0, 1], [1, 1, 0], [0, 1, 0]])
+
+
+def test_impossible_targets_are_one_clear_error():
+    tree = random_tree().game_tree()
+    with pytest.raises(UnknownNameError, match="unknown target 'joy'; trees give regret, normalised"):
+        get_target("joy")
+    with pytest.raises(InputError, match="target 'regret' needs a CFRResult; the solution is a ExactResult"):
+        node_targets(tree, solve_exact(tree), "regret")
+    with pytest.raises(InputError, match="target 'advantage' needs a ExactResult"):
+        node_targets(tree, cfr(tree, 1), "advantage")
+    with pytest.raises(UnknownNameError, match="unknown static opponent 'x'; there are fixed-sequence, never-switch"):
+        node_targets(tree, solve_exact(tree), "static-q", opponent="x")
+    with pytest.raises(InputError, match="'never-switch' needs trees with the move 'stay'"):
+        node_targets(tree, solve_exact(tree), "static-q", opponent="never-switch")
+
+
+# Rows
+
+
+def rows_of(race_tree, target="advantage", **options):
+    solution = solve_for(race_tree.game_tree(), target)
+    return tree_rows(race_tree, solution, target, **options)
+
+
+def values_at(rows, race_tree, level, node, player, seed=0):
+    """Targets of the rows of a node, shape (number of such rows, A)."""
+    return rows.targets[(rows.observations == race_tree.observations(level)[seed, node, player]).all(axis=1)]
+
+
+@pytest.mark.parametrize("target", list(TARGETS))
+def test_every_decision_of_both_cars_is_a_row(target):
+    race_tree = random_tree(policies=(7, 3))
+    rows = rows_of(race_tree, target)
+    assert len(rows) == 2 * (1 + 9)
+    assert set(rows.pair) == {pair_number([3, 7])}
+    assert rows.step.tolist().count(0) == 2
+    targets = node_targets(race_tree.game_tree(), solve_for(race_tree.game_tree(), target), target)
+    for k, pair in enumerate(targets):
+        for player in (0, 1):
+            found = [values_at(rows, race_tree, k, node, player) for node in range(race_tree.nodes(k))]
+            np.testing.assert_allclose(np.concatenate(found), pair[player], rtol=1e-5, atol=1e-6)
+
+
+def test_crashed_nodes_are_left_out_and_the_rest_is_as_if_they_were_not_there():
+    """Two seeds; one has crashed in a node: targets there are those of the other seed alone."""
+    whole = random_tree(seeds=2, sees_seed=True)
+    payoffs = whole.payoffs.copy()
+    payoffs[1].reshape(9, 9)[4] = 0.7  # what the crash in seed 1 pays, whatever is played afterwards
+    over = np.zeros((2, 9), bool)
+    over[1, 4] = True
+    crashed = ToyTree(payoffs, ended={1: over}, sees_seed=True)
+    alone = ToyTree(payoffs[:1], sees_seed=True)
+    for target in ("advantage", "static-q"):
+        rows, expected = rows_of(crashed, target), rows_of(alone, target)
+        assert len(rows) == 2 * 2 * (1 + 9) - 2
+        for player in (0, 1):
+            assert len(values_at(rows, crashed, 1, 4, player, seed=1)) == 0
+            here, there = values_at(rows, crashed, 1, 4, player), values_at(expected, alone, 1, 4, player)
+            np.testing.assert_allclose(here, there, rtol=1e-5, atol=1e-5)
+            assert here.shape == (1, 3)
+
+
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_weights(seeds):
+    race_tree = random_tree(seeds=seeds)
+    uniform = rows_of(race_tree)
+    np.testing.assert_allclose(uniform.weights, 1.0 / seeds)
+    by_step = [rows_of(race_tree, row_weights="random").weights[uniform.step == k].sum() for k in range(2)]
+    np.testing.assert_allclose(by_step, 2.0)  # one for each player
+    reach = rows_of(race_tree, row_weights="reach")
+    np.testing.assert_allclose([reach.weights[uniform.step == k].sum() for k in range(2)], 2.0)
+    assert reach.weights[reach.step == 1].max() > 2.0 * reach.weights[reach.step == 1].min() > 0.0
+    with pytest.raises(UnknownNameError, match="unknown row weights 'x'; there are uniform, random, reach"):
+        rows_of(race_tree, row_weights="x")
+
+
+def test_some_nodes_can_stand_for_all():
+    race_tree = random_tree(moves=3, seeds=2)
+    everything = rows_of(race_tree)
+    some = rows_of(race_tree, rows_per_step=5, seed=1)
+    assert [int(np.sum(some.step == k)) for k in range(3)] == [4, 20, 20]
+    for k in range(3):
+        assert some.weights[some.step == k].sum() == pytest.approx(everything.weights[everything.step == k].sum())
+    again = rows_of(race_tree, rows_per_step=5, seed=1)
+    np.testing.assert_array_equal(some.observations, again.observations)
+    other = rows_of(race_tree, rows_per_step=5, seed=2)
+    assert not np.array_equal(some.observations, other.observations)
+    known = {row.tobytes() for row in np.column_stack([everything.observations, everything.targets])}
+    assert {row.tobytes() for row in np.column_stack([some.observations, some.targets])} <= known
+
+
+def test_a_tree_that_is_over_at_once_gives_no_rows():
+    race_tree = random_tree(ended={0: np.ones((1, 1), bool), 1: np.ones((1, 9), bool)})
+    with pytest.raises(InputError, match=r"a tree of policies \[0, 1\] has no node where the race goes on"):
+        rows_of(race_tree)

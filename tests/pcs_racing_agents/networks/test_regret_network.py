@@ -1,0 +1,291 @@
+import copy
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+from toy_networks import MOVES, identity, random_network
+
+from pcs_racing import InputError, UnknownNameError, make_game
+from pcs_racing_agents.networks import GameIdentity, RegretNetwork, game_identity, list_networks, load_network
+from pcs_racing_agents.networks.network_files import shipped_folder
+
+
+@pytest.fixture
+def network() -> RegretNetwork:
+    return random_network()
+
+
+def by_formula(network: RegretNetwork, x: np.ndarray) -> np.ndarray:
+    x = (np.asarray(x, np.float64) - network.mean) / network.scale
+    for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        x = x @ weight.T.astype(np.float64) + bias
+        x = np.maximum(x, 0.0) if i < len(network.weights) - 1 or network.clipped else x
+    return x
+
+
+def observations(*shape, inputs=7, seed=0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0.0, 2.0, (*shape, inputs)).astype(np.float32)
+
+
+@pytest.mark.parametrize("hidden", [(), (5,), (64, 64), (3, 50, 7)])
+@pytest.mark.parametrize("clipped", [False, True])
+def test_values_are_those_of_the_formula(hidden, clipped):
+    network = random_network(hidden=hidden, clipped=clipped)
+    x = observations(3, 20)
+    values = network(x)
+    assert values.shape == (3, 20, 4)
+    assert values.dtype == np.float32
+    np.testing.assert_allclose(values, by_formula(network, x), rtol=1e-4, atol=1e-4)
+    assert (values >= 0.0).all() == clipped
+
+
+def test_values_are_those_of_torch():
+    """Tolerance: 1e-5, of values of order one; both compute in float32, in another order."""
+    torch = pytest.importorskip("torch")
+
+    network = random_network(inputs=31, hidden=(64, 64), clipped=True)
+    layers = []
+    for weight, bias in zip(network.weights, network.biases, strict=True):
+        layer = torch.nn.utils.skip_init(torch.nn.Linear, weight.shape[1], weight.shape[0])
+        layer.weight.data, layer.bias.data = torch.tensor(weight), torch.tensor(bias)
+        layers += [layer, torch.nn.ReLU()]
+    x = observations(500, inputs=31)
+    with torch.no_grad():
+        expected = torch.nn.Sequential(*layers)(torch.from_numpy((x - network.mean) / network.scale)).numpy()
+    assert 0.1 < np.mean(expected > 0.0) < 0.9
+    np.testing.assert_allclose(network(x), expected, rtol=1e-5, atol=1e-5)
+
+
+@given(st.integers(1, 40), st.integers(0, 2**32 - 1))
+def test_a_decision_does_not_depend_on_the_batch(rows, seed):
+    network = random_network()
+    x = observations(rows, seed=seed)
+    together = network.unclipped(x)
+    alone = np.stack([network.unclipped(row) for row in x])
+    np.testing.assert_array_equal(together, alone)  # to the bit
+    np.testing.assert_array_equal(network.choose(x), np.argmax(alone, axis=1))
+
+
+def values_network(*rows: list[float], clipped: bool) -> RegretNetwork:
+    """A network that answers the i-th unit vector with the i-th row."""
+    matrix = np.array(rows).T
+    return random_network(
+        inputs=len(rows),
+        hidden=(),
+        clipped=clipped,
+        weights=(matrix,),
+        biases=(np.zeros(4),),
+        mean=np.zeros(len(rows)),
+        scale=np.ones(len(rows)),
+    )
+
+
+def test_the_highest_value_is_chosen_and_below_zero_the_highest_before_clipping():
+    network = values_network([1.0, 3.0, 2.0, -5.0], [-3.0, -4.0, -1.0, -2.0], [0.0, 0.0, 0.0, 0.0], clipped=True)
+    np.testing.assert_array_equal(network(np.eye(3)), [[1.0, 3.0, 2.0, 0.0], [0.0] * 4, [0.0] * 4])
+    np.testing.assert_array_equal(network.choose(np.eye(3)), [1, 2, 0])
+    allowed = np.array([[True, False, True, True], [True, True, False, False], [False, False, False, True]])
+    np.testing.assert_array_equal(network.choose(np.eye(3), allowed), [2, 0, 3])
+    with pytest.raises(InputError, match="allows no move"):
+        network.choose(np.eye(3), np.zeros((3, 4), bool))
+    with pytest.raises(InputError, match=r"mask has shape \(4,\)"):
+        network.choose(np.eye(3), np.ones(4, bool))
+
+
+def test_bad_observations_are_one_clear_error(network):
+    with pytest.raises(InputError, match=r"shape \(2, 6\); network 'toy' needs \(\.\.\., 7\)"):
+        network(np.zeros((2, 6)))
+    with pytest.raises(InputError, match=r"shape \(\)"):
+        network(1.0)
+    with pytest.raises(InputError, match="NaN or infinity"):
+        network([0.0, 0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
+    assert network(np.zeros((0, 7))).shape == (0, 4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": ""}, "name is ''"),
+        ({"identity": identity(8)}, r"weights of layer 0 have shape \(16, 7\); they must have \(any, 8\)"),
+        ({"identity": identity(7, MOVES[:3])}, "puts out 4 values; there are 3 moves"),
+        ({"identity": {}}, "must be a GameIdentity"),
+        ({"weights": ()}, "0 layers"),
+        ({"biases": (np.zeros(16),)}, "3 layers but 1 biases"),
+        ({"scale": np.zeros(7)}, "scale is 0 at its smallest"),
+        ({"mean": np.full(7, np.inf)}, "mean hold NaN or infinity"),
+        ({"mean": np.zeros(6)}, r"mean have shape \(6,\)"),
+        ({"training": {"loss": [1]}}, r"training 'loss' is \[1\]"),
+        ({"weights": (np.zeros((2000, 7)), np.zeros((2000, 2000)), np.zeros((4, 2000)))}, "4000000 is the limit"),
+    ],
+)
+def test_an_impossible_network_is_one_clear_error(changes, message):
+    with pytest.raises(InputError, match=message):
+        random_network(**changes)
+
+
+def test_a_network_never_changes(network):
+    for array in (*network.weights, *network.biases, network.mean, network.scale):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+    with pytest.raises(TypeError):
+        network.training["rows"] = 3
+    for other in (pickle.loads(pickle.dumps(network)), copy.deepcopy(network)):
+        np.testing.assert_array_equal(other(np.ones(7)), network(np.ones(7)))
+    assert repr(network) == "<RegretNetwork 'toy': 7-16-16-4, advantage, archive 'toy', preset 'paper'>"
+
+
+# Files
+
+
+@pytest.mark.parametrize("clipped", [False, True])
+def test_a_network_reads_back_exactly(tmp_path, clipped):
+    network = random_network(clipped=clipped, hidden=(9,))
+    again = load_network(network.save(tmp_path / "deep" / "net"))
+    assert (again.name, again.identity, again.target) == (network.name, network.identity, network.target)
+    assert (again.clipped, again.hidden, dict(again.training)) == (clipped, (9,), dict(network.training))
+    np.testing.assert_array_equal(again(observations(50)), network(observations(50)))
+    assert load_network(network) is network
+    before = {file.name: file.read_bytes() for file in (tmp_path / "deep" / "net").iterdir()}
+    assert set(before) == {"weights.safetensors", "manifest.yaml"}
+    again.save(tmp_path / "copy")
+    assert {file.name: file.read_bytes() for file in (tmp_path / "copy").iterdir()} == before
+
+
+def test_shipped_networks_are_sound():
+    assert list_networks() == sorted(path.parent.name for path in shipped_folder().glob("*/manifest.yaml"))
+    for name in list_networks():
+        network = load_network(name)
+        assert network.name == name
+        assert np.isfinite(network(np.zeros(len(network.elements)))).all()
+
+
+def test_an_unknown_network_is_one_clear_error(tmp_path):
+    with pytest.raises(UnknownNameError, match="unknown network 'nowhere': neither a folder nor one of those shipped"):
+        load_network("nowhere")
+    with pytest.raises(InputError, match=r"network 3 must be a name, a folder or a RegretNetwork"):
+        load_network(3)
+    with pytest.raises(InputError, match=r"can't read .*manifest\.yaml: No such file"):
+        load_network(tmp_path)
+
+
+def edit(folder: Path, **changes) -> None:
+    file = folder / "manifest.yaml"
+    manifest = {**yaml.safe_load(file.read_text()), **changes}
+    file.write_text(yaml.safe_dump({key: value for key, value in manifest.items() if value != "gone"}))
+
+
+def other_weights(folder: Path, change) -> None:
+    import hashlib
+
+    tensors = load_tensors((folder / "weights.safetensors").read_bytes())
+    content = save_tensors(change(tensors))
+    (folder / "weights.safetensors").write_bytes(content)
+    edit(folder, weights_sha256=hashlib.sha256(content).hexdigest())
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (lambda f: (f / "weights.safetensors").unlink(), "can't read"),
+        (lambda f: (f / "weights.safetensors").write_bytes(b"abc"), "its digest differs"),
+        (lambda f: (f / "manifest.yaml").write_text("a: [b"), "is not valid YAML"),
+        (lambda f: (f / "manifest.yaml").write_bytes(b"\xff\xfe\xfa"), "is not valid YAML"),
+        (lambda f: (f / "manifest.yaml").write_bytes(b" " * 200_001), "has more than 200000 bytes"),
+        (lambda f: (f / "weights.safetensors").write_bytes(b" " * 32_000_001), "has more than 32000000 bytes"),
+        (lambda f: edit(f, format="other"), "format must be 'pcs-racing network'"),
+        (lambda f: edit(f, version=2), "has version 2; this release reads version 1"),
+        (lambda f: edit(f, preset="gone"), "unknown or missing preset"),
+        (lambda f: edit(f, colour="red"), "unknown or missing colour"),
+        (lambda f: edit(f, clipped="yes"), "clipped is 'yes'; it must be true or false"),
+        (lambda f: edit(f, moves=[1, 2, 3, 4]), "it must be a list of texts"),
+        (lambda f: edit(f, training=[]), "it must be a mapping"),
+        (lambda f: edit(f, hidden=[16] * 16), "there are 16 hidden layers; 15 is the limit"),
+        (lambda f: edit(f, hidden=[16, 17]), r"hidden layers \[16, 16\]; its manifest says \[16, 17\]"),
+        (lambda f: edit(f, hidden=[16]), "unknown or missing layers.2.bias, layers.2.weight"),
+        (lambda f: edit(f, elements=["a"]), "weights of layer 0"),
+        (lambda f: other_weights(f, lambda t: {**t, "extra": np.zeros(3, np.float32)}), "unknown or missing extra"),
+        (lambda f: other_weights(f, lambda t: {**t, "input.mean": np.zeros(7)}), "is of type float64"),
+        (lambda f: other_weights(f, lambda t: {**t, "input.mean": np.full(7, np.nan, "f")}), "hold NaN"),
+    ],
+)
+def test_a_damaged_network_is_one_clear_error(tmp_path, network, harm, message):
+    harm(network.save(tmp_path))
+    with pytest.raises(InputError, match=message) as caught:
+        load_network(tmp_path)
+    assert "\n" not in str(caught.value) or "YAML" in message
+
+
+def test_weights_that_are_no_safetensors_are_one_clear_error(tmp_path, network):
+    import hashlib
+
+    network.save(tmp_path)
+    for content in (b"", b"\xff" * 100, (tmp_path / "weights.safetensors").read_bytes()[:-4]):
+        (tmp_path / "weights.safetensors").write_bytes(content)
+        edit(tmp_path, weights_sha256=hashlib.sha256(content).hexdigest())
+        with pytest.raises(InputError, match="no safetensors file of numbers"):
+            load_network(tmp_path)
+
+
+# Does it fit the game?
+
+
+@pytest.fixture(scope="module")
+def game():
+    return make_game("Pipkin", epsilon=0.35)
+
+
+def made_for(game, **changes) -> RegretNetwork:
+    known = game_identity(game)._replace(**changes)
+    inputs, moves = len(known.elements), len(known.moves)
+    return random_network(
+        identity=known,
+        weights=(np.zeros((moves, inputs)),),
+        biases=(np.zeros(moves),),
+        mean=np.zeros(inputs),
+        scale=np.ones(inputs),
+    )
+
+
+def test_a_network_of_the_game_fits(game):
+    made_for(game).check_fits(game)
+    made_for(game).check_fits(make_game("Pipkin", epsilon=0.35, stay=True))  # the move that it does not know comes last
+    made_for(game).check_fits(make_game("Tarnfjord", race="contest", epsilon=0.35, stay=False))
+    state = game.reset(games=2)
+    assert made_for(game).choose(game.observation(state)).shape == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"moves": 3}, r"sees 31 \(own_aggressiveness_0 to step\); the game has 25"),
+        ({"characteristics": ("restraint", "aggressiveness")}, "sees 'own_aggressiveness_0' at place 0; the game has"),
+        ({"epsilon": 0.7}, "made for moves of epsilon 0.35; the game has 0.7"),
+        ({"epsilon": (0.2, 0.4)}, r"values moves 4 \(.*\); the game has 8"),
+    ],
+)
+def test_a_network_of_another_game_is_one_clear_error(game, other, message):
+    with pytest.raises(InputError, match=message):
+        made_for(game).check_fits(make_game("Pipkin", **({"epsilon": 0.35} | other)))
+
+
+def test_a_network_of_another_archive_is_one_clear_error(game):
+    with pytest.raises(InputError, match=r"made for archive 'x' \(sha256 abc\); the game has archive 'default'"):
+        made_for(game, archive="x", archive_sha256="abc").check_fits(game)
+    made_for(game, archive="renamed").check_fits(game)
+    # A network that makes a move more than the game offers does not fit, only the other way round.
+    with pytest.raises(InputError, match="values moves 5"):
+        made_for(make_game("Pipkin", epsilon=0.35, stay=True)).check_fits(game)
+
+
+def test_an_identity_says_what_the_game_is(game):
+    known = game_identity(game)
+    assert isinstance(known, GameIdentity)
+    assert len(known.elements) == 31
+    assert known.moves == MOVES
+    assert known[2:] == ((0.35,), "default", game.archive.content_hash, "paper")

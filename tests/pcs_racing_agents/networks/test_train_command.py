@@ -1,0 +1,238 @@
+import csv
+
+import numpy as np
+import pytest
+import yaml
+from toy_trees import random_tree
+
+from pcs_racing import InputError, make_game
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.networks import GameIdentity, game_identity, load_network, load_train_settings
+from pcs_racing_agents.networks.from_ego import score_ego, train_on_ego
+from pcs_racing_agents.networks.from_trees import train_on_trees, trees_identity
+from pcs_racing_agents.networks.metrics import TreeScore
+from pcs_racing_agents.networks.rows import pair_number
+from pcs_racing_agents.networks.training import Epoch
+from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees, load_trees
+
+pytest.importorskip("torch")
+
+TOY = GameIdentity(tuple(f"x{i}" for i in range(15)), ("a", "b", "c"), (0.35,), "toy", "0" * 64, "paper")
+QUICK = load_train_settings(target="advantage", hidden=(16,), epochs=3, iterations=20)
+
+
+@pytest.fixture(scope="module")
+def game():
+    return make_game("Pipkin", moves=2, step_seconds=1.0)
+
+
+@pytest.fixture(scope="module")
+def folder(game, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trees")
+    build_trees(game, folder, pairs=8)
+    return folder
+
+
+def train(*arguments) -> int:
+    return main(["train", *(str(argument) for argument in arguments)])
+
+
+@pytest.mark.parametrize("target", ["regret", "static-q"])
+def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, capsys, target):
+    out = tmp_path / "net"
+    assert train(folder, "--target", target, "--epochs", 4, "--hidden", 8, "--seed", 3, "--out", out) == 0
+    files = {file.name for file in out.iterdir()}
+    assert files == {"weights.safetensors", "manifest.yaml", "tensorboard"} | {
+        "learning_curves.csv", "learning_curves.png", "scores.csv"
+    }  # fmt: skip
+    network = load_network(out)
+    network.check_fits(game)
+    assert (network.name, network.target, network.clipped, network.hidden) == ("net", target, target == "regret", (8,))
+    summary = dict(network.training)
+    assert (summary["trees"], summary["tracks"], summary["setting_seed"]) == (8, "Pipkin", 3)
+    with open(out / "learning_curves.csv", newline="") as stream:
+        curves = list(csv.DictReader(stream))
+    assert list(curves[0]) == list(Epoch._fields)
+    assert [row["epoch"] for row in curves] == ["0", "1", "2", "3", "4"]
+    with open(out / "scores.csv", newline="") as stream:
+        scores = list(csv.DictReader(stream))
+    assert list(scores[0]) == ["strategy", "tree", *TreeScore._fields]
+    own = [float(row["lost_to_best_response"]) for row in scores if row["strategy"] == "net"]
+    assert len(own) == summary["test_trees"] >= 1
+    assert np.mean(own) == pytest.approx(summary["test_lost_to_best_response"], rel=1e-3)
+    assert (out / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
+    (events,) = (out / "tensorboard").iterdir()
+    assert b"validation/loss" in events.read_bytes()
+    text = capsys.readouterr().out
+    assert "choices on held-out rows:" in text
+    assert "  equilibrium " in text
+    assert f"network: {out}" in text
+
+
+def test_the_same_command_gives_the_same_bytes(folder, tmp_path):
+    for name in ("one", "two"):
+        arguments = ["--epochs", 2, "--no-tensorboard", "--no-picture", "--name", "same", "--out", tmp_path / name]
+        assert train(folder, *arguments) == 0
+    one, two = ({file.name: file.read_bytes() for file in (tmp_path / name).iterdir()} for name in ("one", "two"))
+    assert one == two
+    assert set(one) == {"weights.safetensors", "manifest.yaml", "learning_curves.csv", "scores.csv"}
+
+
+def test_stored_trees_know_their_game(game, folder):
+    assert trees_identity(load_trees(folder).settings) == game_identity(game)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"epsilon": 0.2}, "epsilon is 0.2 in one and"),
+        ({"utility": "win"}, "utility is 'win' in one and"),
+    ],
+)
+def test_trees_of_different_games_are_refused(folder, tmp_path, capsys, change, message):
+    other = make_game("Pipkin", moves=2, step_seconds=1.0, **change)
+    build_trees(other, tmp_path / "other", pairs=2)
+    assert train(folder, tmp_path / "other", "--out", tmp_path / "out") == 2
+    assert f"hold trees of different games: {message}" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_several_folders_of_one_game_are_learned_from_together(folder, tmp_path):
+    build_trees(make_game("Pipkin", moves=2, step_seconds=1.0), tmp_path / "more", pairs=3, seed=1)
+    out = tmp_path / "out"
+    assert train(folder, tmp_path / "more", "--epochs", 1, "--no-tensorboard", "--no-picture", "--out", out) == 0
+    assert yaml.safe_load((out / "manifest.yaml").read_text())["training"]["trees"] == 11
+
+
+@pytest.fixture(scope="module")
+def ego_folder(game, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ego")
+    build_ego_trees(game, folder, roots=24)
+    return folder
+
+
+@pytest.mark.parametrize("share", [0.15, 0.0])
+def test_ego_trees_teach_values_against_static_opponents(game, ego_folder, tmp_path, capsys, share):
+    (tmp_path / "mine.yaml").write_text(f"{{epochs: 5, hidden: [8], target: static-q, test_share: {share}}}")
+    out = tmp_path / "net"
+    plain = ["--no-tensorboard", "--no-picture"]
+    assert train(ego_folder, "--config", tmp_path / "mine.yaml", *plain, "--out", out) == 0
+    network = load_network(out)
+    network.check_fits(game)
+    assert (network.target, network.training["roots"], network.training["utility"]) == ("static-q", 24, "lead")
+    text = capsys.readouterr().out
+    scores = (out / "scores.csv").read_text().splitlines()
+    if share > 0.0:
+        assert network.training["test_roots"] >= 1
+        assert f"utility in {network.training['test_roots']} held-out roots" in text
+        assert len(scores) == 1 + network.training["test_roots"] * (1 + 4 + 2)
+        assert scores[0] == "strategy,root,utility"
+    else:
+        assert scores == ["strategy"]
+
+
+def test_ego_trees_give_one_target_and_do_not_mix_with_others(folder, ego_folder, tmp_path, capsys):
+    assert train(ego_folder, "--target", "regret", "--out", tmp_path / "out") == 2
+    assert "target is 'regret'; ego trees have one player and give 'static-q' alone" in capsys.readouterr().err
+    assert train(folder, ego_folder, "--out", tmp_path / "out") == 2
+    assert f"{ego_folder} holds ego trees, others do not; give folders of one kind" in capsys.readouterr().err
+
+
+def test_without_hindsight_a_network_promises_no_more_than_it_gets(ego_folder, game):
+    """What hindsight says of the first move is the best of all that could follow, and so at least as much."""
+    trees = load_ego_trees(ego_folder)
+    scores = score_ego({"never": lambda seen: np.tile([0.0, 0.0, 0.0, 1.0], (len(seen), 1))}, trees)
+    assert (scores["never"] <= scores["best in hindsight"] + 1e-6).all()
+    assert (scores["random moves"] <= scores["best in hindsight"] + 1e-6).all()
+    settings = load_train_settings(target="static-q", hidden=(8,), epochs=5, test_share=0.0)
+    seen = trees.observations(0)[:, 0]
+    promises = [
+        train_on_ego(trees, game_identity(game), load_train_settings(settings, continuation=how), name="net").network(
+            seen
+        )
+        for how in ("learned", "best")
+    ]
+    assert promises[0].max(axis=1).mean() < promises[1].max(axis=1).mean()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--target", "joy"], "target is 'joy'; it must be one of regret"),
+        (["--epochs", "0"], "epochs is 0"),
+        (["--config", "nowhere"], "train settings 'nowhere' are unknown"),
+    ],
+)
+def test_bad_options_are_one_line(folder, tmp_path, capsys, arguments, message):
+    assert train(folder, *arguments, "--out", tmp_path / "out") == 2
+    err = capsys.readouterr().err
+    assert err.startswith("pcs-racing: error: ")
+    assert message in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_without_trees_is_one_line(tmp_path, capsys):
+    assert train(tmp_path, "--out", tmp_path / "out") == 2
+    assert "holds no game trees" in capsys.readouterr().err
+
+
+# What the command calls
+
+
+def toy_trees(count=6):
+    return [random_tree(seed=i, policies=(i, i + 1)) for i in range(count)]
+
+
+def train_toys(trees, settings=QUICK, **options):
+    pairs = [tree.policies for tree in trees]
+    return train_on_trees(trees.__getitem__, pairs, TOY, settings, name="toy", **options)
+
+
+def test_no_starting_pair_is_learned_from_and_judged_by():
+    trees = [
+        random_tree(seed=i, policies=pair) for i, pair in enumerate([(0, 1), (1, 0), (2, 3), (4, 5), (5, 4), (6, 7)])
+    ]
+    for seed in range(4):
+        told = []
+        settings = load_train_settings(QUICK, seed=seed, test_share=0.4, epochs=1)
+        trained = train_toys(trees, settings, solving=lambda *news, told=told: told.append(news))
+        assert trained.trees["toy"].shape == (trained.network.training["test_trees"], 4)
+        assert trained.network.training["test_trees"] in (2, 3, 4)
+        assert trained.network.training["starting_pairs"] == 2
+        assert told[-1] == (6, 6, "solved for advantage")
+        assert set(trained.fit.validation_pairs) <= {
+            int(pair_number(pair)) for pair in [(0, 1), (2, 3), (4, 5), (6, 7)]
+        }
+
+
+def test_without_held_out_trees_the_validation_rows_judge():
+    trained = train_toys(toy_trees(3), load_train_settings(QUICK, test_share=0.0))
+    assert trained.trees == {}
+    assert trained.rows[0].rows == 20  # one tree
+    best = trained.fit.epochs[trained.fit.best]
+    assert trained.rows[0].agreement == pytest.approx(best.validation_agreement, abs=1e-6)
+
+
+def test_trees_that_are_over_at_once_are_passed_over():
+    over = random_tree(policies=(9, 9), ended={0: np.ones((1, 1), bool), 1: np.ones((1, 9), bool)})
+    trained = train_toys([over, *toy_trees(3), over], load_train_settings(QUICK, test_share=0.0))
+    assert trained.network.training["rows"] == 60
+    assert trained.network.training["trees"] == 5
+
+
+def test_a_network_that_learned_a_tree_by_heart_loses_little_on_it():
+    """The same tree under several starting pairs: what is learned on some holds on the others."""
+    trees = [random_tree(seed=4, moves=2, policies=(i, i)) for i in range(8)]
+    settings = load_train_settings(QUICK, hidden=(64, 64), epochs=300, patience=60, learning_rate=1e-2, batch_size=32)
+    trained = train_toys(trees, settings)
+    assert trained.rows[0].agreement > 0.95
+    loss = {name: scores[:, 1].mean() for name, scores in trained.trees.items()}
+    assert loss["toy"] < 0.05 * loss["random moves"]
+
+
+def test_too_few_starting_pairs_are_one_clear_error():
+    with pytest.raises(InputError, match="come from 2 starting pairs; it takes 3: some to learn from, some to"):
+        train_toys(toy_trees(2))
+    with pytest.raises(InputError, match="come from 1 starting pairs; it takes 2"):
+        train_toys(toy_trees(1), load_train_settings(QUICK, test_share=0.0))

@@ -1,0 +1,73 @@
+import inspect
+from dataclasses import fields
+
+import pytest
+
+from pcs_racing.base.errors import ConfigError, UnknownNameError
+from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.networks import TARGETS, TrainSettings, load_train_settings
+from pcs_racing_agents.networks.settings import settings_for_trees
+
+
+def test_settings_come_from_yaml_and_can_be_changed(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("target: advantage\nhidden: [8, 4]\nlearning_rate: 1.0e-3\n")
+    settings = load_train_settings(file, epochs=7)
+    assert settings == TrainSettings(target="advantage", hidden=(8, 4), learning_rate=1e-3, epochs=7)
+    assert load_train_settings(settings, seed=2) == load_train_settings(file, epochs=7, seed=2)
+    assert load_train_settings() == TrainSettings()
+    with pytest.raises(UnknownNameError, match="settings 'nowhere' are unknown"):
+        load_train_settings("nowhere")
+
+
+def test_open_choices_are_made_as_fits_the_target():
+    def chosen(target, **given):
+        made = settings_for_trees(load_train_settings(target=target, **given))
+        return made.row_weights, made.floor, made.differences
+
+    assert chosen("regret") == ("uniform", 0.25, True)
+    assert chosen("advantage") == ("random", 0.25, True)
+    assert chosen("nash") == ("random", 0.0, False)
+    assert chosen("advantage", row_weights="reach", floor=0.0, differences=False) == ("reach", 0.0, False)
+
+
+@pytest.mark.parametrize("name", shipped_configs("train"))
+def test_shipped_settings_are_sound(name):
+    assert load_train_settings(name).target in TARGETS
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("colour: red", "unknown train setting 'colour'; known are target, iterations"),
+        ("target: joy", "target is 'joy'; it must be one of regret, normalised, advantage, static-q"),
+        ("opponent: x", "opponent is 'x'; it must be one of fixed-sequence, never-switch"),
+        ("row_weights: x", "row_weights is 'x'; it must be one of uniform, random, reach"),
+        ("variant: x", "variant is 'x'; it must be one of vanilla"),
+        ("floor: -1", "floor is -1; it must be a number from 0 to 1000"),
+        ("differences: 1", "differences is 1; it must be true or false"),
+        ("continuation: x", "continuation is 'x'; it must be one of learned, best"),
+        ("epochs: 0", "epochs is 0; it must be a whole number from 1 to 100000"),
+        ("epochs: 1.5", "epochs is 1.5"),
+        ("seed: true", "seed is True"),
+        ("learning_rate: fast", "learning_rate is 'fast'; it must be a number from 1e-08 to 10"),
+        ("learning_rate: .nan", "learning_rate is nan"),
+        ("validation_share: 1.0", "validation_share is 1.0"),
+        ("{validation_share: 0.5, test_share: 0.5}", "together they must leave 5 % of the starting pairs"),
+        ("hidden: 64", "hidden is 64; it must be a list of at most 8 whole numbers"),
+        ("hidden: [0]", r"hidden is \(0,\)"),
+        ("hidden: [1, 1, 1, 1, 1, 1, 1, 1, 1]", "at most 8"),
+        ("- target", "holds list; it must be a mapping"),
+        ("a: [b", "is not valid YAML"),
+    ],
+)
+def test_impossible_settings_are_one_clear_error(tmp_path, text, message):
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_train_settings(file)
+
+
+def test_every_setting_is_documented():
+    for field in fields(TrainSettings):
+        assert f"\n{field.name} : " in inspect.getdoc(TrainSettings)

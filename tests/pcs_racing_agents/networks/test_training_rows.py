@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcs_racing import InputError
+from pcs_racing_agents.networks import Rows, join_rows
+from pcs_racing_agents.networks.rows import pair_number, split_by_pair
+
+
+def rows(count=12, pairs=4, seed=0, **changes) -> Rows:
+    rng = np.random.default_rng(seed)
+    values = {
+        "observations": rng.normal(size=(count, 5)),
+        "targets": rng.normal(size=(count, 3)),
+        "weights": rng.uniform(0.5, 2.0, count),
+        "pair": np.arange(count) % pairs,
+        "step": np.arange(count) % 2,
+    }
+    return Rows(**{**values, **changes})
+
+
+def test_rows_are_compact_and_know_all_targets_unless_told_otherwise():
+    made = rows()
+    assert (made.observations.dtype, made.targets.dtype, made.weights.dtype) == (np.float32, np.float32, np.float64)
+    assert made.mask.all()
+    assert len(made) == 12
+    assert repr(made) == "<Rows: 12 of 5 numbers, 3 moves, 4 starting pairs>"
+    mask = np.ones((12, 3), bool)
+    mask[:, 2] = False
+    masked = rows(mask=mask, targets=np.full((12, 3), 7.0))
+    np.testing.assert_array_equal(masked.targets[0], [7.0, 7.0, 0.0])  # what is not known is no number
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"targets": np.zeros((0, 3))}, r"targets have shape \(0, 3\)"),
+        ({"targets": np.zeros(12)}, r"targets have shape \(12,\)"),
+        ({"observations": np.zeros((11, 5))}, r"observations have shape \(11, 5\).*must have \(12, any\) and float32"),
+        ({"observations": np.full((12, 5), "a")}, "observations have shape"),
+        ({"targets": np.where(np.arange(36).reshape(12, 3) == 13, np.nan, 1.0)}, "targets are not finite in row 4"),
+        ({"observations": np.full((12, 5), np.inf)}, "observations are not finite in row 0"),
+        ({"weights": np.zeros(12)}, "some must be above 0"),
+        ({"weights": np.linspace(-1.0, 1.0, 12)}, "weights lie in -1 to 1"),
+        ({"pair": np.zeros(12)}, "type float64"),
+        ({"mask": np.ones((12, 3))}, "mask have shape"),
+        ({"mask": np.arange(36).reshape(12, 3) >= 6}, "row 0 has no target"),
+    ],
+)
+def test_impossible_rows_are_one_clear_error(changes, message):
+    with pytest.raises(InputError, match=message):
+        rows(**changes)
+
+
+def test_rows_can_be_taken_and_joined():
+    made = rows()
+    part = made.take([3, 1])
+    np.testing.assert_array_equal(part.targets, made.targets[[3, 1]])
+    again = join_rows([made.take(np.arange(12) < 5), made.take(np.arange(12) >= 5)])
+    for key in ("observations", "targets", "weights", "pair", "step", "mask"):
+        np.testing.assert_array_equal(getattr(again, key), getattr(made, key))
+    with pytest.raises(InputError, match="part 1 has targets of 2 numbers, part 0 of 3"):
+        join_rows([made, rows(targets=np.ones((12, 2)))])
+    with pytest.raises(InputError, match="no rows to join"):
+        join_rows([])
+
+
+@given(st.integers(0, 200), st.integers(0, 200), st.integers(0, 200), st.integers(0, 200))
+def test_pair_numbers_are_those_of_unordered_pairs(a, b, c, d):
+    same = {a, b} == {c, d} and sorted((a, b)) == sorted((c, d))
+    assert (pair_number([a, b]) == pair_number([c, d])) == same
+    assert pair_number([[a, b], [c, d]]).tolist() == [pair_number([a, b]), pair_number([c, d])]
+
+
+@given(st.integers(2, 30), st.floats(0.01, 0.9), st.integers(0, 1000))
+def test_no_pair_is_on_both_sides_of_the_split(pairs, share, seed):
+    made = rows(count=90, pairs=pairs)
+    held_out, chosen = split_by_pair(made, share, seed)
+    assert not set(made.pair[held_out]) & set(made.pair[~held_out])
+    assert set(made.pair[held_out]) == set(chosen.tolist())
+    assert 1 <= len(chosen) <= pairs - 1
+    assert abs(len(chosen) - share * pairs) <= 1.0
+    np.testing.assert_array_equal(split_by_pair(made, share, seed)[0], held_out)
+
+
+def test_the_split_needs_two_pairs():
+    with pytest.raises(InputError, match="all rows come from one starting pair"):
+        split_by_pair(rows(pairs=1), 0.2, 0)
+    with pytest.raises(InputError, match="one side has weights of 0 only"):
+        split_by_pair(rows(pairs=2, weights=np.arange(12) % 2 + 0.0), 0.5, 0)

@@ -1,0 +1,39 @@
+"""Small networks and trees that no race stands behind."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from pcs_racing_agents.networks import GameIdentity, RegretNetwork
+
+MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
+
+
+def identity(inputs=7, moves=MOVES, **changes) -> GameIdentity:
+    values = {
+        "elements": tuple(f"x{i}" for i in range(inputs)),
+        "moves": moves,
+        "epsilon": (0.5,),
+        "archive": "toy",
+        "archive_sha256": "0" * 64,
+        "preset": "paper",
+    }
+    return GameIdentity(**{**values, **changes})
+
+
+def random_network(inputs=7, hidden=(16, 16), seed=0, clipped=False, **changes) -> RegretNetwork:
+    rng = np.random.default_rng(seed)
+    sizes = [inputs, *hidden, len(MOVES)]
+    pairs = list(pairwise(sizes))
+    values = {
+        "name": "toy",
+        "identity": identity(inputs),
+        "target": "regret" if clipped else "advantage",
+        "clipped": clipped,
+        "weights": tuple(rng.normal(0.0, below**-0.5, (above, below)) for below, above in pairs),
+        "biases": tuple(rng.normal(0.0, 0.3, above) for _, above in pairs),
+        "mean": rng.normal(0.0, 1.0, inputs),
+        "scale": rng.uniform(0.2, 2.0, inputs),
+        "training": {"rows": 10, "validation_loss": 0.5, "setting_target": "advantage"},
+    }
+    return RegretNetwork(**{**values, **changes})

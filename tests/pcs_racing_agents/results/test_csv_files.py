@@ -1,0 +1,58 @@
+"""Tables of races are read line by line; what is no such table is refused."""
+
+import os
+
+import pytest
+
+from pcs_racing import InputError
+from pcs_racing_agents.results.csv_files import read_csv
+
+
+def written(tmp_path, text):
+    path = tmp_path / "table.csv"
+    path.write_bytes(text.encode())
+    return path
+
+
+def test_lines_are_numbered_as_an_editor_numbers_them(tmp_path):
+    table = read_csv(written(tmp_path, '\ufeffego,lead\r\na,1.5\r\n\r\n"b, c",2\r\n'))
+    assert table.columns == ("ego", "lead")
+    assert list(table.lines()) == [(2, {"ego": "a", "lead": "1.5"}), (4, {"ego": "b, c", "lead": "2"})]
+    assert table.rows() == [row for _, row in table.lines()]
+
+
+def test_an_empty_file_has_neither_columns_nor_rows(tmp_path):
+    table = read_csv(written(tmp_path, ""))
+    assert (table.columns, table.rows()) == ((), [])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("ego,lead\na,1\nb\n", "line 3 is damaged: it has 1 values"),
+        ("ego,lead\na,1,2\n", "line 2 is damaged: it has 3 values"),
+        ('ego,lead\na,"1\n', "line 2 is damaged: unexpected end of data"),
+        ("x" * 200_000, "is damaged: field larger than field limit"),
+        ("a," * 2000, "has 2001 columns"),
+    ],
+)
+def test_damaged_tables_are_named(tmp_path, text, message):
+    with pytest.raises(InputError, match=message):
+        read_csv(written(tmp_path, text)).rows()
+
+
+def test_what_is_no_file_or_no_text_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"can't read .*: No such file"):
+        read_csv(tmp_path / "none.csv")
+    (tmp_path / "latin.csv").write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError, match=r"is damaged: .*utf-8"):
+        read_csv(tmp_path / "latin.csv")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names are tested on Unix")
+def test_pipes_and_devices_that_never_end_are_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    for name in ("pipe.csv", "zero.csv"):
+        with pytest.raises(InputError, match="no ordinary file"):
+            read_csv(tmp_path / name)

@@ -1,0 +1,101 @@
+"""Which races are shown: by rule, the same every time, spread over agents, outcomes, opponents and circuits."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pcs_racing_agents.tournament.result_lines import lines_of
+from pcs_racing_agents.view.race_choice import OUTCOMES, choose_races, outcomes
+from pcs_racing_agents.view.race_columns import race_columns
+
+
+def columns_of(races):
+    """Columns of races given as (ego, opponent, track, lead, winner, crash, fault, policies of the ego)."""
+    names = ("ego", "opponent", "track", "lead", "winner", "crash", "fault", "ego_path")
+    lines = [
+        {**dict(zip(names, map(str, race), strict=True)), "opponent_path": "1; 1", "race": str(i), "seed": "0"}
+        for i, race in enumerate(races)
+    ]
+    for line in lines:
+        line |= {"start_s": "0", "side": "0", "preset": "paper"}
+    return race_columns(lines_of(lines, "here"))
+
+
+def test_outcomes_are_told_by_agent():
+    columns = columns_of([
+        ("a", "b", "t", 3, "ego", "", "", "1; 2"),
+        ("a", "b", "t", 3, "ego", "", "", "1; 1"),
+        ("a", "b", "t", -3, "opponent", "wall", "ego", "1; 1"),
+        ("a", "b", "t", 1, "", "car", "both", "1; 1"),
+        ("a", "b", "t", 0, "", "", "", "1; 1"),
+        ("a", "b", "t", 1, "", "car", "", "1; 1"),
+    ])  # fmt: skip
+    of_a = [
+        "a win by switching",
+        "a win without switching",
+        "a crash of its own",
+        "a crash of its own",
+        "a tie",
+        "a tie",
+    ]
+    of_b = ["a loss", "a loss", "a crash of the other's", "a crash of its own", "a tie", "a tie"]
+    for car, expected in enumerate((of_a, of_b)):
+        assert [OUTCOMES[i].split(",")[0] for i in outcomes(columns, car)] == expected
+
+
+def test_agents_and_outcomes_take_turns_and_the_typical_comes_first():
+    rng = np.random.default_rng(0)
+    races = []
+    for pair in (("a", "b"), ("a", "c"), ("b", "c")):
+        for track in ("s", "t"):
+            for lead in rng.permutation(np.arange(-10, 11)).tolist():
+                winner = "ego" if lead > 0 else "opponent" if lead < 0 else ""
+                races.append((*pair, track, lead, winner, "", "", "1; 2" if lead % 2 else "1; 1"))
+    columns = columns_of(races)
+    picks = choose_races(columns, 12)
+    assert [pick.why for pick in picks[:3]] == ["a: a win by switching", "b: a win by switching", "a: a loss"]
+    assert max(Counter(pick.why.split(": ")[0] for pick in picks).values()) <= 6
+    assert {pick.why.split(": ")[1] for pick in picks} >= {"a win by switching", "a loss"}
+    first = next(pick for pick in picks if pick.why == "a: a win by switching")
+    pile = sorted(race[3] for race in races if race[:3] == races[first.race][:3] and race[3] > 0 and race[3] % 2)
+    assert races[first.race][3] == pile[(len(pile) - 1) // 2]
+    losses = [races[pick.race] for pick in choose_races(columns, 60) if pick.why == "a: a loss"]
+    assert {(race[1], race[2]) for race in losses} == {("b", "s"), ("b", "t"), ("c", "s"), ("c", "t")}
+
+
+words = st.sampled_from(["a", "b", "c"])
+races = st.tuples(
+    words, words, st.sampled_from(["s", "t"]), st.floats(-50, 50), st.sampled_from(["", "ego", "opponent"]),
+    st.sampled_from(["", "wall", "car"]), st.sampled_from(["", "ego", "opponent", "both"]),
+    st.sampled_from(["1; 1", "1; 2"]),
+)  # fmt: skip
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(races, min_size=1, max_size=40), st.integers(0, 50))
+def test_as_many_as_asked_for_each_of_them_once(given_races, count):
+    columns = columns_of(given_races)
+    picks = choose_races(columns, count)
+    assert len(picks) == len({pick.race for pick in picks}) == min(count, len(columns))
+    assert picks == choose_races(columns, count)
+    told = np.array([outcomes(columns, car) for car in range(2)])
+    for race, why in picks:
+        name, outcome = why.split(": ")
+        cars = [car for car in range(2) if given_races[race][car] == name]
+        assert any(OUTCOMES[told[car, race]] == outcome for car in cars)
+    if count:
+        assert choose_races(columns, count - 1) == picks[: count - 1] or len(picks) < count
+
+
+def test_nothing_is_chosen_where_nothing_is_wanted():
+    assert choose_races(columns_of([("a", "b", "t", 3, "ego", "", "", "1; 2")]), 0) == []
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 17])
+def test_leads_come_from_the_middle(count):
+    columns = columns_of([("a", "b", "t", lead + 1, "ego", "", "", "1; 2") for lead in range(count)])
+    order = [pick.race for pick in choose_races(columns, count) if pick.why.startswith("a")]
+    assert order[0] == (count - 1) // 2

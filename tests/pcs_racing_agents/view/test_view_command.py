@@ -1,0 +1,313 @@
+"""``pcs-racing view``: what it writes, what it serves, and what it refuses."""
+
+import csv
+import json
+import shutil
+import threading
+from http.client import HTTPConnection
+
+import numpy as np
+import pytest
+import yaml
+
+from pcs_racing import load_track
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.cli import view
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.folders import claim_folder
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.study.config import StudyConfig
+from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results, write_rows
+from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.view.contests import open_results
+from pcs_racing_agents.view.race_replays import DrivenRace, RaceDriver
+from pcs_racing_agents.view.view_server import MOST_KEPT, RaceService, make_server
+
+
+@pytest.fixture
+def folder(tournament_folder, tmp_path):
+    """A copy of a tournament's folder, to be spoilt."""
+    place = tmp_path / "mine"
+    shutil.copytree(tournament_folder[0], place)
+    return place
+
+
+def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
+    opened = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(view.webbrowser, "open", opened.append)
+    assert main(["view", str(folder), "--replays", "2"]) == 0
+    page = folder / "view.html"
+    assert capsys.readouterr().out.splitlines()[-1] == f"page: {page}"
+    assert opened == [page.as_uri()]
+    content = page.read_text()
+    assert content.count('<script type="application/json" id="race-') == 2
+    assert "http://" not in content.replace("http://www.w3.org/2000/svg", "")
+    assert "https://" not in content
+    assert main(["view", str(folder / "results.csv"), "--races", "3", "17", "--no-open"]) == 0
+    assert opened == [page.as_uri()]
+    content = page.read_text()
+    assert content.count('<script type="application/json" id="race-') == 2
+    assert 'id="race-3"' in content
+    assert 'id="race-17"' in content
+
+
+def test_no_browser_is_opened_where_there_is_no_screen(folder, monkeypatch):
+    monkeypatch.setattr(view.sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(view.webbrowser, "open", lambda _: pytest.fail("a browser in the terminal"))
+    assert main(["view", str(folder), "--replays", "0"]) == 0
+
+
+def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, capsys):
+    lone = tmp_path / "lone.csv"
+    shutil.copy(folder / "results.csv", lone)
+    assert main(["view", str(lone), "--no-open"]) == 0
+    told = capsys.readouterr().out
+    assert "18 races, 0 of them to be watched" in told
+    assert "can't be driven again" in told
+    assert (tmp_path / "lone-view.html").is_file()
+    for option in (["--serve"], ["--races", "1"], ["--replays", "3"]):
+        assert main(["view", str(lone), *option, "--no-open"]) == 2
+        assert "there is no job.yaml beside this file" in capsys.readouterr().err
+    (folder / "job.yaml").unlink()
+    assert main(["view", str(folder), "--no-open"]) == 0
+
+
+def test_a_study_and_its_ratings_are_viewed_too(archive, tmp_path, capsys):
+    saved = archive.save(tmp_path / "toy")
+    config = StudyConfig(
+        archive=str(saved), tracks=("Pipkin",), opponents=("lane-switcher",), arms=("never-switch", "random-moves"),
+        best="random-moves", egos=2, variants=2, lines=1, rivals=("never-switch", "random-moves"), rival_races=2,
+    )  # fmt: skip
+    folder = tmp_path / "study"
+    study = Study(config, folder, quiet=True)
+    with claim_folder(folder, "study", plain_settings(config)):
+        game, rival = study.game("Pipkin"), study.agent("lane-switcher")
+        cells = [play_cell(game, study.agent(arm), rival, egos=2, opponents=2, lines=1, seed=3) for arm in config.arms]
+        write_rows([row for cell in cells for row in cell.rows()], "paper", folder / "results.csv")
+        rivals = {name: study.agent(name) for name in config.rivals}
+        plan = plan_tournament(load_track("Pipkin"), rivals, config.game, archive=saved, races_per_pair=2, seed=7)
+        with open_job(folder / "rivals", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
+            write_results(play_plan(plan, job=job), folder / "rivals.csv")
+    assert main(["view", str(folder), "--races", "0", "12", "--no-open"]) == 0
+    assert "16 races, 2 of them to be watched" in capsys.readouterr().out
+    assert main(["view", str(folder / "rivals.csv"), "--races", "1", "--no-open"]) == 0
+    assert "2 races, 1 of them to be watched" in capsys.readouterr().out
+    assert (folder / "rivals-view.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["{folder}/nothing"], "there is no "),
+        (["{folder}/chunks"], "holds no races"),
+        (["{folder}/job.yaml"], "is no results file"),
+        (["{folder}", "--out", "page.txt"], "its name must end in .html"),
+        (["{folder}", "--out", "{folder}/none/page.html"], "there is no folder"),
+        (["{folder}", "--out", "a.html", "--serve"], "--out goes without --serve"),
+        (["{folder}", "--port", "80"], "--port goes with --serve"),
+        (["{folder}", "--replays", "-1"], "--replays is -1; it must be from 0 to"),
+        (["{folder}", "--races", "18"], "--races names 18; there are races 0 to 17"),
+        (["{folder}", "--races", "-1"], "--races names -1"),
+        (["{folder}", "--serve", "--port", "70000"], "port is 70000"),
+    ],
+)
+def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, capsys):
+    assert main(["view", *(text.format(folder=folder) for text in arguments), "--no-open"]) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
+    assert not (folder / "view.html").exists()
+
+
+def spoil_line(folder):
+    file = folder / "results.csv"
+    with open(file, newline="") as stream:
+        head, *lines = csv.reader(stream)
+    lines[3][head.index("winner")] = "me"
+    with open(file, "w", newline="") as stream:
+        csv.writer(stream).writerows([head, *lines])
+
+
+def spoil_file(folder):
+    (folder / "results.csv").write_bytes(b"\xff\xfe\x00\x01")
+
+
+def empty_file(folder):
+    (folder / "results.csv").write_text("")
+
+
+def spoil_manifest(folder):
+    (folder / "job.yaml").write_text("[unclosed")
+
+
+def change_settings(folder, **values):
+    manifest = yaml.safe_load((folder / "job.yaml").read_text())
+    manifest["settings"] |= values
+    (folder / "job.yaml").write_text(yaml.safe_dump(manifest))
+
+
+def another_archive(folder):
+    change_settings(folder, archive="default")
+
+
+def another_agent(folder):
+    change_settings(folder, agents=dict.fromkeys(["random-moves", "lane-switcher", "never-switch"], "0" * 64))
+
+
+def another_circuit(folder):
+    change_settings(folder, tracks={"Pipkin": "0" * 64})
+
+
+def other_races(folder):
+    change_settings(folder, races_per_pair=8)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (spoil_line, "is damaged: winner is 'me'"),
+        (spoil_file, "is damaged"),
+        (empty_file, "holds no races"),
+        (spoil_manifest, "job.yaml is damaged"),
+        (another_archive, "archive 'default' has changed since the races were driven"),
+        (another_agent, "has changed since the races were driven"),
+        (another_circuit, "track 'Pipkin' has changed since the races were driven"),
+        (other_races, "is not the one that its folder describes"),
+    ],
+)
+def test_folders_that_are_not_what_they_were_are_one_clear_error(folder, spoil, message, capsys):
+    spoil(folder)
+    assert main(["view", str(folder), "--replays", "4", "--no-open"]) == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith("pcs-racing: error: ")
+    assert message in told
+    if spoil in (another_archive, other_races):
+        assert "--replays 0 lists the races" in told
+        assert main(["view", str(folder), "--replays", "0", "--no-open"]) == 0
+
+
+# The server
+
+
+@pytest.fixture
+def ask(folder):
+    """Asks a running server; returns status and content."""
+    results = open_results(folder)
+    service = RaceService(RaceDriver(results), len(results.rows))
+    with make_server("<p>the page", service.answer) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        port = server.server_address[1]
+
+        def get(path, method="GET", **headers):
+            connection = HTTPConnection("127.0.0.1", port, timeout=120)
+            names = {name.replace("_", "-"): value.format(port=port) for name, value in headers.items()}
+            connection.putrequest(method, path, skip_host="Host" in names)
+            for name, value in names.items():
+                connection.putheader(name, value)
+            connection.endheaders()
+            answer = connection.getresponse()
+            content = answer.read()
+            connection.close()
+            return answer, content
+
+        yield get
+        server.shutdown()
+        thread.join()
+
+
+def test_the_server_drives_what_it_is_asked_for(ask, tournament_folder):
+    answer, content = ask("/")
+    assert (answer.status, content) == (200, b"<p>the page")
+    assert answer.headers["X-Content-Type-Options"] == "nosniff"
+    answer, content = ask("/race/4")
+    race = json.loads(content)
+    assert answer.status == 200
+    assert race["race"]["car_names"] == [tournament_folder[1].rows[4].ego, tournament_folder[1].rows[4].opponent]
+    assert race["circuit"][0] == "Pipkin"
+    assert ask("/race/4", Host="localhost:{port}", Sec_Fetch_Site="same-origin")[1] == content
+
+
+@pytest.mark.parametrize(
+    ("path", "headers", "status"),
+    [
+        ("/race/18", {}, 404),
+        ("/race/99999999", {}, 404),
+        ("/race/-1", {}, 404),
+        ("/race/1/../../job.yaml", {}, 404),
+        ("/../job.yaml", {}, 404),
+        ("/race/%31", {}, 404),
+        ("/race/1?x", {}, 404),
+        ("/race/" + "1" * 5000, {}, 404),
+        ("/", {"Host": "example.com:{port}"}, 403),
+        ("/", {"Host": "127.0.0.1:1"}, 403),
+        ("/race/1", {"Sec_Fetch_Site": "cross-site"}, 403),
+        ("/", {"Sec_Fetch_Site": "same-site"}, 403),
+    ],
+)
+def test_the_server_answers_nothing_else(ask, path, headers, status):
+    answer, content = ask(path, **headers)
+    assert answer.status == status
+    assert "error" in json.loads(content)
+
+
+def test_the_server_is_for_reading(ask):
+    for method in ("POST", "PUT", "DELETE"):
+        assert ask("/race/1", method)[0].status == 501
+
+
+def test_a_race_that_can_not_be_driven_is_told(folder):
+    another_agent(folder)
+    service = RaceService(RaceDriver(open_results(folder)), 18)
+    status, content = service.answer(3)
+    assert status == 409
+    assert "has changed since the races were driven" in json.loads(content)["error"]
+
+
+def test_answers_are_kept_but_not_for_ever():
+    class Counting:
+        def __init__(self):
+            self.circuits, self.space, self.asked = {"c": {}}, {}, []
+
+        def drive(self, number):
+            self.asked.append(number)
+            return DrivenRace(number, "c", {})
+
+    driver = Counting()
+    service = RaceService(driver, MOST_KEPT + 10)
+    for number in (0, 1, 0, *range(2, MOST_KEPT + 1)):
+        assert service.answer(number)[0] == 200
+    assert driver.asked == list(range(MOST_KEPT + 1))
+    service.answer(0)
+    assert driver.asked[-1] == MOST_KEPT  # was used again later than 1, so it is still there
+    service.answer(1)
+    assert driver.asked[-1] == 1
+
+
+def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):
+    told = []
+
+    def end(self, *_):
+        told.append(self.server_address)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(view, "_open", told.append)
+    monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
+    assert main(["view", str(folder), "--serve"]) == 0
+    assert told[0] == f"http://127.0.0.1:{told[1][1]}/"
+    assert told[1][0] == "127.0.0.1"
+    assert f"18 races at {told[0]}" in capsys.readouterr().out
+    assert not (folder / "view.html").exists()
+
+
+def test_a_port_that_is_taken_is_named():
+    with (
+        make_server("", lambda number: (200, b"")) as server,
+        pytest.raises(InputError, match="can't listen on port"),
+    ):
+        make_server("", lambda number: (200, b""), port=int(np.int64(server.server_address[1])))

@@ -1,0 +1,284 @@
+"""The page in headless Chromium: the list, its filters and keys, a race that plays, names that are only names."""
+
+import csv
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcs_racing.base.packing import unpack
+from pcs_racing_agents.tournament.result_lines import lines_of, read_lines
+from pcs_racing_agents.view.contests import open_results
+from pcs_racing_agents.view.race_choice import Pick, choose_races
+from pcs_racing_agents.view.race_columns import RaceColumns, packed_columns, race_columns
+from pcs_racing_agents.view.race_replays import RaceDriver
+from pcs_racing_agents.view.view_page import ViewContent, view_page
+from pcs_racing_agents.view.view_server import RaceService, make_server
+
+NASTY = "</script><script>document.title='taken'</script><img src=x onerror=\"document.title='taken'\">"
+BLUE, ORANGE = (27, 111, 216), (224, 135, 0)
+
+
+def rows_of(path):
+    with open(path, newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def coloured(pixels, colour):
+    """How many pixels have a colour."""
+    return int(np.count_nonzero(np.abs(pixels - colour).sum(axis=-1) < 12))
+
+
+def played(browser):
+    """Wait for a race to have been drawn; its time and duration."""
+    return [float(part) for part in browser.wait("document.body.dataset.played || ''").split("/")]
+
+
+def test_the_page_lists_the_races_and_says_nothing_wrong(browser, page, tournament_folder):
+    browser.complaints.clear()
+    browser.open(page)
+    played(browser)
+    assert browser.complaints == []
+    rows = rows_of(tournament_folder[0] / "results.csv")
+    shown = browser.run("[...document.querySelectorAll('#pane .line:not([hidden])')].map((line) => line.innerText)")
+    assert len(shown) >= 10
+    first = browser.run("Number(document.querySelector('#pane .line').dataset.race)")
+    row = rows[first]
+    assert row["ego"] in shown[0]
+    assert row["opponent"] in shown[0]
+    assert f"{abs(float(row['lead'])):.1f}" in shown[0]
+    assert browser.run("document.querySelectorAll('link, script[src], img').length") == 0
+    assert browser.run("document.documentElement.scrollWidth") <= 1280
+
+
+def test_filters_leave_the_races_that_they_name(browser, page, tournament_folder):
+    rows = rows_of(tournament_folder[0] / "results.csv")
+    of_random = [row for row in rows if "random-moves" in (row["ego"], row["opponent"])]
+    lead = [float(row["lead"]) if row["ego"] == "random-moves" else -float(row["lead"]) for row in of_random]
+    lost = [row for row in of_random if row["winner"] == ("opponent" if row["ego"] == "random-moves" else "ego")]
+    expected = {
+        "": len(rows),
+        "agent=random-moves": len(of_random),
+        "agent=random-moves&opponent=never-switch": 6,
+        "agent=random-moves&winner=loses": len(lost),
+        "agent=random-moves&low=0": sum(one >= 0 for one in lead),
+        "crash=any": sum(row["crash"] != "" for row in rows),
+        "crash=none": sum(row["crash"] == "" for row in rows),
+        "text=%234": 1,
+        "text=NEVER+lane": 6,
+        "watchable=1": 5,
+        "track=Pipkin": len(rows),
+    }
+    for link, count in expected.items():
+        browser.open(f"{page.as_uri()}#show=list&{link}")
+        assert browser.run("Number(document.body.dataset.shown)") == count, link
+    # The same by hand, and back again.
+    browser.open(page)
+    assert browser.run("""(() => {
+        const box = document.getElementById("agent");
+        box.value = [...box.options].find((option) => option.text === "random-moves").value;
+        box.dispatchEvent(new Event("change"));
+        return Number(document.body.dataset.shown);
+    })()""") == len(of_random)
+    assert {
+        *browser.run("[...document.querySelectorAll('#pane .line:not([hidden]) .first')].map((e) => e.innerText)")
+    } == {"random-moves"}
+    browser.run("document.getElementById('reset').click()")
+    assert browser.run("Number(document.body.dataset.shown)") == len(rows)
+
+
+def test_columns_sort(browser, page, tournament_folder):
+    lead = [float(row["lead"]) for row in rows_of(tournament_folder[0] / "results.csv")]
+    browser.open(f"{page.as_uri()}#show=list&sort=lead&down=1")
+    assert browser.run("Number(document.querySelector('#pane .line').dataset.race)") == int(np.argmax(lead))
+    browser.run("document.querySelector('#heads [data-key=lead]').click()")
+    assert browser.run("Number(document.querySelector('#pane .line').dataset.race)") == int(np.argmin(lead))
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_race_plays_with_its_moves_beside_it(browser, page, theme):
+    browser.complaints.clear()
+    browser.open(f"{page.as_uri()}#theme={theme}&t=1.5")
+    assert played(browser)[0] == pytest.approx(1.5, abs=0.01)
+    colours = (BLUE, ORANGE) if theme == "light" else ((88, 166, 255), (255, 176, 59))
+
+    def drawn(pixels):
+        width = pixels.shape[1]
+        track, space = pixels[140:480, 520 : int(0.74 * width)], pixels[140:480, int(0.76 * width) :]
+        both = all(coloured(track, colour) > 40 for colour in colours)
+        return both and sum(coloured(space, colour) for colour in colours) > 40
+
+    browser.look(drawn)
+    browser.press(" ")
+    browser.wait("Number(document.body.dataset.played.split('/')[0]) > 1.7")
+    browser.press(" ")
+    assert browser.complaints == []
+
+
+def test_keys_walk_through_the_list(browser, page):
+    browser.open(page)
+    played(browser)
+    before = browser.run("chosen")
+    browser.press("End")
+    assert browser.run("chosen") == browser.run("shown[shown.length - 1]")
+    browser.press("Home")
+    assert browser.run("chosen") == 0
+    browser.press("ArrowDown")
+    assert browser.run("chosen") == 1
+    browser.press("w")
+    assert browser.run("Number(document.body.dataset.shown)") == 5
+    browser.press("n")
+    assert browser.run("here(chosen) && chosen >= 0")
+    assert before in browser.run("[...replays.keys()]")
+    browser.press("/")
+    assert browser.run("document.activeElement.id") == "text"
+
+
+def test_a_race_that_is_not_there_says_how_to_watch_it(browser, page, tournament_folder):
+    browser.open(page)
+    absent = browser.run("[...Array(N).keys()].find((i) => !here(i))")
+    browser.run(f"choose({absent}, true)")
+    told = browser.run("document.getElementById('instead').innerText")
+    assert f"pcs-racing view '{tournament_folder[0]}' --races {absent}" in told
+    assert f"Race {absent}: " in told
+
+
+def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
+    place, _ = tournament_folder
+    results = open_results(place)
+    rows = [
+        {**row, "ego": NASTY, "track": NASTY, "ego_moves": NASTY, "preset": "<!--player--><b>"} for row in results.rows
+    ]
+    columns = race_columns(lines_of(rows, "here"))
+    driver = RaceDriver(results)
+    race = driver.drive(0)
+    hostile = replace_texts(race.values, NASTY)
+    content = ViewContent(
+        NASTY,
+        columns,
+        results="$(touch /tmp/never) <b>",
+        picks=[Pick(0, NASTY)],
+        driven=[race._replace(values=hostile)],
+        circuits={NASTY: driver.circuits[race.circuit]},
+        space={**driver.space, "archive": NASTY, "moves": [NASTY] * len(driver.space["moves"])},
+    )
+    path = tmp_path / "hostile.html"
+    path.write_text(view_page(content), encoding="utf-8")
+    browser.complaints.clear()
+    browser.open(path)
+    played(browser)
+    assert browser.run("document.title") == NASTY
+    assert browser.run("document.getElementById('title').innerText") == NASTY
+    assert browser.run("document.querySelectorAll('img, b:not(.told b, #which b)').length") == 0
+    assert NASTY in browser.run("document.querySelector('#pane .line .first').textContent")
+    browser.run("choose(1, false)")
+    assert NASTY in browser.run("document.getElementById('instead').textContent")
+    assert "'$(touch /tmp/never) <b>'" in browser.run("document.getElementById('instead').textContent")
+    assert browser.complaints == []
+
+
+def replace_texts(values, text):
+    """A race with another text wherever it has one."""
+    events = [[*event[:3], text] for event in values["events"]]
+    return {**values, "title": text, "track_name": text, "car_names": [text, text], "outcome": text, "events": events}
+
+
+def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
+    """No time is asserted; that all of them are there, sorted, and that only what is seen is in the page."""
+    columns = many_races(200_000)
+    path = tmp_path / "many.html"
+    path.write_text(view_page(ViewContent("many", columns, why_not="They were never driven.")))
+    browser.complaints.clear()
+    browser.open(f"{path.as_uri()}#show=list&sort=lead")
+    assert browser.run("Number(document.body.dataset.shown)") == 200_000
+    assert browser.run("document.querySelectorAll('#pane .line').length") < 60
+    order = np.argsort(np.rint(columns.lead * 1000), kind="stable")
+    assert browser.run("Number(document.querySelector('#pane .line').dataset.race)") == order[0]
+    browser.press("End")
+    assert browser.run("chosen") == order[-1]
+    assert browser.run("[...document.querySelectorAll('#pane .line[aria-selected=true]')].length") == 1
+    browser.run("list.scrollTop = 0; drawList()")
+    assert browser.run("[...document.querySelectorAll('#pane .race')].every((e) => e.scrollWidth <= e.clientWidth)")
+    # Orders are stable, both ways: races that are alike stay in the order of the file.
+    lead = np.where(columns.agents.places[0] == 3, columns.lead, -columns.lead)[
+        (columns.agents.places == 3).any(axis=0)
+    ]
+    mine = np.flatnonzero((columns.agents.places == 3).any(axis=0))
+    passes = columns.overtakes.sum(axis=0)[mine]
+    for key, values in (("lead", np.rint(lead * 1000)), ("overtakes", passes)):
+        for down, sign in (("false", 1), ("true", -1)):
+            browser.run(f"filters.agent = 3; Object.assign(sorting, {{ key: '{key}', down: {down} }}); refilter()")
+            expected = mine[np.argsort(sign * values, kind="stable")]
+            assert browser.run("Array.from(shown)") == expected.tolist(), (key, down)
+    browser.run("filters.crash = 'own'; filters.agent = 3; refilter()")
+    mine = columns.agents.places == 3
+    own = np.where(mine[0], (columns.fault & 1) > 0, (columns.fault & 2) > 0) & (columns.crash > 0)
+    assert browser.run("shown.length") == np.count_nonzero(mine.any(axis=0) & own)
+    assert browser.complaints == []
+
+
+def many_races(count):
+    """Races that were never driven."""
+    rng = np.random.default_rng(0)
+    crash = np.where(rng.random(count) < 0.2, rng.integers(1, 3, count), 0)
+    lines = [{**dict.fromkeys(("winner", "crash", "fault", "preset"), ""), "ego": "a", "opponent": "b", "track": "t"}]
+    lines[0] |= {"race": "0", "seed": "0", "start_s": "0", "side": "0", "lead": "0"}
+    one = race_columns(lines_of(lines, "nowhere"))
+    whole = {name: rng.integers(0, high, count) for name, high in (("race", 1000), ("side", 2), ("winner", 3))}
+    pairs = np.sort(np.array([rng.permutation(6)[:2] for _ in range(1000)]), axis=1)[np.arange(count) % 1000].T
+    return replace(
+        one,
+        agents=one.agents._replace(words=tuple("abcdef"), places=pairs),
+        track=one.track._replace(places=np.zeros(count, np.int64)),
+        preset=one.preset._replace(places=np.zeros(count, np.int64)),
+        seed=one.seed._replace(places=np.zeros(count, np.int64)),
+        moves=one.moves._replace(places=np.zeros((2, count), np.int64)),
+        lead=rng.normal(0.0, 20.0, count),
+        start_s=rng.uniform(0, 100, count),
+        duration=np.full(count, 40.0),
+        crash=crash,
+        fault=np.where(crash > 0, rng.integers(0, 4, count), 0),
+        overtakes=rng.integers(0, 3, (2, count)),
+        variants=rng.integers(0, 46, (2, count)),
+        switches=rng.integers(0, 5, (2, count)),
+        **whole,
+    )
+
+
+def test_the_page_reads_what_was_packed(browser, page, tournament_folder):
+    columns = race_columns(read_lines(tournament_folder[0] / "results.csv"))
+    assert isinstance(columns, RaceColumns)
+    browser.open(f"{page.as_uri()}#show=list")
+    for name, packed in packed_columns(columns)["columns"].items():
+        assert browser.run(f"Array.from(columns.{name})") == pytest.approx(unpack(packed).tolist(), abs=1e-9), name
+    assert browser.run("[...replays.keys()]") == [pick.race for pick in choose_races(columns, 5)]
+
+
+def test_a_phone_shows_the_list_and_then_the_race(browser, page):
+    browser.open(page, width=390, height=844)
+    assert browser.run("getComputedStyle(document.querySelector('.watch')).display") == "none"
+    assert browser.run("document.documentElement.scrollWidth") <= 390
+    browser.run("document.querySelector('#pane .line').click()")
+    assert browser.run("getComputedStyle(document.querySelector('.races')).display") == "none"
+    assert browser.run("document.documentElement.scrollWidth") <= 390
+
+
+def test_a_served_page_drives_any_race(browser, tournament_folder):
+    place, _ = tournament_folder
+    results = open_results(place)
+    columns = race_columns(results.rows)
+    service = RaceService(RaceDriver(results), len(columns))
+    page = view_page(ViewContent("served", columns, str(place), serve=True))
+    with make_server(page, service.answer) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            browser.complaints.clear()
+            browser.open(f"http://127.0.0.1:{server.server_address[1]}/#race=7")
+            assert played(browser)[1] > 0.1
+            assert browser.complaints == []
+            assert browser.run("space.archive") == "toy"
+        finally:
+            server.shutdown()
+            thread.join()
