@@ -33,8 +33,7 @@ from PIL import Image
 
 from pcs_racing import load_race_config, load_state, load_track, parse_policy, read_replay
 from pcs_racing.base.reading import plain_yaml, unpack_arrays
-from pcs_racing.game.archive import PolicyArchive, load_archive
-from pcs_racing.game.archive import shipped_folder as archives_folder
+from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.game.state import load_game, save_game
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay import save_replay
@@ -173,7 +172,7 @@ def _copied(folder: Path, name: str) -> Path:
 
 
 def default_archive() -> Path:
-    return archives_folder() / "default"
+    return ARCHIVE_FORMAT.shipped / "default"
 
 
 def some_network() -> Path:
@@ -510,13 +509,13 @@ TARGETS: dict[str, Target] = {
     ),
     "arrays": Target(unpack_arrays, lambda: [_chunk()], "npz"),
     "archive manifest": Target(
-        manifest_of(default_archive, "manifest.yaml", PolicyArchive.load),
-        files("*/manifest.yaml", archives_folder()),
+        manifest_of(default_archive, "manifest.yaml", load_archive),
+        files("*/manifest.yaml", ARCHIVE_FORMAT.shipped),
         "yaml",
     ),
     "archive arrays": Target(
-        content_of(default_archive, "manifest.yaml", "archive.npz", "arrays_sha256", PolicyArchive.load),
-        files("default/archive.npz", archives_folder()),
+        content_of(default_archive, "manifest.yaml", "archive.npz", "arrays_sha256", load_archive),
+        files("default/archive.npz", ARCHIVE_FORMAT.shipped),
         "npz",
     ),
     "archive name": Target(text_of(load_archive), texts("default", "contest", "archives/default"), "text"),

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.game.archive import EPSILON, check_epsilon
 from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.moves import EPSILON, check_epsilon
 from pcs_racing.race.config import PAPER, RaceConfig, load_race_config
 
 __all__ = ["UTILITIES", "GameConfig", "load_game_config"]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.game.archive import list_archives
+from pcs_racing.game.archive_files import list_archives
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.race.config import load_race_config
 from pcs_racing_agents.jobs.configuration import check_wholes, load_settings

@@ -22,7 +22,7 @@ import yaml
 from pcs_racing import InputError, load_archive, load_race_config, load_state, load_track, parse_policy, read_replay
 from pcs_racing.envs.drive_vector import DriveVectorEnv
 from pcs_racing.envs.duel_vector import DuelVectorEnv
-from pcs_racing.game.archive import shipped_folder
+from pcs_racing.game.archive_files import ARCHIVE_FORMAT
 from pcs_racing.game.state import load_game
 from pcs_racing.track.map_files import parse_csv, parse_grid, parse_ros_yaml
 from pcs_racing.track.maps import read_map
@@ -142,7 +142,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
         yield f"chunk: {what}", lambda path=path: read_chunk(path)
         place = here / "arrays-folder"
         place.mkdir(exist_ok=True)
-        manifest = yaml.safe_load((shipped_folder() / "default" / "manifest.yaml").read_text())
+        manifest = yaml.safe_load((ARCHIVE_FORMAT.shipped / "default" / "manifest.yaml").read_text())
         manifest["arrays_sha256"] = hashlib.sha256(content).hexdigest()
         (place / "manifest.yaml").write_text(yaml.safe_dump(manifest))
         (place / "archive.npz").write_bytes(content)

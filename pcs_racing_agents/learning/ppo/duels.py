@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from pcs_racing.envs.duel_batch import DuelBatch
 from pcs_racing.envs.duel_vector import DuelVectorEnv
 from pcs_racing.envs.opponents import parse_opponents
-from pcs_racing.game.archive import PolicyArchive, load_archive
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.game import RaceGame, make_game
 from pcs_racing.planners.planner import Policy

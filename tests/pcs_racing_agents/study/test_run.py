@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pcs_racing import load_archive
+from pcs_racing import load_archive, save_archive
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.cli.main import main
@@ -130,7 +130,7 @@ def test_ppo_learns_the_game_that_is_studied(finished):
 
 def test_an_archive_that_was_made_is_the_one_that_ppo_learns_with(tmp_path):
     archive = replace(load_archive("default"), name="mine")
-    archive.save(tmp_path / "study" / "archive")
+    save_archive(archive, tmp_path / "study" / "archive")
     study = Study(replace(TINY, synthesis="default"), tmp_path / "study", quiet=True)
     preparing.train_ppo_baseline(study)
     assert load_network(study.network("ppo")).identity.archive == "mine"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from repository import REPOSITORY
 
-from pcs_racing import InputError, PolicyArchive, load_archive
+from pcs_racing import InputError, load_archive
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.cli.main import main
@@ -320,7 +320,7 @@ def test_the_command(tmp_path, capsys):
     assert "<PolicyArchive 'small'" in out
     assert f"archive: {tmp_path / 'a'}" in out
     assert "measurement: generation 0/0, hypervolume " in err
-    assert PolicyArchive.load(tmp_path / "a").name == "small"
+    assert load_archive(tmp_path / "a").name == "small"
     assert main([*arguments, "--config", str(settings), "--name", "other"]) == 2
     assert "its name is 'small', not 'other'" in capsys.readouterr().err
     assert main(["synthesize", "--config", "nothing", "--out", str(tmp_path / "b")]) == 2

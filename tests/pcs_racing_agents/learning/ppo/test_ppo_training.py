@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, load_archive, load_track, make_game
+from pcs_racing import InputError, load_archive, load_track, make_game, save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.jobs.jobs import make_executor, read_chunk
 from pcs_racing_agents.learning.ppo.curves import read_curve, write_curve, write_picture, write_tensorboard
@@ -94,10 +94,10 @@ def test_a_folder_belongs_to_its_settings(settings, trained):
 
 def test_a_folder_belongs_to_its_archive(settings, tmp_path):
     """An archive that was exchanged for another under the same name is noticed."""
-    mine = load_archive("default").save(tmp_path / "mine")
+    mine = save_archive(load_archive("default"), tmp_path / "mine")
     few = {"archive": str(mine), "opponents": {"random-moves": 1}, "steps": 16}
     train_ppo(settings["duel"], tmp_path / "out", **few)
-    load_archive("contest").save(mine)
+    save_archive(load_archive("contest"), mine)
     with pytest.raises(InputError, match="holds another run: its archive_sha256 is"):
         train_ppo(settings["duel"], tmp_path / "out", **few)
 
