@@ -33,7 +33,7 @@ from pcs_racing_agents.jobs.jobs import Arrays, Job, add_executor_options, execu
 from pcs_racing_agents.learning.responses import branch_games, learn_response, load_response_settings
 from pcs_racing_agents.networks import RegretNetwork, Rows, load_network
 from pcs_racing_agents.networks.settings import TrainSettings
-from pcs_racing_agents.networks.training import fit
+from pcs_racing_agents.networks.training import train_layers
 from pcs_racing_agents.tournament import play_games
 from pcs_racing_agents.tournament.matches import game_between
 
@@ -209,11 +209,11 @@ def learner(
 
 
 def predict(rows: Rows, settings: TrainSettings, inputs: NDArray[np.float32]) -> Floats:
-    found = fit(rows, settings)
-    x = (inputs - found.mean) / found.scale
-    for weight, bias in zip(found.weights[:-1], found.biases[:-1], strict=True):
+    found = train_layers(rows, settings)
+    x, layers = (inputs - found.mean) / found.scale, found.layers
+    for weight, bias in zip(layers.weights[:-1], layers.biases[:-1], strict=True):
         x = np.maximum(x @ weight.T + bias, 0.0)
-    return np.asarray(x @ found.weights[-1].T + found.biases[-1], np.float64)
+    return np.asarray(x @ layers.weights[-1].T + layers.biases[-1], np.float64)
 
 
 def learners(members: int) -> dict[str, Learner]:

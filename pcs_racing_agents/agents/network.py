@@ -136,5 +136,5 @@ def network_facts(network: RegretNetwork) -> dict[str, str]:
     return {
         "network": f"{network.name}: {network.target}, preset {network.identity.preset}",
         "trained on": trained or "not said",
-        "weights sha256": fingerprint(network.weights, network.biases),
+        "weights sha256": fingerprint(network.layers),
     }

@@ -123,7 +123,7 @@ class RecedingHorizon:
     def content_hash(self) -> str:
         """SHA-256 of all that decides what it does, but not of its name."""
         options = (self.seed, self.depth, self.leaf, self.opponent, self.decision, self.noises)
-        network = self.network and (self.network.weights, self.network.biases, self.network.mean, self.network.scale)
+        network = self.network and (self.network.layers, self.network.mean, self.network.scale)
         return fingerprint("receding horizon", options, network, self.setting.archive.content_hash, self.setting.config)
 
     def decide(self, game: RaceGame, state: GameState, car: int) -> Indices:

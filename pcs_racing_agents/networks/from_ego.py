@@ -6,22 +6,21 @@ before, the branches go on as that network says, and so on: fitted Q-iteration o
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.jobs.jobs import Progress
+from pcs_racing_agents.networks.ego_rows import ego_rows, ego_values
 from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.metrics import Play, RowScore, constant_plays, follow, score_rows
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import draw_pairs, pair_number
 from pcs_racing_agents.networks.settings import TrainSettings, settings_for_trees
-from pcs_racing_agents.networks.training import Fit, train_network
-
-if TYPE_CHECKING:
-    from pcs_racing_agents.trees import EgoTrees
+from pcs_racing_agents.networks.training import TrainingResult, train_network
+from pcs_racing_agents.trees.ego import EgoTrees
 
 __all__ = ["TrainedOnEgo", "check_ego_target", "ego_score_table", "score_ego", "take_roots", "train_on_ego"]
 
@@ -35,7 +34,7 @@ class TrainedOnEgo(NamedTuple):
     Attributes
     ----------
     network : RegretNetwork
-    fit : Fit
+    result : TrainingResult
         Of the last of its trainings.
     rows : list of RowScore
         Choices on the rows of the held-out roots, or of the validation pairs where none is held out.
@@ -44,13 +43,13 @@ class TrainedOnEgo(NamedTuple):
     """
 
     network: RegretNetwork
-    fit: Fit
+    result: TrainingResult
     rows: list[RowScore]
     roots: dict[str, NDArray[np.float64]]
 
 
 def train_on_ego(
-    trees: "EgoTrees",
+    trees: EgoTrees,
     identity: GameIdentity,
     settings: TrainSettings,
     *,
@@ -83,8 +82,6 @@ def train_on_ego(
     InputError
         If the target is another one, or the roots come from fewer than three starting pairs.
     """
-    from pcs_racing_agents.trees import ego_rows
-
     check_ego_target(settings)
     settings = settings_for_trees(settings)
     numbers = pair_number(trees.policies)
@@ -99,7 +96,7 @@ def train_on_ego(
         held_out = np.isin(numbers, chosen[: different - 2])
     learned = take_roots(trees, ~held_out)
 
-    def fit(continuation: str | Play, first: int) -> tuple[RegretNetwork, Fit]:
+    def fit(continuation: str | Play, first: int) -> tuple[RegretNetwork, TrainingResult]:
         rows = ego_rows(learned, continuation)
         return train_network(rows.take(rows.step >= first), identity, settings, name=name, progress=learning)
 
@@ -134,18 +131,17 @@ def check_ego_target(settings: TrainSettings) -> None:
         raise InputError(f"target is {settings.target!r}; ego trees have one player and give {TARGET!r} alone")
 
 
-def take_roots(trees: "EgoTrees", indices: ArrayLike) -> "EgoTrees":
+def take_roots(trees: EgoTrees, indices: ArrayLike) -> EgoTrees:
     """Return some roots, by index or by a mask over roots."""
     chosen = np.asarray(indices)
     return type(trees).from_arrays({key: array[chosen] for key, array in trees.arrays().items()}, "the roots")
 
 
-def score_ego(plays: dict[str, Play], trees: "EgoTrees") -> dict[str, NDArray[np.float64]]:
+def score_ego(plays: dict[str, Play], trees: EgoTrees) -> dict[str, NDArray[np.float64]]:
     """Return what strategies get in each root against its opponent, shape (R,) each.
 
     Random moves, and the best that could have been done if one had known all that was to come, stand beside them.
     """
-    from pcs_racing_agents.trees import ego_values
 
     def random(observations: NDArray[np.float32]) -> NDArray[np.float64]:
         return np.full((len(observations), trees.options), 1.0 / trees.options)

@@ -17,20 +17,20 @@ from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, draw_pairs, join_rows, pair_number
 from pcs_racing_agents.networks.settings import TrainSettings, settings_for_trees
 from pcs_racing_agents.networks.targets import get_target, solve_for
-from pcs_racing_agents.networks.training import Fit, train_network
+from pcs_racing_agents.networks.training import TrainingResult, train_network
 from pcs_racing_agents.networks.tree_rows import PlayedTree, tree_rows
 
-__all__ = ["Trained", "train_on_trees", "trees_identity"]
+__all__ = ["TrainedOnTrees", "train_on_trees", "trees_identity"]
 
 
-class Trained(NamedTuple):
+class TrainedOnTrees(NamedTuple):
     """A network trained on trees.
 
     Attributes
     ----------
     network : RegretNetwork
         Its scores on the held-out trees are among what it knows of its training.
-    fit : Fit
+    result : TrainingResult
     rows : list of RowScore
         Choices on the rows of the held-out trees, or of the validation pairs where no tree is held out.
     trees : dict of str to ndarray, shape (trees, 4)
@@ -38,7 +38,7 @@ class Trained(NamedTuple):
     """
 
     network: RegretNetwork
-    fit: Fit
+    result: TrainingResult
     rows: list[RowScore]
     trees: dict[str, NDArray[np.float64]]
 
@@ -67,7 +67,7 @@ def train_on_trees(
     executor: Executor | None = None,
     solving: Progress | None = None,
     learning: Progress | None = None,
-) -> Trained:
+) -> TrainedOnTrees:
     """Train a network on trees and judge it on others.
 
     Parameters
@@ -121,8 +121,8 @@ def train_on_trees(
     test = [i for i, part in enumerate(rows) if part is not None and held_out[i]]
     elsewhere = in_other_processes(executor)
     learn = _Learner(known, identity, name, learning if elsewhere is None else None)
-    network, fit = run_one(learn, settings, elsewhere, "learning")
-    kept_back = join_rows(judged) if judged else known.take(np.isin(known.pair, fit.validation_pairs))
+    network, result = run_one(learn, settings, elsewhere, "learning")
+    kept_back = join_rows(judged) if judged else known.take(np.isin(known.pair, result.validation_pairs))
     scores, trees = score_rows(network, kept_back), {}
     summary = {"trees": len(held_out), "test_trees": len(test), **dict(network.training), **(about or {})}
     summary["test_agreement"] = float(f"{scores[0].agreement:.4g}")
@@ -130,7 +130,7 @@ def train_on_trees(
         trees = score_trees({name: follow(network), **constant_plays(identity.moves)}, (tree_at(i) for i in test))
         for key, value in zip(TreeScore._fields, trees[name].mean(axis=0), strict=True):
             summary[f"test_{key}"] = float(f"{value:.4g}")
-    return Trained(replace(network, training=summary), fit, scores, trees)
+    return TrainedOnTrees(replace(network, training=summary), result, scores, trees)
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class _Learner:
     name: str
     progress: Progress | None
 
-    def __call__(self, settings: TrainSettings) -> tuple[RegretNetwork, Fit]:
+    def __call__(self, settings: TrainSettings) -> tuple[RegretNetwork, TrainingResult]:
         clipped = get_target(settings.target).clipped
         return train_network(
             self.rows, self.identity, settings, name=self.name, clipped=clipped, progress=self.progress

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.agents.fits import load_fit, save_fit
-from pcs_racing_agents.networks import load_network
+from pcs_racing_agents.networks import load_network, save_network
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.run import Study
 
@@ -35,8 +35,10 @@ def ship(study: Study, checkout: Path) -> list[Path]:
         kinds["gain"] = study.config.responses[0]
     for kind, found in kinds.items():
         name = f"{stem}-{kind}"
-        written.append(replace(load_network(study.network(found)), name=name).save(checkout / "networks" / name))
-    folder = checkout / "pcs_racing_agents" / "strategies" / "fits"
+        written.append(
+            save_network(replace(load_network(study.network(found)), name=name), checkout / "networks" / name)
+        )
+    folder = checkout / "pcs_racing_agents" / "agents" / "fits"
     folder.mkdir(exist_ok=True)
     for file in sorted([*study.folder.glob("blind/*.yaml"), *study.folder.glob("rivals/psro.yaml")]):
         if file.name != "done.yaml":

@@ -30,7 +30,7 @@ from pcs_racing_agents.agents.fits import load_fit
 from pcs_racing_agents.jobs.chunk_files import read_chunk, write_chunk
 from pcs_racing_agents.jobs.configuration import read_mapping
 from pcs_racing_agents.jobs.folders import claim_folder
-from pcs_racing_agents.learning.ppo.curves import read_curve
+from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.study.cell_races import read_races
 from pcs_racing_agents.tournament.result_lines import read_lines
@@ -165,7 +165,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     for what, path in (("wide", wide), ("short lines", short), ("without end", zero)):
         yield f"races to view: {what}", lambda path=path: race_columns(read_lines(path))
         yield f"races of a study: {what}", lambda path=path: read_races(path)
-        yield f"learning curves: {what}", lambda path=path: read_curve(path)
+        yield f"learning curves: {what}", lambda path=path: read_evaluations(path)
 
     part = {"per_unit": 1, "differences": [], "data": "A" * 10}
     for shape in ([10**9], [10**5, 10**5], [50_000_000, 0, 10**9], [1] * 1000):

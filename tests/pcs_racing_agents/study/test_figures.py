@@ -10,9 +10,10 @@ from toy_cells import toy_cells
 from pcs_racing import InputError
 from pcs_racing.game.moves import move_names, move_table
 from pcs_racing_agents.explain.pcs_picture import archive_picture
+from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.pictures.style import picture_bytes, save_picture, spread_labels
 from pcs_racing_agents.study import figures
-from pcs_racing_agents.study.report_inputs import Curve, Place
+from pcs_racing_agents.study.report_inputs import Place
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.ratings import rate
 

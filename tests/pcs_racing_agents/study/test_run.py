@@ -15,7 +15,7 @@ from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.jobs import make_executor
-from pcs_racing_agents.learning.ppo.curves import read_curve
+from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.networks.network import game_identity
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
@@ -122,7 +122,7 @@ def test_ppo_learns_the_game_that_is_studied(finished):
     assert network.training["setting_tracks"] == "Pipkin"
     assert network.training["setting_opponents"] == "1 never-switch, 1 lane-switcher:1"
     assert network.identity == game_identity(finished.game("Pipkin"))  # two moves, not the four of the settings
-    assert len(read_curve(finished.network("ppo") / "curve.csv")[0].steps) == 3
+    assert len(read_evaluations(finished.network("ppo") / "curve.csv")[0].steps) == 3
     ppo = finished.agent("ppo")
     seen = np.random.default_rng(1).random((50, len(network.identity.elements)), np.float32)
     np.testing.assert_array_equal(ppo.predict(seen)[0], network.choose(seen))

@@ -39,7 +39,7 @@ def test_the_same_network_from_threads_and_after_a_stop(game, setting, tmp_path)
         file.unlink()
     third = learn(game, setting, tmp_path / "b")
     for other in (second, third):
-        for mine, theirs in zip(first.weights, other.weights, strict=True):
+        for mine, theirs in zip(first.layers.weights, other.layers.weights, strict=True):
             np.testing.assert_array_equal(mine, theirs)
 
 
