@@ -45,8 +45,8 @@ class DenseLayers:
         If sizes do not fit each other, are too large, or a number is not finite.
     """
 
-    weights: tuple[Floats, ...]
-    biases: tuple[Floats, ...]
+    weights: tuple[NDArray[np.floating[Any]], ...]  # float32; other numbers are converted
+    biases: tuple[NDArray[np.floating[Any]], ...]
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.weights) <= MOST_LAYERS or len(self.biases) != len(self.weights):

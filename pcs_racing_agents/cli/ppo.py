@@ -82,8 +82,8 @@ def run(arguments: argparse.Namespace) -> None:
         write_tensorboard(arguments.out / "tensorboard", runs)
     if not arguments.no_picture:
         panels = evaluation_curves(trained.curves, opponents)
-        options = {"x_label": f"million {trained.task.unit}", "title": f"PPO: {trained.task.default_name}"}
-        save_picture(curves_picture(panels, **options), arguments.out / "curve.png")
+        x_label, title = f"million {trained.task.unit}", f"PPO: {trained.task.default_name}"
+        save_picture(curves_picture(panels, x_label=x_label, title=title), arguments.out / "curve.png")
     steps = ", ".join(f"{curve.steps[-1]} with seed {curve.seed}" for curve in trained.curves)
     print(
         f"{steps}: {trained.seconds:.0f} s of training; kept is seed {trained.seed} after {trained.steps} "

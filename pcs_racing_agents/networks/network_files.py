@@ -75,7 +75,7 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
             raise InputError(f"{folder / MANIFEST}: {key} is {value!r:.80}; it must be {wanted}")
     file = folder / NETWORK_FORMAT.data_file
     layers, scaling = layers_from_bytes(file, content, fields["hidden"], _SCALING)
-    identity = {key: fields[key] for key in GameIdentity._fields}
+    identity: dict[str, Any] = {key: fields[key] for key in GameIdentity._fields}
     try:
         return RegretNetwork(
             name=fields["name"],
