@@ -133,8 +133,8 @@ def transitive_share(payoffs: ArrayLike) -> float:
 def cyclic_planes(payoffs: ArrayLike, seed: int = 0) -> list[CyclicPlane]:
     """Return the planes of the cyclic part, the strongest first.
 
-    The edge of noise comes from the folds themselves: with signs that add up to zero, drawn anew for each pair, what the
-    two policies are like cancels out and noise of the same size remains.
+    The edge of noise comes from the folds themselves: with signs that add up to zero, drawn anew for each pair, what
+    the two policies are like cancels out and noise of the same size remains.
 
     Parameters
     ----------
