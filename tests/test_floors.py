@@ -1,21 +1,24 @@
 """The house has floors: no file imports from a higher one, and no files import each other in a circle."""
 
 import ast
+import importlib.util
 from pathlib import Path
 
 import pytest
 from repository import REPOSITORY
 
-FLOORS = [
-    ("pcs_racing", ["base", "track", "car", "planners", "race", "game", "envs", "testing"]),
-    ("pcs_racing_agents", ["jobs", "results pictures", "synthesis", "solvers", "trees", "networks", "agents"]),
-    ("pcs_racing_agents", ["tournament", "learning", "explain", "study", "view", "cli"]),
-]
-"""Folders of the two packages, the lowest floor first."""
+
+def drawn_floors() -> list[tuple[str, str]]:
+    """Package and folders of every floor in the picture of the house, the lowest floor first."""
+    spec = importlib.util.spec_from_file_location("house", REPOSITORY / "docs" / "house.py")
+    house = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(house)
+    return [(house.NAME[package], folders) for package, folders, _ in reversed(house.FLOORS)]
+
 
 FLOOR_OF = {
-    f"{package}.{folder}": floor
-    for floor, (package, folders) in enumerate((package, folders) for package, floors in FLOORS for folders in floors)
+    f"{package}.{folder.strip('/')}": floor
+    for floor, (package, folders) in enumerate(drawn_floors())
     for folder in folders.split()
 }
 
