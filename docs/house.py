@@ -19,6 +19,7 @@ FLOORS = [
     ("agents", "trees/  solvers/", "game trees that were driven; CFR, equilibria"),
     ("agents", "synthesis/", "MO-CMA-ES: policies that none dominates"),
     ("agents", "jobs/  results/  pictures/", "long work that resumes; tables; style"),
+    ("environment", "testing/", "checks for your own planners, archives, axes"),
     ("environment", "envs/", "PettingZoo, Gymnasium, Stable-Baselines3"),
     ("environment", "game/", "rules, characteristics, archive, moves in the PCS"),
     ("environment", "race/", "two cars: start, kernel, state, recording, replay"),
