@@ -14,7 +14,7 @@ import numpy as np
 from pcs_racing import make_game
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing_agents.agents import Agent, make_setting
-from pcs_racing_agents.agents.zoo import ZOO, build
+from pcs_racing_agents.agents.zoo import SHIPPED, build
 from pcs_racing_agents.networks import RegretNetwork, game_identity
 
 
@@ -56,7 +56,7 @@ def main() -> None:
     state = game.step(state, np.tile([0, 2], (500, 1)))
     rows = game.observation(state).reshape(1000, -1)
     print("| agent | one observation, us | one of 1,000, us |\n|---|---|---|")
-    for name, entry in ZOO.items():
+    for name, entry in SHIPPED.items():
         if not entry.moves:
             continue
         given = learned.get(name, {"network": network} if entry.needs == "network" else {})

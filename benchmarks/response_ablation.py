@@ -27,8 +27,8 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.config import load_game_config
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Agent, Setting, make_setting
-from pcs_racing_agents.agents.agents import always, best_schedule, never_switch, random_moves
-from pcs_racing_agents.agents.network import FromNetwork
+from pcs_racing_agents.agents.blind import always, best_schedule, never_switch, random_moves
+from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.jobs.jobs import Arrays, Job, add_executor_options, executor_from, open_job, show_progress
 from pcs_racing_agents.learning.responses import branch_games, learn_response, load_response_settings
 from pcs_racing_agents.networks import RegretNetwork, Rows, load_network
@@ -80,7 +80,7 @@ def opponent_of(name: str, setting: Setting) -> Agent:
 
 
 def follow(network: RegretNetwork, setting: Setting) -> Agent:
-    return Agent("response", FromNetwork(network, "argmax", len(setting.moves)), setting)
+    return Agent("response", NetworkStrategy(network, "argmax", len(setting.moves)), setting)
 
 
 # What is left to be learned

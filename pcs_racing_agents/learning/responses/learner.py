@@ -19,8 +19,8 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.game import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
-from pcs_racing_agents.agents.blind import Blend
-from pcs_racing_agents.agents.network import FromNetwork
+from pcs_racing_agents.agents.blind import ConstantStrategy
+from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.configuration import check_wholes, load_settings
 from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
@@ -176,7 +176,7 @@ def learn_response(
     identity = game_identity(games[0])
     # Opponents may keep their policy whatever the rules; the learner has the moves that the rules offer.
     chances = (np.arange(len(setting.moves)) < len(identity.moves)) / len(identity.moves)
-    random_moves = _agent("random-moves", Blend(chances), setting, settings.seed)
+    random_moves = _agent("random-moves", ConstantStrategy(chances), setting, settings.seed)
     arenas = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
     for game in games:
         if game_identity(game) != identity:
@@ -217,7 +217,7 @@ def _agent(name: str, strategy: Any, setting: Setting, seed: int) -> Agent:
 
 
 def _follow(network: RegretNetwork, setting: Setting) -> Agent:
-    return _agent(network.name, FromNetwork(network, "argmax", len(setting.moves)), setting, 0)
+    return _agent(network.name, NetworkStrategy(network, "argmax", len(setting.moves)), setting, 0)
 
 
 def _tasks(games: int, opponents: int, settings: ResponseSettings, step: int, round_: int) -> list[BranchTask]:

@@ -6,7 +6,8 @@ from zoo_games import untrained
 
 from pcs_racing import InputError, UnknownNameError
 from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.agents import adaptive, from_network, random_moves
+from pcs_racing_agents.agents.blind import random_moves
+from pcs_racing_agents.agents.from_network import adaptive, from_network
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.networks.network_files import save_network
 

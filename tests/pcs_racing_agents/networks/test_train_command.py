@@ -201,7 +201,7 @@ def test_no_starting_pair_is_learned_from_and_judged_by():
         assert trained.network.training["test_trees"] in (2, 3, 4)
         assert trained.network.training["starting_pairs"] == 2
         assert told[-1] == (6, 6, "solved for advantage")
-        assert set(trained.fit.validation_pairs) <= {
+        assert set(trained.result.validation_pairs) <= {
             int(pair_number(pair)) for pair in [(0, 1), (2, 3), (4, 5), (6, 7)]
         }
 
@@ -210,7 +210,7 @@ def test_without_held_out_trees_the_validation_rows_judge():
     trained = train_toys(toy_trees(3), load_train_settings(QUICK, test_share=0.0))
     assert trained.trees == {}
     assert trained.rows[0].rows == 20  # one tree
-    best = trained.fit.epochs[trained.fit.best]
+    best = trained.result.epochs[trained.result.best]
     assert trained.rows[0].agreement == pytest.approx(best.validation_agreement, abs=1e-6)
 
 

@@ -43,7 +43,7 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     settings = replace(drive_settings, hold=hold, noise=0.1)
     with own_randomness():
         learner = make_learner(settings, [drives(track, hold=hold)], 5, "tanh", 10.0)
-    part = learner.model.env.parts[0]
+    part = learner.model.env.groups[0]
     seen = part.reset(9)
     batch = part.batch
     seeds, opponents = batch.state.seed.copy(), batch.chosen.copy()

@@ -4,7 +4,7 @@ import pytest
 from pcs_racing import make_game
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.game.config import load_game_config
-from pcs_racing_agents.agents.agents import always, never_switch
+from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.jobs.jobs import make_executor, open_job
 from pcs_racing_agents.learning.responses import learn_response, load_response_settings
