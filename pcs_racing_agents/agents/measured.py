@@ -78,7 +78,7 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
         If the file of the package is damaged.
     """
     path = measured_file()
-    if not path.ismeasured_file():
+    if not path.is_file():
         return {}
     table = {}
     try:

@@ -75,11 +75,13 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
             raise InputError(f"{folder / MANIFEST}: {key} is {value!r:.80}; it must be {wanted}")
     file = folder / NETWORK_FORMAT.data_file
     layers, scaling = layers_from_bytes(file, content, fields["hidden"], _SCALING)
-    identity: dict[str, Any] = {key: fields[key] for key in GameIdentity._fields}
+    identity: dict[str, Any] = {}
+    for key in GameIdentity._fields:
+        identity[key] = tuple(fields[key]) if isinstance(fields[key], list) else fields[key]
     try:
         return RegretNetwork(
             name=fields["name"],
-            identity=GameIdentity(**{key: tuple(v) if isinstance(v, list) else v for key, v in identity.items()}),
+            identity=GameIdentity(**identity),
             target=fields["target"],
             clipped=fields["clipped"],
             layers=layers,

@@ -8,7 +8,7 @@ import pytest
 
 from pcs_racing_agents.jobs.jobs import InputError, JobError, Part, make_executor, open_job, read_chunk, run_parts
 from pcs_racing_agents.jobs.tasks import Work, completed, each, in_other_processes, run_one
-from pcs_racing_agents.networks.torch_alone import torch_alone
+from pcs_racing_agents.networks.torch_layers import torch_alone
 
 
 def double(task: int) -> dict[str, int]:
