@@ -140,10 +140,10 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
         )
         scores = [
             {"strategy": who, "tree": i, **TreeScore(*row)._asdict()}
-            for who, rows in trained.trees.items()
+            for who, rows in trained.scores.items()
             for i, row in enumerate(rows.tolist())
         ]
-        return _Outcome(trained.network, trained.result, score_table(trained.rows, trained.trees), scores)
+        return _Outcome(trained.network, trained.result, score_table(trained.rows, trained.scores), scores)
 
     return learn
 
@@ -176,10 +176,10 @@ def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> 
             learning=show_progress("epochs") if elsewhere is None else None,
         )
         trained = run_one(train, trees, elsewhere, "learning")
-        table = ego_score_table(score_table(trained.rows, {}), trained.roots)
+        table = ego_score_table(score_table(trained.rows, {}), trained.scores)
         scores = [
             {"strategy": who, "root": i, "utility": value}
-            for who, values in trained.roots.items()
+            for who, values in trained.scores.items()
             for i, value in enumerate(values.tolist())
         ]
         return _Outcome(trained.network, trained.result, table, scores)

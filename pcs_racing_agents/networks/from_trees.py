@@ -20,11 +20,11 @@ from pcs_racing_agents.networks.targets import get_target, solve_for
 from pcs_racing_agents.networks.training import TrainingResult, train_network
 from pcs_racing_agents.networks.tree_rows import PlayedTree, tree_rows
 
-__all__ = ["TrainedOnTrees", "train_on_trees", "trees_identity"]
+__all__ = ["TrainedOnTrees", "hold_out", "train_on_trees", "trees_identity"]
 
 
 class TrainedOnTrees(NamedTuple):
-    """A network trained on trees.
+    """A network trained on game trees or ego trees.
 
     Attributes
     ----------
@@ -33,14 +33,15 @@ class TrainedOnTrees(NamedTuple):
     result : TrainingResult
     rows : list of RowScore
         Choices on the rows of the held-out trees, or of the validation pairs where no tree is held out.
-    trees : dict of str to ndarray, shape (trees, 4)
-        What the network and other strategies lose on the held-out trees, :class:`TreeScore`; empty if none are.
+    scores : dict of str to ndarray
+        Of the network and other strategies on each held-out tree; empty if none are held out. On game trees
+        :class:`TreeScore`, shape (trees, 4); on ego trees the utility, shape (trees,).
     """
 
     network: RegretNetwork
     result: TrainingResult
     rows: list[RowScore]
-    trees: dict[str, NDArray[np.float64]]
+    scores: dict[str, NDArray[np.float64]]
 
 
 def trees_identity(settings: Any) -> GameIdentity:
@@ -99,16 +100,7 @@ def train_on_trees(
     """
     settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
-    held_out = np.zeros(len(numbers), np.bool_)
-    different, least = len(np.unique(numbers)), 3 if settings.test_share > 0.0 else 2
-    if different < least:
-        raise InputError(
-            f"the trees come from {different} starting pairs; it takes {least}: some to learn from, some to stop by"
-            f"{', and some to judge by' if least == 3 else ''}"
-        )
-    if settings.test_share > 0.0:
-        chosen = draw_pairs(numbers, settings.test_share, np.random.SeedSequence(settings.seed, spawn_key=(3,)))
-        held_out = np.isin(numbers, chosen[: different - 2])
+    held_out = hold_out(numbers, settings, 3 if settings.test_share > 0.0 else 2, "trees")
     solve = _Solver(settings, len(identity.moves) - 1 if identity.moves[-1] == "stay" else None)
     rows: list[Rows | None] = [None] * len(held_out)
     tasks = each(solve, (tree_at(i) for i in range(len(held_out))))
@@ -131,6 +123,26 @@ def train_on_trees(
         for key, value in zip(TreeScore._fields, trees[name].mean(axis=0), strict=True):
             summary[f"test_{key}"] = float(f"{value:.4g}")
     return TrainedOnTrees(replace(network, training=summary), result, scores, trees)
+
+
+def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, what: str) -> NDArray[np.bool_]:
+    """Return which trees to judge by, shape (trees,), by the numbers of their starting pairs.
+
+    Raises
+    ------
+    InputError
+        If they come from fewer starting pairs than ``least``.
+    """
+    different = len(np.unique(numbers))
+    if different < least:
+        raise InputError(
+            f"the {what} come from {different} starting pairs; it takes {least}: some to learn from, some to stop by"
+            f"{', and some to judge by' if least == 3 else ''}"
+        )
+    if settings.test_share == 0.0:
+        return np.zeros(len(numbers), np.bool_)
+    drawn = draw_pairs(numbers, settings.test_share, np.random.SeedSequence(settings.seed, spawn_key=(3,)))
+    return np.isin(numbers, drawn[: different - 2])
 
 
 @dataclass(frozen=True)
