@@ -9,8 +9,8 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.learning.ppo.curves import read_curve
 from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study.cell_races import cell_races

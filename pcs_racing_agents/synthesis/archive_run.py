@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.track.track import load_track
 from pcs_racing_agents.jobs.chunk_files import Arrays
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.folders import clear_half_written
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.synthesis.archive_report import write_archive

@@ -17,7 +17,7 @@ from pcs_racing.planners.network import INPUTS
 from pcs_racing_agents.jobs.chunk_files import Arrays
 from pcs_racing_agents.learning.ppo.parts import Part
 from pcs_racing_agents.learning.ppo.plain_state import pack, unpack
-from pcs_racing_agents.learning.ppo.settings import DriveSettings, Settings
+from pcs_racing_agents.learning.ppo.settings import DriveSettings, PPOSettings
 from pcs_racing_agents.networks.layers import Layers
 from pcs_racing_agents.networks.torch_alone import torch_alone
 
@@ -58,7 +58,7 @@ class Learner(NamedTuple):
 class Rate:
     """A learning rate that falls in a straight line, by the steps made and not by those of the current call."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: PPOSettings) -> None:
         self.first, self.last, self.total = settings.learning_rate, settings.final_learning_rate, settings.steps
         self.steps = 0
 
@@ -94,12 +94,12 @@ def own_randomness() -> Iterator[None]:
             torch.set_rng_state(kept[2])
 
 
-def make_learner(settings: Settings, parts: Sequence[Part], seed: int, activation: str, limit: float) -> Learner:
+def make_learner(settings: PPOSettings, parts: Sequence[Part], seed: int, activation: str, limit: float) -> Learner:
     """Make a learner that has learned nothing yet.
 
     Parameters
     ----------
-    settings : Settings
+    settings : PPOSettings
     parts : sequence of Part
         What it is to drive in.
     seed : int

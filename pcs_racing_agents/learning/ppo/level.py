@@ -9,7 +9,7 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing_agents.learning.ppo.parts import Part
 from pcs_racing_agents.learning.ppo.scores import Cell, Score
-from pcs_racing_agents.learning.ppo.settings import DuelSettings, Settings
+from pcs_racing_agents.learning.ppo.settings import DuelSettings, PPOSettings
 from pcs_racing_agents.networks.layers import Layers
 
 __all__ = ["Level", "make_level"]
@@ -40,12 +40,14 @@ class Level(Protocol):
         """Write a policy."""
 
 
-def make_level(settings: Settings, *, archive: PolicyArchive | None = None, rules: GameConfig | None = None) -> Level:
+def make_level(
+    settings: PPOSettings, *, archive: PolicyArchive | None = None, rules: GameConfig | None = None
+) -> Level:
     """Load circuits, archive and opponents, and check that they fit together.
 
     Parameters
     ----------
-    settings : Settings
+    settings : PPOSettings
     archive, rules : optional
         Those of the game, in place of what the settings of a duel name.
 

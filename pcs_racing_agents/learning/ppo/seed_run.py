@@ -19,7 +19,7 @@ from pcs_racing_agents.learning.ppo.learner import (
 )
 from pcs_racing_agents.learning.ppo.level import Level
 from pcs_racing_agents.learning.ppo.scores import Cell, Score, total
-from pcs_racing_agents.learning.ppo.settings import Settings
+from pcs_racing_agents.learning.ppo.settings import PPOSettings
 from pcs_racing_agents.networks.layers import Layers
 
 __all__ = ["Record", "Trainer"]
@@ -128,7 +128,7 @@ class Trainer:
     Attributes
     ----------
     level : Level
-    settings : Settings
+    settings : PPOSettings
     seconds : float
         Length of a piece; it has no influence on the result, nor has the process that does it.
     told : callable, optional
@@ -136,7 +136,7 @@ class Trainer:
     """
 
     level: Level
-    settings: Settings
+    settings: PPOSettings
     seconds: float
     told: Callable[[Record], None] | None = None
 

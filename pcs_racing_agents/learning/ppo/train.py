@@ -15,10 +15,10 @@ from typing import Any
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing_agents.jobs.chunk_files import Arrays
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.jobs import Progress, open_job
 from pcs_racing_agents.jobs.tasks import in_other_processes
 from pcs_racing_agents.learning.ppo.curves import Curve, write_curve
@@ -26,7 +26,7 @@ from pcs_racing_agents.learning.ppo.learner import FIGURES, check_packages
 from pcs_racing_agents.learning.ppo.level import Level, make_level
 from pcs_racing_agents.learning.ppo.scores import Cell, Score, total
 from pcs_racing_agents.learning.ppo.seed_run import Record, Trainer
-from pcs_racing_agents.learning.ppo.settings import DuelSettings, Settings, load_ppo_settings
+from pcs_racing_agents.learning.ppo.settings import DuelSettings, PPOSettings, load_ppo_settings
 from pcs_racing_agents.networks.layers import Layers
 
 __all__ = ["Trained", "check_checkpoint_seconds", "train_ppo"]
@@ -40,7 +40,7 @@ class Trained:
 
     Attributes
     ----------
-    settings : Settings
+    settings : PPOSettings
     level : Level
     curves : tuple of Curve
         Of each seed.
@@ -58,7 +58,7 @@ class Trained:
         What was written: weights, what describes them, and the curves.
     """
 
-    settings: Settings
+    settings: PPOSettings
     level: Level
     curves: tuple[Curve, ...]
     layers: Layers
@@ -70,7 +70,7 @@ class Trained:
 
 
 def train_ppo(
-    config: str | Path | Settings,
+    config: str | Path | PPOSettings,
     folder: str | Path,
     *,
     name: str | None = None,
@@ -85,7 +85,7 @@ def train_ppo(
 
     Parameters
     ----------
-    config : str, Path or Settings
+    config : str, Path or PPOSettings
         A shipped configuration's name, a YAML file, or settings.
     folder : str or Path
         A new or empty folder, or that of the same training. It gets ``policy/`` (the weights, what describes them, and
@@ -108,7 +108,7 @@ def train_ppo(
     rules : GameConfig, optional
         Of the game, in place of the race and the size of moves that the settings of a duel name.
     **changes
-        Settings that are to be others.
+        PPOSettings that are to be others.
 
     Returns
     -------
