@@ -34,6 +34,7 @@ from PIL import Image
 from pcs_racing import load_race_config, load_state, load_track, parse_policy, read_replay
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.reading import plain_yaml, unpack_arrays
+from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.game.state import load_game, save_game
 from pcs_racing.planners.trained import read_driver, save_driver
@@ -53,7 +54,7 @@ from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.jobs.chunk_files import fingerprint, read_chunk, write_chunk
-from pcs_racing_agents.jobs.configuration import plain_settings, shipped_configs
+from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.jobs import chunk_file, open_job
 from pcs_racing_agents.learning.ppo.checkpoint import pack as pack_state
 from pcs_racing_agents.learning.ppo.checkpoint import unpack as unpack_state

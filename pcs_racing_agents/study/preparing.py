@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import save_fit
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.jobs import Progress, open_job, run_parts
 from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings

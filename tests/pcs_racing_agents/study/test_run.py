@@ -11,9 +11,9 @@ import yaml
 
 from pcs_racing import load_archive, save_archive
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.jobs import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
