@@ -133,13 +133,9 @@ MODULES = {
         meta_game: meta_game
         best_reply: ; best_reply
         table: ; tournament
-        statistics/adaptivity: statistics
         statistics/clusters: statistics
         statistics/comparison: statistics
-        statistics/power: statistics student_t
-        statistics/rates: statistics
-        statistics/resampling: statistics
-        statistics/student_t: student_t statistics
+        statistics/student_t: statistics
         statistics/units: statistics
         """,
     ),

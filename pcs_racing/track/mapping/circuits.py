@@ -110,7 +110,7 @@ def generate_circuit(
     MapError
         If no draft was accepted; the message counts why.
     """
-    require("scipy", "clarabel")
+    require("clarabel")
     if style not in STYLES:
         raise UnknownNameError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
     if direction not in ("counterclockwise", "clockwise"):
