@@ -50,8 +50,9 @@ from pcs_racing.track.maps import find_map, read_map, shipped_folder
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
-from pcs_racing_agents.jobs.chunk_files import fingerprint, read_chunk, write_chunk
+from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
 from pcs_racing_agents.jobs.configuration import plain_settings, shipped_configs
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import chunk_file, open_job
 from pcs_racing_agents.learning.ppo.curves import COLUMNS, read_curve
 from pcs_racing_agents.learning.ppo.plain_state import pack as pack_state

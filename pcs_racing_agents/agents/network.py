@@ -128,7 +128,7 @@ def fitting_network(source: "str | RegretNetwork | None", setting: Setting, kind
 
 def network_facts(network: RegretNetwork) -> dict[str, str]:
     """What reports say of an agent's network."""
-    from pcs_racing_agents.jobs.chunk_files import fingerprint
+    from pcs_racing_agents.jobs.fingerprint import fingerprint
 
     # The manifest has all of it; these are the figures that say how much there was to learn from.
     told = {key: value for key, value in network.training.items() if not key.startswith(_DETAILS)}

@@ -4,7 +4,7 @@ import csv
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from itertools import product
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import save_fit
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.tasks import Work, completed
+from pcs_racing_agents.jobs.tasks import Task, run_tasks
 from pcs_racing_agents.networks.metrics import Play, TreeScore, score_trees
 from pcs_racing_agents.study.preparing import play_on_circuits, stored_trees
 from pcs_racing_agents.study.run import Study
@@ -133,12 +133,12 @@ def judge_on_trees(study: Study) -> None:
     held_out = play_on_circuits(study, "exploitability", max(2, config.pairs // 4), HELD_OUT_SEED)
     agents = [agent for agent in map(study.agent, config.every_arm) if isinstance(agent, Agent)]
     judges = [_Judge.of(study.tree_game(track), agents, trees) for track, trees in held_out.items()]
-    work = (
-        Work((track, i), judge, tree)
+    tasks = (
+        Task((track, i), judge, tree)
         for (track, trees), judge in zip(held_out.items(), judges, strict=True)
         for i, tree in enumerate(trees)
     )
-    lost = dict(completed(partial(next, work, None), study.executor, "judging"))
+    lost = dict(run_tasks(tasks, study.executor, "judging"))
     rows: list[tuple[object, ...]] = [("track", "agent", "tree", *TreeScore._fields)]
     for track, trees in held_out.items():
         rows += [(track, name, i, *lost[track, i][name]) for name in lost[track, 0] for i in range(len(trees))]

@@ -15,7 +15,7 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.jobs import package_version
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, News

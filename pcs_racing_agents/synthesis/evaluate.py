@@ -23,7 +23,7 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track, load_track
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 
 __all__ = ["Block", "Evaluation", "Scenarios", "blocks", "draw_scenarios", "evaluate", "race_block", "summarise"]
 

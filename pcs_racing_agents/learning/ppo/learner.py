@@ -14,7 +14,7 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.network import INPUTS
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.learning.ppo.parts import Part
 from pcs_racing_agents.learning.ppo.plain_state import pack, unpack
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, Settings
