@@ -1,10 +1,8 @@
 """docs/agents.md and docs/zoo.md: the code runs, and what the zoo says of itself stands there."""
 
-import re
-
 import numpy as np
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, python_blocks, run_block
 
 from pcs_racing_agents import make, names
 from pcs_racing_agents.agents import describe, make_setting, measured
@@ -18,7 +16,7 @@ from pcs_racing_agents.tournament import RaceRow
 DOCS = REPOSITORY / "docs"
 PAGE = (DOCS / "agents.md").read_text(encoding="utf-8")
 ZOO_PAGE = (DOCS / "zoo.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+BLOCKS = python_blocks(PAGE)
 AGAIN = "run: python benchmarks/zoo.py --write"
 
 made_under_v0 = pytest.mark.xfail(
@@ -29,7 +27,7 @@ made_under_v0 = pytest.mark.xfail(
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_the_code_runs(number, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    exec(compile(BLOCKS[number], "docs/agents.md", "exec"), {"__name__": "snippet"})
+    run_block(BLOCKS[number])
 
 
 @made_under_v0

@@ -206,10 +206,12 @@ def test_half_written_files_of_a_killed_run_are_cleared_away(tmp_path):
     assert [file.name for file in (tmp_path / "chunks").iterdir()] == ["square-00000.npz"]
 
 
+PATH = os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])  # of a script that imports this file
+
 SCRIPT = """
 import sys, time
 from pcs_racing_agents.jobs.jobs import open_job, make_executor
-from tests.pcs_racing_agents.test_jobs import SETTINGS, slow_square
+from tests.pcs_racing_agents.jobs.test_jobs import SETTINGS, slow_square
 
 if __name__ == "__main__":
     with open_job(sys.argv[1], "squares", SETTINGS) as job, make_executor(sys.argv[2], 2) as executor:
@@ -220,12 +222,11 @@ if __name__ == "__main__":
 @pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is spoken of here")
 @pytest.mark.parametrize("kind", ["serial", "processes"])
 def test_killed_and_started_again_the_files_are_the_same(tmp_path, kind):
-    repository = REPOSITORY
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     folder = tmp_path / "job"
     command = [sys.executable, str(script), str(folder), kind]
-    environment = {**os.environ, "PYTHONPATH": str(repository)}
+    environment = {**os.environ, "PYTHONPATH": PATH}
     process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
     while len(list(folder.glob("chunks/*.npz"))) < 4:
         assert process.poll() is None
@@ -270,7 +271,7 @@ def parents_alive(task: int) -> dict[str, int]:
 ORPHANS = """
 import sys
 from pcs_racing_agents.jobs.jobs import open_job, make_executor
-from tests.pcs_racing_agents.test_jobs import parents_alive
+from tests.pcs_racing_agents.jobs.test_jobs import parents_alive
 
 if __name__ == "__main__":
     with open_job(sys.argv[1], "squares", {}) as job, make_executor("processes", 2) as executor:
@@ -284,7 +285,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
     script.write_text(ORPHANS)
     pids = tmp_path / "pids"
     pids.mkdir()
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "PID_FOLDER": str(pids)}
+    environment = {**os.environ, "PYTHONPATH": PATH, "PID_FOLDER": str(pids)}
     process = subprocess.Popen([sys.executable, str(script), str(tmp_path / "job")], env=environment)
     while len(list(pids.iterdir())) < 2:
         assert process.poll() is None

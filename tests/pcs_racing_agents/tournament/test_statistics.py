@@ -4,21 +4,19 @@ The simulations are seeded; their bands are at least three standard errors wide.
 the full study.
 """
 
-import re
 from itertools import product
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from repository import REPOSITORY
+from repository import python_blocks, read_page, run_block
 from scipy import stats
 
 from pcs_racing import InputError
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare, holm, match_units, score
 from pcs_racing_agents.tournament.statistics.student_t import t_interval
 
-PAGE = REPOSITORY / "docs" / "statistics.md"
 EGOS, OPPONENTS, RACES = 12, 12, 3
 EGO, OPPONENT, LINE = (index.ravel() for index in np.indices((EGOS, OPPONENTS, RACES)))
 CELL = EGO * OPPONENTS + OPPONENT
@@ -313,6 +311,5 @@ def test_bad_input(call, message):
 
 
 def test_the_pages_code_runs():
-    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert blocks
-    exec(compile("\n".join(blocks), str(PAGE), "exec"), {"__name__": "page"})
+    (code,) = python_blocks(read_page("statistics.md"))
+    run_block(code)
