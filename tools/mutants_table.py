@@ -103,7 +103,7 @@ MODULES = {
         compare: compare
         efg: efg
         evaluation: evaluation cfr
-        exact: exact_solution
+        backward_induction: backward_induction
         game_tree: game_tree cfr
         matrix_games: matrix_games
         openspiel openspiel_game: openspiel_game
@@ -131,7 +131,7 @@ MODULES = {
         """
         ratings: ratings
         meta_game: meta_game
-        best_reply: ; best_reply
+        best_response: ; best_response
         table: ; tournament
         statistics/clusters: statistics
         statistics/comparison: statistics

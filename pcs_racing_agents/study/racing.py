@@ -21,7 +21,7 @@ from pcs_racing_agents.jobs.tasks import Task, run_tasks
 from pcs_racing_agents.networks.metrics import Play, TreeScore, score_trees
 from pcs_racing_agents.study.preparing import play_on_circuits, stored_trees
 from pcs_racing_agents.study.run import Study
-from pcs_racing_agents.tournament.best_reply import best_reply
+from pcs_racing_agents.tournament.best_response import best_response_utility
 from pcs_racing_agents.tournament.cells import Cell, plan_cell, play_cells
 from pcs_racing_agents.trees.storage import StoredTrees
 from pcs_racing_agents.trees.tree import RaceTree
@@ -181,7 +181,7 @@ class _Judge:
         """Judge an agent that stays where it is, at the root of a tree; what only the tree could tell is left open."""
         start = Starts(np.array([tree.start_s]), np.array([tree.side]))
         found = [
-            best_reply(self.game, agent, policies=tree.policies, start=start, seeds=tree.seeds, car=car)
+            best_response_utility(self.game, agent, policies=tree.policies, start=start, seeds=tree.seeds, car=car)
             for car in range(2)
         ]
         # The value of the game is what one role wins and the other loses: it is not in the mean of both.
