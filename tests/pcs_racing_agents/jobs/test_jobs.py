@@ -23,6 +23,7 @@ from pcs_racing_agents.jobs.executors import tasks_in_flight
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import JobError, chunk_file, make_executor, open_job, show_progress
 
+CHECKOUT = os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])
 SETTINGS = {"seed": 3, "race": {"duration": 16.0, "tracks": ["Pipkin", "Saltmere"]}}
 
 
@@ -206,8 +207,6 @@ def test_half_written_files_of_a_killed_run_are_cleared_away(tmp_path):
     assert [file.name for file in (tmp_path / "chunks").iterdir()] == ["square-00000.npz"]
 
 
-PATH = os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])  # of a script that imports this file
-
 SCRIPT = """
 import sys, time
 from pcs_racing_agents.jobs.jobs import open_job, make_executor
@@ -226,7 +225,7 @@ def test_killed_and_started_again_the_files_are_the_same(tmp_path, kind):
     script.write_text(SCRIPT)
     folder = tmp_path / "job"
     command = [sys.executable, str(script), str(folder), kind]
-    environment = {**os.environ, "PYTHONPATH": PATH}
+    environment = {**os.environ, "PYTHONPATH": CHECKOUT}
     process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
     while len(list(folder.glob("chunks/*.npz"))) < 4:
         assert process.poll() is None
@@ -285,7 +284,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
     script.write_text(ORPHANS)
     pids = tmp_path / "pids"
     pids.mkdir()
-    environment = {**os.environ, "PYTHONPATH": PATH, "PID_FOLDER": str(pids)}
+    environment = {**os.environ, "PYTHONPATH": CHECKOUT, "PID_FOLDER": str(pids)}
     process = subprocess.Popen([sys.executable, str(script), str(tmp_path / "job")], env=environment)
     while len(list(pids.iterdir())) < 2:
         assert process.poll() is None
