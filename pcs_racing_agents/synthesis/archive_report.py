@@ -18,7 +18,7 @@ from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing.planners.registry import get_planner
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import package_version
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveProgress
 from pcs_racing_agents.synthesis.config import ArchiveConfig

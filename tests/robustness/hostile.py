@@ -28,7 +28,7 @@ from pcs_racing.game.state import load_game
 from pcs_racing.track.map_files import parse_csv, parse_grid, parse_ros_yaml
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents.fits import load_fit
-from pcs_racing_agents.jobs.chunk_files import read_chunk, write_chunk
+from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.learning.ppo.checkpoint import restore_learner, store_learner, under
 from pcs_racing_agents.learning.ppo.evaluation import EvaluationCurve, Matchup, Score, mean_score
 from pcs_racing_agents.learning.ppo.learner import Learner, actor_layers, learn_once, make_learner, own_randomness

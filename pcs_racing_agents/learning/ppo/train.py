@@ -19,7 +19,7 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Progress, open_job
 from pcs_racing_agents.jobs.tasks import in_other_processes
 from pcs_racing_agents.learning.ppo.drives import make_drive_task
@@ -150,7 +150,11 @@ def train_ppo(
     trainer = SeedTraining(task, settings, checkpoint_seconds, report if elsewhere is None else None)
     with open_job(folder, "ppo", identity) as job:
         states = job.run_chains(
-            "seed", trainer, settings.seeds, executor=elsewhere, told=lambda index, state: report(read(index, state))
+            "seed",
+            trainer,
+            settings.seeds,
+            executor=elsewhere,
+            on_state=lambda index, state: report(read(index, state)),
         )
         runs = [read(index, state) for index, state in enumerate(states)]
         run = max(runs, key=lambda run: run.best_worth)  # of equals the first

@@ -25,7 +25,7 @@ from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
-from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes
+from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.branches import WORTH, branch_games
 from pcs_racing_agents.learning.responses.ensemble import merge_networks
 from pcs_racing_agents.networks import GameIdentity, RegretNetwork, Rows, game_identity, join_rows, train_network
@@ -169,7 +169,7 @@ def learn_response(
     def fit(members: int) -> RegretNetwork:
         learn = partial(_learn, join_rows(rows), identity, name)
         wanted = [settings.train_settings(i) for i in range(members)]
-        found = dict(completed(each(learn, wanted), in_other_processes(executor), f"learning {name}"))
+        found = dict(run_tasks(numbered_tasks(learn, wanted), in_other_processes(executor), f"learning {name}"))
         return merge_networks([found[i] for i in range(members)], name)
 
     steps = games[0].config.moves
