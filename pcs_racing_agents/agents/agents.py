@@ -65,9 +65,10 @@ def best_schedule(
     name : str
     seed : int
     moves : sequence of str, optional
-        The plan: names of as many moves as a game has.
+        The sequence: as many names of moves as a game has.
     fit : Fit or path, optional
-        A plan chosen by :func:`pcs_racing_agents.tournament.fitting.fit_best_schedule`; the shipped one by default.
+        A sequence selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_schedule`;
+        the shipped one by default.
     """
     facts = {}
     if moves is None:
@@ -100,7 +101,7 @@ def best_fixed(
     target : int, optional
         The policy's index.
     fit : Fit or path, optional
-        A target chosen by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`; the shipped one by default.
+        A target selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`; the shipped one by default.
     """
     facts = {}
     if target is None:
@@ -166,7 +167,7 @@ def adaptive(
     network : RegretNetwork, str or path, optional
         What each move is worth: another network, the name of a shipped one or its folder.
     blind : Agent or str
-        The strategy to keep to; it needs what it needs by itself.
+        The default strategy, with its own needs.
     margin : float, optional
         How much more a move must promise, in units of the network's target; by default what the network's training says
         (``margin``), else 0.
@@ -198,11 +199,11 @@ def restricted_response(
     name : str
     seed : int
     exploit : Agent or str
-        Who plays when it exploits.
+        The agent that exploits.
     safe : Agent or str
-        Who plays else.
+        The agent of the other games.
     share : float
-        How often to exploit, in [0, 1].
+        The probability of exploiting, in [0, 1].
     """
     if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 <= share <= 1.0:
         raise InputError(f"the share of agent {name!r} is {share!r}; it must be a number from 0 to 1")
@@ -228,11 +229,11 @@ def psro(
     name : str
     seed : int
     weights : mapping of str to float, optional
-        How often each agent is drawn, by name.
+        The probability of each agent, by name.
     members : sequence of Agent
-        Those of them that are not to be made by name.
+        Agents given as objects instead of by name.
     fit : Fit or path, optional
-        Weights found by :func:`pcs_racing_agents.tournament.fitting.fit_psro`; the shipped ones by default.
+        Weights computed by :func:`pcs_racing_agents.tournament.fitting.fit_psro`; the shipped ones by default.
     """
     facts = {}
     if weights is None:
