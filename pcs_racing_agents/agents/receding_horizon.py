@@ -274,6 +274,6 @@ def receding_horizon(
 
 RECEDING_HORIZON = Entry(
     receding_horizon,
-    "looks some steps ahead with the simulator at every decision, and solves the small game that it finds there",
+    "simulates some steps ahead at every decision, and solves the small game of their outcomes",
     "receding horizon control, for the paper's first limitation: trees too deep for many decisions",
 )
