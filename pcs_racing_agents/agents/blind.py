@@ -203,9 +203,10 @@ def best_schedule(
     name : str
     seed : int
     moves : sequence of str, optional
-        The plan: names of as many moves as a game has.
+        The sequence: as many names of moves as a game has.
     fit : Fit or path, optional
-        A plan chosen by :func:`pcs_racing_agents.tournament.fitting.fit_best_schedule`; the shipped one by default.
+        A sequence selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_schedule`;
+        the shipped one by default.
     """
     facts = {}
     if moves is None:
@@ -238,7 +239,7 @@ def best_fixed(
     target : int, optional
         The policy's index.
     fit : Fit or path, optional
-        A target chosen by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`; the shipped one by default.
+        A target selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`; the shipped one by default.
     """
     facts = {}
     if target is None:
@@ -254,17 +255,17 @@ def best_fixed(
     return Agent(name, strategy, setting, seed, {**facts, "target": f"policy {target} ({point})"})
 
 
-NEVER_SWITCH = Entry(never_switch, "keeps the policy of its start", "the paper's non-GT agent")
-RANDOM_MOVES = Entry(random_moves, "draws every move, all with the same chance", "baseline")
+NEVER_SWITCH = Entry(never_switch, "keeps its start policy for the whole race", "the paper's non-GT agent")
+RANDOM_MOVES = Entry(random_moves, "draws every move, all with the same probability", "baseline")
 BEST_SCHEDULE = Entry(
     best_schedule,
-    "makes the moves of a fixed plan, the best one on training races",
-    "baseline: open loop, never looks at the race",
+    "makes a fixed sequence of moves, the best one on training races",
+    "baseline: open-loop, never observes the race",
     "fit",
 )
 BEST_FIXED = Entry(
     best_fixed,
-    "walks to one policy of the archive, the best one on training races, and keeps it",
-    "baseline: never looks at the race",
+    "moves to one policy of the archive, the best one on training races, and keeps it",
+    "baseline: never observes the race",
     "fit",
 )

@@ -204,7 +204,7 @@ def adaptive(
     network : RegretNetwork, str or path, optional
         What each move is worth: another network, the name of a shipped one or its folder.
     blind : Agent or str
-        The strategy to keep to; it needs what it needs by itself.
+        The default strategy, with its own needs.
     margin : float, optional
         How much more a move must promise, in units of the network's target; by default what the network's training says
         (``margin``), else 0.
@@ -226,31 +226,31 @@ def _entry(kind: str, decision: str, summary: str, source: str) -> Entry:
 CFR_ARGMAX = _entry(
     "regret",
     "argmax",
-    "makes the move of highest approximate counterfactual regret",
+    "makes the move with the highest predicted counterfactual regret",
     "the paper's GT agent, Equations 8 and 9",
 )
 CFR_REGRET_MATCHING = _entry(
     "regret",
     "regret-matching",
-    "draws a move in proportion to its positive approximate counterfactual regret",
+    "draws a move with a probability proportional to its positive predicted counterfactual regret",
     "the paper's remark on regret matching (Zinkevich et al. 2007)",
 )
 NORMALISED_REGRET = _entry(
     "normalised",
     "argmax",
-    "makes the move of highest regret, every situation counting alike however rarely the opponent comes there",
-    "cumulative regret over the opponent's cumulative reach",
+    "makes the move with the highest predicted regret, normalised to the same size at every decision",
+    "cumulative regret, divided by its largest magnitude at the node",
 )
 ADVANTAGE = _entry(
     "advantage",
     "argmax",
-    "makes the move that gains most, or loses least, against the exact equilibrium",
+    "makes the move with the highest predicted advantage against the exact equilibrium",
     "backward induction over matrix games",
 )
 STATIC_Q = _entry(
     "static-q",
     "argmax",
-    "plays best against an opponent that does not look at the race",
+    "plays a best response to an opponent that does not observe the race",
     "best response to a static opponent",
 )
 NASH = _entry(
@@ -259,18 +259,18 @@ NASH = _entry(
 RESPONSE = _entry(
     "gain",
     "argmax",
-    "makes the move that wins most against the opponents that it has learned to answer",
-    "advantages on branched races, learned from the last step back (`pcs_racing_agents.learning.responses`)",
+    "plays an approximate best response to the pool of opponents that it was trained against",
+    "advantages in branched races, learned from the last step backwards (`pcs_racing_agents.learning.responses`)",
 )
 PPO = _entry(
     "ppo",
     "argmax",
-    "makes the move that a policy trained by PPO finds most likely",
+    "makes the most probable move of a policy trained by PPO",
     "Schulman et al. 2017, with Stable-Baselines3",
 )
 ADAPTIVE = Entry(
     adaptive,
-    "keeps to the best blind strategy and leaves it where a network promises clearly more",
+    "follows the best blind strategy unless a network predicts a gain above a margin",
     "advantage over the best blind strategy, with a margin",
     "network",
 )
