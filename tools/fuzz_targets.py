@@ -60,6 +60,7 @@ from pcs_racing_agents.learning.ppo.plain_state import unpack as unpack_state
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.networks.driver import read_driver, save_driver
+from pcs_racing_agents.networks.ego_rows import ego_values
 from pcs_racing_agents.networks.layers import Layers
 from pcs_racing_agents.networks.network_files import read_network
 from pcs_racing_agents.networks.network_files import shipped_folder as networks_folder
@@ -70,7 +71,7 @@ from pcs_racing_agents.study.report_inputs import read_curves, read_losses
 from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.tournament.play import plan_tournament, tournament_settings
 from pcs_racing_agents.tournament.result_lines import read_lines
-from pcs_racing_agents.trees import build_ego_trees, build_trees, ego_values, load_ego_trees, load_trees
+from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees, load_trees
 from pcs_racing_agents.view.contests import open_results
 from pcs_racing_agents.view.race_columns import packed_columns, race_columns
 

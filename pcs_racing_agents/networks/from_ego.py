@@ -83,7 +83,7 @@ def train_on_ego(
     InputError
         If the target is another one, or the roots come from fewer than three starting pairs.
     """
-    from pcs_racing_agents.trees import ego_rows
+    from pcs_racing_agents.networks.ego_rows import ego_rows
 
     check_ego_target(settings)
     settings = settings_for_trees(settings)
@@ -145,7 +145,7 @@ def score_ego(plays: dict[str, Play], trees: "EgoTrees") -> dict[str, NDArray[np
 
     Random moves, and the best that could have been done if one had known all that was to come, stand beside them.
     """
-    from pcs_racing_agents.trees import ego_values
+    from pcs_racing_agents.networks.ego_rows import ego_values
 
     def random(observations: NDArray[np.float32]) -> NDArray[np.float64]:
         return np.full((len(observations), trees.options), 1.0 / trees.options)
