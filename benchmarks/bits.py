@@ -130,11 +130,11 @@ def lidar(folders: list[Path]) -> Digests:
 def races(folders: list[Path]) -> Digests:
     """Ten races of every planner under both presets: all states at the end."""
     from pcs_racing import RaceSetup, advance, draw_starts, load_race_config, load_track, parse_policy, start_races
-    from pcs_racing.planners.network import network_planner, weight_count
+    from pcs_racing.planners.network import driver_weight_count, network_planner
     from pcs_racing.race.races import pad_parameters, race_seeds
 
     ego, track = parse_policy("lattice"), load_track("Quillburg")
-    weights = np.round(np.random.default_rng(0).uniform(-0.4, 0.4, weight_count((16,))), 3)
+    weights = np.round(np.random.default_rng(0).uniform(-0.4, 0.4, driver_weight_count((16,))), 3)
     rivals = {text: parse_policy(text) for text in PLANNERS}
     rivals["network"] = network_planner("bits", (16,), weights).policy()
     for preset in ("paper", "contest"):

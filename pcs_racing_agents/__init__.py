@@ -5,10 +5,6 @@
 
 from typing import Any
 
-from pcs_racing.planners.registry import register_planner
-
-register_planner("pcs_racing_agents.networks.driver:PPO_DRIVE", name="ppo-drive")
-
 
 def __getattr__(name: str) -> Any:
     """Import the zoo when somebody asks for an agent."""

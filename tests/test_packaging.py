@@ -182,8 +182,8 @@ def test_every_extra_that_is_named_exists():
 
 def test_the_wheel_holds_all_folders_with_data():
     included = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
-    assert set(included) == {"maps", "archives", "networks"}
-    for folder in ("maps", "archives", "networks"):
+    assert set(included) == {"maps", "archives", "drivers", "networks"}
+    for folder in included:
         assert any((REPOSITORY / folder).iterdir())
 
 

@@ -31,10 +31,12 @@ from fuzz_environments import (
 from PIL import Image
 
 from pcs_racing import load_race_config, load_state, load_track, parse_policy, read_replay
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.reading import plain_yaml, unpack_arrays
-from pcs_racing.game.archive import PolicyArchive, load_archive
-from pcs_racing.game.archive import shipped_folder as archives_folder
+from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.game.state import load_game, save_game
+from pcs_racing.planners.trained import read_driver, save_driver
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay import save_replay
 from pcs_racing.race.state import empty_state, save_state
@@ -51,19 +53,16 @@ from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
-from pcs_racing_agents.jobs.configuration import plain_settings, shipped_configs
+from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import chunk_file, open_job
-from pcs_racing_agents.learning.ppo.curves import COLUMNS, read_curve
-from pcs_racing_agents.learning.ppo.plain_state import pack as pack_state
-from pcs_racing_agents.learning.ppo.plain_state import unpack as unpack_state
+from pcs_racing_agents.learning.ppo.checkpoint import pack as pack_state
+from pcs_racing_agents.learning.ppo.checkpoint import unpack as unpack_state
+from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.networks.driver import read_driver, save_driver
 from pcs_racing_agents.networks.ego_rows import ego_values
-from pcs_racing_agents.networks.layers import Layers
-from pcs_racing_agents.networks.network_files import read_network
-from pcs_racing_agents.networks.network_files import shipped_folder as networks_folder
+from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.study.cell_races import read_races
 from pcs_racing_agents.study.config import load_study_config
@@ -174,20 +173,20 @@ def _copied(folder: Path, name: str) -> Path:
 
 
 def default_archive() -> Path:
-    return archives_folder() / "default"
+    return ARCHIVE_FORMAT.shipped / "default"
 
 
 def some_network() -> Path:
-    return sorted(networks_folder().glob("*/manifest.yaml"))[0].parent
+    return sorted(NETWORK_FORMAT.shipped.glob("*/manifest.yaml"))[0].parent
 
 
 @cache
 def some_driver() -> Path:
     rng = np.random.default_rng(0)
-    from pcs_racing_agents.networks.driver import INPUTS
+    from pcs_racing.planners.network import INPUTS
 
     sizes = (len(INPUTS), 4, 2)
-    layers = Layers(
+    layers = DenseLayers(
         tuple(rng.normal(size=(sizes[i + 1], sizes[i])).astype(np.float32) for i in range(2)),
         tuple(np.zeros(sizes[i + 1], np.float32) for i in range(2)),
     )
@@ -474,9 +473,9 @@ def viewed_table(data: bytes) -> object:
 
 
 CURVE = (
-    ",".join(COLUMNS)
+    ",".join(EVALUATION_COLUMNS)
     + "\n"
-    + ",".join(["0", "100", *("paper" for _ in range(2)), *("1" for _ in range(len(COLUMNS) - 4))])
+    + ",".join(["0", "100", *("paper" for _ in range(2)), *("1" for _ in range(len(EVALUATION_COLUMNS) - 4))])
     + "\n"
 )
 
@@ -515,33 +514,33 @@ TARGETS: dict[str, Target] = {
     ),
     "arrays": Target(unpack_arrays, lambda: [_chunk()], "npz"),
     "archive manifest": Target(
-        manifest_of(default_archive, "manifest.yaml", PolicyArchive.load),
-        files("*/manifest.yaml", archives_folder()),
+        manifest_of(default_archive, "manifest.yaml", load_archive),
+        files("*/manifest.yaml", ARCHIVE_FORMAT.shipped),
         "yaml",
     ),
     "archive arrays": Target(
-        content_of(default_archive, "manifest.yaml", "archive.npz", "arrays_sha256", PolicyArchive.load),
-        files("default/archive.npz", archives_folder()),
+        content_of(default_archive, "manifest.yaml", "archive.npz", "arrays_sha256", load_archive),
+        files("default/archive.npz", ARCHIVE_FORMAT.shipped),
         "npz",
     ),
     "archive name": Target(text_of(load_archive), texts("default", "contest", "archives/default"), "text"),
     "network manifest": Target(
-        manifest_of(some_network, "manifest.yaml", read_network),
+        manifest_of(some_network, "manifest.yaml", load_network),
         lambda: [(some_network() / "manifest.yaml").read_bytes()],
         "yaml",
     ),
     "network weights": Target(
-        content_of(some_network, "manifest.yaml", "weights.safetensors", "weights_sha256", read_network),
+        content_of(some_network, "manifest.yaml", "weights.safetensors", "weights_sha256", load_network),
         lambda: [(some_network() / "weights.safetensors").read_bytes()],
         "binary",
     ),
     "driver manifest": Target(
-        manifest_of(some_driver, "driver.yaml", read_driver),
-        lambda: [(some_driver() / "driver.yaml").read_bytes()],
+        manifest_of(some_driver, "manifest.yaml", read_driver),
+        lambda: [(some_driver() / "manifest.yaml").read_bytes()],
         "yaml",
     ),
     "driver weights": Target(
-        content_of(some_driver, "driver.yaml", "weights.safetensors", "weights_sha256", read_driver),
+        content_of(some_driver, "manifest.yaml", "weights.safetensors", "weights_sha256", read_driver),
         lambda: [(some_driver() / "weights.safetensors").read_bytes()],
         "binary",
     ),
@@ -587,7 +586,7 @@ TARGETS: dict[str, Target] = {
     "loss table": Target(
         as_file(read_curves, "curve.csv"), texts("epoch,training_loss,validation_loss\n0,1.5,2\n1,1,2\n"), "csv"
     ),
-    "ppo curve": Target(as_file(read_curve, "ppo.csv"), texts(CURVE), "csv"),
+    "ppo curve": Target(as_file(read_evaluations, "ppo.csv"), texts(CURVE), "csv"),
     "replay json": Target(
         replay_json, lambda: [_saved(lambda path: save_replay(some_replay(), path), "seed.json")()[0]], "json"
     ),

@@ -128,12 +128,12 @@ MODULES = {
         "pcs_racing_agents/synthesis",
         """
         diverse: diverse
-        evaluate: ; evaluate
+        evaluate scenarios: ; evaluate
         indicators: indicators
         selection: selection
-        explored: explored
+        pareto_archive: pareto_archive
         mo_cma_es: mo_cma_es; synthesize
-        optimisers synthesize: ; synthesize
+        optimisers search synthesize: ; synthesize
         archive_search: ; archive_run
         """,
     ),

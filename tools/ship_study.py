@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pcs_racing_agents.agents.fits import load_fit, save_fit
-from pcs_racing_agents.networks import load_network
+from pcs_racing_agents.networks import load_network, save_network
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.run import Study
 
@@ -30,8 +30,11 @@ def ship(study: Study, checkout: Path) -> list[Path]:
         kinds["gain"] = study.config.responses[0]
     for kind, found in kinds.items():
         name = f"{stem}-{kind}"
-        written.append(replace(load_network(study.network(found)), name=name).save(checkout / "networks" / name))
+        written.append(
+            save_network(replace(load_network(study.network(found)), name=name), checkout / "networks" / name)
+        )
     folder = checkout / "pcs_racing_agents" / "agents" / "fits"
+    folder.mkdir(exist_ok=True)
     for file in sorted([*study.folder.glob("blind/*.yaml"), *study.folder.glob("rivals/psro.yaml")]):
         if file.name != "done.yaml":
             written.append(save_fit(load_fit(file), folder / f"{stem}-{file.name}"))

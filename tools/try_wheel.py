@@ -24,6 +24,7 @@ INSIDE = (
     "pcs_racing/py.typed",
     "pcs_racing/shipped_maps/Tarnfjord/",
     "pcs_racing/shipped_archives/default/archive.npz",
+    "pcs_racing/shipped_drivers/ppo-drive/weights.safetensors",
     "pcs_racing_agents/py.typed",
     "pcs_racing_agents/configs/study_quick.yaml",
     "pcs_racing_agents/shipped_networks/default-paper-regret/weights.safetensors",

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import save_fit
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.jobs import Progress, open_job, run_groups
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
 from pcs_racing_agents.networks.identity import GameIdentity
-from pcs_racing_agents.networks.network_files import load_network
+from pcs_racing_agents.networks.network_files import load_network, save_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.synthesis.diverse import select_diverse
@@ -23,7 +23,7 @@ from pcs_racing_agents.trees.storage import StoredTrees, load_trees, open_trees
 from pcs_racing_agents.trees.tree import RaceTree
 
 if TYPE_CHECKING:
-    from pcs_racing_agents.networks.from_trees import Trained
+    from pcs_racing_agents.networks.from_trees import TrainedOnTrees
 
 __all__ = [
     "choose_blind",
@@ -103,8 +103,8 @@ def stored_trees(study: Study) -> list[StoredTrees]:
 
 def train_networks(study: Study) -> None:
     """Train a network for every target, side by side where there are processes; all have the same trees held out."""
-    from pcs_racing_agents.networks.curves import write_curves
     from pcs_racing_agents.networks.from_trees import trees_identity
+    from pcs_racing_agents.networks.training import write_epochs
 
     config = study.config
     missing = [name for name in config.targets if not (study.network(name) / "learning_curves.csv").is_file()]
@@ -123,8 +123,8 @@ def train_networks(study: Study) -> None:
     told = None if elsewhere is None else study.progress("networks")
     tasks = numbered_tasks(training, settings)
     for done, (i, trained) in enumerate(run_tasks(tasks, elsewhere, "networks"), start=1):
-        trained.network.save(study.network(missing[i]))
-        write_curves(trained.fit, study.network(missing[i]) / "learning_curves.csv")
+        save_network(trained.network, study.network(missing[i]))
+        write_epochs(trained.result, study.network(missing[i]) / "learning_curves.csv")
         if told is not None:
             told(done, len(missing), missing[i])
 
@@ -152,7 +152,7 @@ class _Training:
     about: dict[str, str | int | float | bool]
     progress: Callable[[str], Progress | None] | None
 
-    def __call__(self, settings: TrainSettings) -> "Trained":
+    def __call__(self, settings: TrainSettings) -> "TrainedOnTrees":
         from pcs_racing_agents.networks.from_trees import train_on_trees
 
         places = [(trees, i) for trees in self.trees for i in range(len(trees))]
@@ -213,7 +213,7 @@ def learn_responses(study: Study) -> None:
                 executor=study.executor,
                 progress=study.progress(f"branch tasks ({name})"),
             )
-        network.save(study.network(name))
+        save_network(network, study.network(name))
 
 
 def train_ppo_baseline(study: Study) -> None:
@@ -224,7 +224,7 @@ def train_ppo_baseline(study: Study) -> None:
     config = study.config
     if config.ppo is None:
         return
-    from pcs_racing_agents.learning.ppo.curves import write_curve
+    from pcs_racing_agents.learning.ppo.evaluation import write_evaluations
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
     from pcs_racing_agents.learning.ppo.train import train_ppo
 
@@ -239,5 +239,5 @@ def train_ppo_baseline(study: Study) -> None:
         rules=config.game,
         seeds=tuple((config.seed + seed) % PPO_SEEDS for seed in settings.seeds),
     )
-    load_network(trained.folder).save(study.network("ppo"))
-    write_curve(trained.curves, study.network("ppo") / "curve.csv")
+    save_network(load_network(trained.folder), study.network("ppo"))
+    write_evaluations(trained.curves, study.network("ppo") / "curve.csv")

@@ -37,7 +37,7 @@ def difference_errors(raced: Arrays) -> Floats:
     Parameters
     ----------
     raced : dict of ndarray
-        What :func:`~pcs_racing_agents.synthesis.evaluate.race_block` found: the same R races for all of them.
+        What :func:`~pcs_racing_agents.synthesis.evaluate.race_policies` returned: the same R races for all of them.
     """
     totals, pieces = raced["totals"], raced["pieces"].astype(np.float64)
     races = totals.shape[1]

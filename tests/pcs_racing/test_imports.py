@@ -46,7 +46,7 @@ def test_the_environment_never_imports_the_agents():
 
 
 BEHIND_FUNCTIONS = (
-    "pcs_racing_agents/learning/ppo/vec_env.py",
+    "pcs_racing_agents/learning/ppo/vector_env.py",
 )  # a class of Stable-Baselines3; imported when it trains
 
 

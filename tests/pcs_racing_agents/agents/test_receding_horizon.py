@@ -13,7 +13,7 @@ from pcs_racing.race.config import CONTEST
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Decider, make_setting, parse_agent
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.agents import never_switch, random_moves
+from pcs_racing_agents.agents.blind import never_switch, random_moves
 from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, merge_histories, root_games, search_game
 from pcs_racing_agents.agents.receding_horizon import LEAVES, OPPONENTS, receding_horizon
 from pcs_racing_agents.agents.zoo import build

@@ -9,7 +9,7 @@ import pytest
 from pcs_racing_agents.jobs.executors import tasks_in_flight
 from pcs_racing_agents.jobs.jobs import InputError, JobError, TaskGroup, make_executor, open_job, read_chunk, run_groups
 from pcs_racing_agents.jobs.tasks import Task, in_other_processes, numbered_tasks, run_task, run_tasks
-from pcs_racing_agents.networks.torch_alone import torch_alone
+from pcs_racing_agents.networks.torch_layers import torch_alone
 
 
 def double(task: int) -> dict[str, int]:
