@@ -19,7 +19,7 @@ NEEDS = {
     "": "nothing",
     "fit": "a choice made on training races, the file `ARCHIVE-RACE-{name}.yaml` or `fit=FILE`",
     "network": "the network `ARCHIVE-RACE-{kind}`, or `network=FOLDER`",
-    "agents": "what the agents need that it is made of",
+    "agents": "what its members need",
 }
 
 
