@@ -41,7 +41,7 @@ from pcs_racing_agents.study.racing import _Judge
 from pcs_racing_agents.synthesis.archive_run import draw_policies, stage_scenarios
 from pcs_racing_agents.synthesis.archive_search import BLOCK as POLICIES
 from pcs_racing_agents.synthesis.config import load_archive_config
-from pcs_racing_agents.synthesis.evaluate import blocks, race_block
+from pcs_racing_agents.synthesis.evaluate import race_policies
 from pcs_racing_agents.tournament import runner
 from pcs_racing_agents.tournament.cells import draw_units
 from pcs_racing_agents.trees.storage import _Builder, _Task
@@ -102,7 +102,7 @@ def measure(moves: int) -> dict[str, Cost]:
     stages = zip(("search", "choice", "measurement"), stage_scenarios(load_archive_config("default")), strict=True)
     policies = draw_policies(get_planner("lattice"), POLICIES, np.random.SeedSequence(0))
     for kind, scenarios in stages:
-        keep(kind, partial(race_block, threads=1), blocks(scenarios, policies, POLICIES), loaded=kind != "search")
+        keep(kind, partial(race_policies, threads=1), [(scenarios, policies)], loaded=kind != "search")
 
     games = [replace(make_game(track), threads=1) for track in CIRCUITS]
     game, setting = games[0], make_setting(games[0].archive, games[0].config)

@@ -3,12 +3,7 @@
 ``make(name)`` makes one of the agents that ``names()`` lists.
 """
 
-from pathlib import Path
 from typing import Any
-
-from pcs_racing.base.code_cache import forget_stale_code
-
-forget_stale_code(Path(__file__).parent)
 
 
 def __getattr__(name: str) -> Any:

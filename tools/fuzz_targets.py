@@ -7,7 +7,6 @@ digest would be tested. What takes values (options, actions, seeds) gets values 
 
 import hashlib
 import io
-import json
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -34,6 +33,7 @@ from PIL import Image
 from pcs_racing import load_race_config, load_state, load_track, parse_policy, read_replay
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.reading import plain_yaml, unpack_arrays
+from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.game.state import load_game, save_game
 from pcs_racing.planners.trained import read_driver, save_driver
@@ -52,12 +52,13 @@ from pcs_racing.track.maps import find_map, read_map, shipped_folder
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
-from pcs_racing_agents.jobs.chunk_files import fingerprint, read_chunk, write_chunk
-from pcs_racing_agents.jobs.configuration import plain_settings, shipped_configs
+from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
+from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import chunk_file, open_job
 from pcs_racing_agents.learning.ppo.checkpoint import pack as pack_state
 from pcs_racing_agents.learning.ppo.checkpoint import unpack as unpack_state
-from pcs_racing_agents.learning.ppo.evaluation import COLUMNS, read_evaluations
+from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.networks.ego_rows import ego_values
@@ -73,7 +74,7 @@ from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees
 from pcs_racing_agents.view.contests import open_results
 from pcs_racing_agents.view.race_columns import packed_columns, race_columns
 
-__all__ = ["GROUPS", "TARGETS", "Target"]
+__all__ = ["TARGETS", "Target"]
 
 MAP = Path("fuzzed")
 ROS = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25}
@@ -421,6 +422,10 @@ def texts(*values: str) -> Callable[[], list[bytes]]:
     return lambda: [value.encode() for value in values]
 
 
+def values(size: int) -> Callable[[], list[bytes]]:
+    return lambda: [bytes(range(k, k + size)) for k in range(0, 250 - size, 13)]
+
+
 # Tables
 
 RESULTS = (
@@ -468,9 +473,9 @@ def viewed_table(data: bytes) -> object:
 
 
 CURVE = (
-    ",".join(COLUMNS)
+    ",".join(EVALUATION_COLUMNS)
     + "\n"
-    + ",".join(["0", "100", *("paper" for _ in range(2)), *("1" for _ in range(len(COLUMNS) - 4))])
+    + ",".join(["0", "100", *("paper" for _ in range(2)), *("1" for _ in range(len(EVALUATION_COLUMNS) - 4))])
     + "\n"
 )
 
@@ -596,54 +601,13 @@ TARGETS: dict[str, Target] = {
     "agent text": Target(
         text_of(lambda text: parse_agent(text, setting())), texts(*AGENTS), "text", ("=", ",", ":", "[1]", "{a: 1}")
     ),
-    "opponents": Target(opponents, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "game options": Target(game_options, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "race options": Target(race_options, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "drive options": Target(drive_options, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "drive environments": Target(drive_envs, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "drive actions and seeds": Target(
-        drive_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
-    ),
-    "duel environments": Target(duel_envs, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "duel actions and seeds": Target(
-        duel_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
-    ),
-    "head-to-head inputs": Target(
-        head_to_head_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
-    ),
+    "opponents": Target(opponents, values(40), "values"),
+    "game options": Target(game_options, values(40), "values"),
+    "race options": Target(race_options, values(40), "values"),
+    "drive options": Target(drive_options, values(40), "values"),
+    "drive environments": Target(drive_envs, values(40), "values"),
+    "drive actions and seeds": Target(drive_inputs, values(60), "values"),
+    "duel environments": Target(duel_envs, values(40), "values"),
+    "duel actions and seeds": Target(duel_inputs, values(60), "values"),
+    "head-to-head inputs": Target(head_to_head_inputs, values(60), "values"),
 }
-
-
-GROUPS = {
-    "map yaml": ("map yaml", "map info yaml", "map folder", "track of a yaml"),
-    "map pictures": ("map picture", "track of a picture"),
-    "map csv": ("map centre line", "map race line", "track of a centre line", "track of a race line"),
-    "yaml and arrays as such": ("yaml", "arrays"),
-    "archives": ("archive manifest", "archive arrays"),
-    "networks and drivers": ("network manifest", "network weights", "driver manifest", "driver weights"),
-    "trees": ("tree manifest", "tree chunk, signed", "ego tree manifest", "ego tree chunk, signed"),
-    "jobs, chunks and checkpoints": ("job manifest", "chunk", "chunk, signed", "ppo checkpoint"),
-    "states of races and games": ("race state", "game state"),
-    "replays": ("replay json", "replay page"),
-    "configurations and fits": (
-        "fit", "race config", "training config", "archive config", "study config", "ppo config", "response config",
-    ),
-    "tables and results": (
-        "results table", "results in the viewer", "results manifest", "exploitability table", "loss table", "ppo curve",
-    ),
-    "names and texts": ("track name", "archive name", "policy text", "agent text"),
-    "inputs of environments": (
-        "opponents", "game options", "race options", "drive options", "drive environments", "drive actions and seeds",
-        "duel environments", "duel actions and seeds", "head-to-head inputs",
-    ),
-}  # fmt: skip
-"""The targets by what is read, for short tables."""
-
-
-def main() -> None:
-    """Print what there is."""
-    print(json.dumps({name: target.kind for name, target in TARGETS.items()}, indent=1))
-
-
-if __name__ == "__main__":
-    main()

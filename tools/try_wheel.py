@@ -18,7 +18,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 EXTRAS = "mapping,plots,learning"
-NOT_IN_BASE = ("torch", "stable_baselines3", "matplotlib", "scipy", "cma", "moocore", "pandas", "skimage", "clarabel")
+NOT_IN_BASE = ("torch", "stable_baselines3", "matplotlib", "cma", "moocore", "pandas", "skimage", "clarabel")
 INSIDE = (
     "pcs_racing/replay.html",
     "pcs_racing/py.typed",

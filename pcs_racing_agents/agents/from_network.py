@@ -11,7 +11,7 @@ from pcs_racing_agents.agents.decisions import get_decision
 from pcs_racing_agents.agents.observing import Observations
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build_member
-from pcs_racing_agents.jobs.chunk_files import fingerprint
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network

@@ -151,7 +151,7 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
 def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
     """Open folders of ego trees; what is returned learns from them."""
     from pcs_racing_agents.jobs.jobs import show_progress
-    from pcs_racing_agents.jobs.tasks import in_other_processes, run_one
+    from pcs_racing_agents.jobs.tasks import in_other_processes, run_task
     from pcs_racing_agents.networks.from_ego import check_ego_target, ego_score_table, train_on_ego
     from pcs_racing_agents.networks.from_trees import trees_identity
     from pcs_racing_agents.networks.metrics import score_table
@@ -175,7 +175,7 @@ def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> 
             about=_about(made),
             learning=show_progress("epochs") if elsewhere is None else None,
         )
-        trained = run_one(train, trees, elsewhere, "learning")
+        trained = run_task(train, trees, elsewhere, "learning")
         table = ego_score_table(score_table(trained.rows, {}), trained.scores)
         scores = [
             {"strategy": who, "root": i, "utility": value}

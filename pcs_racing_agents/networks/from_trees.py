@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.jobs.jobs import Progress
-from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes, run_one
+from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
 from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
 from pcs_racing_agents.networks.network import RegretNetwork
@@ -103,8 +103,8 @@ def train_on_trees(
     held_out = hold_out(numbers, settings, 3 if settings.test_share > 0.0 else 2, "trees")
     solve = _Solver(settings, len(identity.moves) - 1 if identity.moves[-1] == "stay" else None)
     rows: list[Rows | None] = [None] * len(held_out)
-    tasks = each(solve, (tree_at(i) for i in range(len(held_out))))
-    for done, (i, found) in enumerate(completed(tasks, executor, "solving trees"), start=1):
+    tasks = numbered_tasks(solve, (tree_at(i) for i in range(len(held_out))))
+    for done, (i, found) in enumerate(run_tasks(tasks, executor, "solving trees"), start=1):
         rows[i] = found
         if solving is not None:
             solving(done, len(held_out), f"solved for {settings.target}")
@@ -113,7 +113,7 @@ def train_on_trees(
     test = [i for i, part in enumerate(rows) if part is not None and held_out[i]]
     elsewhere = in_other_processes(executor)
     learn = _Learner(known, identity, name, learning if elsewhere is None else None)
-    network, result = run_one(learn, settings, elsewhere, "learning")
+    network, result = run_task(learn, settings, elsewhere, "learning")
     kept_back = join_rows(judged) if judged else known.take(np.isin(known.pair, result.validation_pairs))
     scores, trees = score_rows(network, kept_back), {}
     summary = {"trees": len(held_out), "test_trees": len(test), **dict(network.training), **(about or {})}

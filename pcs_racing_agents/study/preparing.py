@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import save_fit
-from pcs_racing_agents.jobs.configuration import plain_settings
-from pcs_racing_agents.jobs.jobs import Progress, open_job, run_parts
-from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes
+from pcs_racing_agents.jobs.jobs import Progress, open_job, run_groups
+from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
 from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.network_files import load_network, save_network
@@ -77,7 +77,7 @@ def play_on_circuits(study: Study, stage: str, pairs: int, seed: int) -> dict[st
     config = study.config
     folders = {name: study.folder / stage / name for name in config.circuits}
     with ExitStack() as opened:
-        parts = [
+        groups = [
             opened.enter_context(
                 open_trees(
                     study.tree_game(name),
@@ -90,7 +90,7 @@ def play_on_circuits(study: Study, stage: str, pairs: int, seed: int) -> dict[st
             )
             for number, (name, folder) in enumerate(folders.items())
         ]
-        run_parts(parts, executor=study.executor, progress=study.progress("trees"), keep=False)
+        run_groups(groups, executor=study.executor, progress=study.progress("trees"), keep=False)
     return {name: load_trees(folder, study.archive) for name, folder in folders.items()}
 
 
@@ -121,7 +121,8 @@ def train_networks(study: Study) -> None:
         progress=study.progress if elsewhere is None else None,
     )
     told = None if elsewhere is None else study.progress("networks")
-    for done, (i, trained) in enumerate(completed(each(training, settings), elsewhere, "networks"), start=1):
+    tasks = numbered_tasks(training, settings)
+    for done, (i, trained) in enumerate(run_tasks(tasks, elsewhere, "networks"), start=1):
         save_network(trained.network, study.network(missing[i]))
         write_epochs(trained.result, study.network(missing[i]) / "learning_curves.csv")
         if told is not None:

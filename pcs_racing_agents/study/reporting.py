@@ -9,8 +9,8 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv

@@ -20,6 +20,7 @@ import numpy as np
 import yaml
 
 from pcs_racing import InputError, load_archive, load_race_config, load_state, load_track, parse_policy, read_replay
+from pcs_racing.base.settings import read_settings
 from pcs_racing.envs.drive_vector import DriveVectorEnv
 from pcs_racing.envs.duel_vector import DuelVectorEnv
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT
@@ -27,8 +28,7 @@ from pcs_racing.game.state import load_game
 from pcs_racing.track.map_files import parse_csv, parse_grid, parse_ros_yaml
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents.fits import load_fit
-from pcs_racing_agents.jobs.chunk_files import read_chunk, write_chunk
-from pcs_racing_agents.jobs.configuration import read_mapping
+from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
@@ -107,7 +107,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     readers: dict[str, Callable[[Path], object]] = {
         "map": lambda path: parse_ros_yaml(path, path.read_bytes()),
         "race config": load_race_config,
-        "config": read_mapping,
+        "config": read_settings,
         "fit": load_fit,
     }
     for what, text in TEXTS.items():

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.learning.ppo.learner import Learner
 
 __all__ = ["pack", "restore_learner", "store_learner", "under"]

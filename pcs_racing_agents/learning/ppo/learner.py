@@ -15,7 +15,7 @@ import numpy as np
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.network import INPUTS
-from pcs_racing_agents.learning.ppo.settings import DriveSettings, Settings
+from pcs_racing_agents.learning.ppo.settings import DriveSettings, PPOSettings
 from pcs_racing_agents.learning.ppo.tasks import EnvGroup
 from pcs_racing_agents.networks.torch_layers import layers_from_torch, torch_alone
 
@@ -54,7 +54,7 @@ class Learner(NamedTuple):
 class LinearRate:
     """A learning-rate schedule that falls linearly with the steps made so far."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: PPOSettings) -> None:
         self.first, self.last, self.total = settings.learning_rate, settings.final_learning_rate, settings.steps
         self.steps = 0
 
@@ -90,12 +90,14 @@ def own_randomness() -> Iterator[None]:
             torch.set_rng_state(kept[2])
 
 
-def make_learner(settings: Settings, groups: Sequence[EnvGroup], seed: int, activation: str, limit: float) -> Learner:
+def make_learner(
+    settings: PPOSettings, groups: Sequence[EnvGroup], seed: int, activation: str, limit: float
+) -> Learner:
     """Make a learner that has learned nothing yet.
 
     Parameters
     ----------
-    settings : Settings
+    settings : PPOSettings
     groups : sequence of EnvGroup
         What it is to drive in.
     seed : int

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.learning.ppo.checkpoint import restore_learner, store_learner, under
 from pcs_racing_agents.learning.ppo.evaluation import EvaluationCurve, Matchup, Score, mean_score
 from pcs_racing_agents.learning.ppo.learner import Learner, actor_layers, learn_once, make_learner, own_randomness
-from pcs_racing_agents.learning.ppo.settings import Settings
+from pcs_racing_agents.learning.ppo.settings import PPOSettings
 from pcs_racing_agents.learning.ppo.tasks import LearningTask
 
 __all__ = ["SeedRecord", "SeedTraining"]
@@ -123,7 +123,7 @@ class SeedTraining:
     Attributes
     ----------
     task : LearningTask
-    settings : Settings
+    settings : PPOSettings
     seconds : float
         Length of a piece; it has no influence on the result, nor has the process that does it.
     on_update : callable, optional
@@ -131,7 +131,7 @@ class SeedTraining:
     """
 
     task: LearningTask
-    settings: Settings
+    settings: PPOSettings
     seconds: float
     on_update: Callable[[SeedRecord], None] | None = None
 

@@ -16,10 +16,10 @@ from typing import Any
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
-from pcs_racing_agents.jobs.chunk_files import Arrays
-from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Progress, open_job
 from pcs_racing_agents.jobs.tasks import in_other_processes
 from pcs_racing_agents.learning.ppo.drives import make_drive_task
@@ -27,7 +27,7 @@ from pcs_racing_agents.learning.ppo.duels import make_duel_task
 from pcs_racing_agents.learning.ppo.evaluation import EvaluationCurve, Matchup, Score, mean_score, write_evaluations
 from pcs_racing_agents.learning.ppo.learner import FIGURES, check_packages
 from pcs_racing_agents.learning.ppo.seed_training import SeedRecord, SeedTraining
-from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, Settings, load_ppo_settings
+from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, PPOSettings, load_ppo_settings
 from pcs_racing_agents.learning.ppo.tasks import LearningTask
 
 __all__ = ["PPOResult", "check_checkpoint_seconds", "make_task", "train_ppo"]
@@ -41,7 +41,7 @@ class PPOResult:
 
     Attributes
     ----------
-    settings : Settings
+    settings : PPOSettings
     task : LearningTask
     curves : tuple of EvaluationCurve
         Of each seed.
@@ -59,7 +59,7 @@ class PPOResult:
         Holds the weights, what describes them, and the curves.
     """
 
-    settings: Settings
+    settings: PPOSettings
     task: LearningTask
     curves: tuple[EvaluationCurve, ...]
     layers: DenseLayers
@@ -71,7 +71,7 @@ class PPOResult:
 
 
 def train_ppo(
-    config: str | Path | Settings,
+    config: str | Path | PPOSettings,
     folder: str | Path,
     *,
     name: str | None = None,
@@ -86,7 +86,7 @@ def train_ppo(
 
     Parameters
     ----------
-    config : str, Path or Settings
+    config : str, Path or PPOSettings
         A shipped configuration's name, a YAML file, or settings.
     folder : str or Path
         A new or empty folder, or that of the same training. It gets ``policy/`` (the weights, what describes them, and
@@ -109,7 +109,7 @@ def train_ppo(
     rules : GameConfig, optional
         Of the game, in place of the race and the size of moves that the settings of a duel name.
     **changes
-        Settings that are to be others.
+        PPOSettings that are to be others.
 
     Returns
     -------
@@ -150,7 +150,11 @@ def train_ppo(
     trainer = SeedTraining(task, settings, checkpoint_seconds, report if elsewhere is None else None)
     with open_job(folder, "ppo", identity) as job:
         states = job.run_chains(
-            "seed", trainer, settings.seeds, executor=elsewhere, told=lambda index, state: report(read(index, state))
+            "seed",
+            trainer,
+            settings.seeds,
+            executor=elsewhere,
+            on_state=lambda index, state: report(read(index, state)),
         )
         runs = [read(index, state) for index, state in enumerate(states)]
         run = max(runs, key=lambda run: run.best_worth)  # of equals the first
@@ -174,13 +178,13 @@ def train_ppo(
 
 
 def make_task(
-    settings: Settings, *, archive: PolicyArchive | None = None, rules: GameConfig | None = None
+    settings: PPOSettings, *, archive: PolicyArchive | None = None, rules: GameConfig | None = None
 ) -> LearningTask:
     """Load circuits, archive and opponents, and check that they fit together.
 
     Parameters
     ----------
-    settings : Settings
+    settings : PPOSettings
     archive, rules : optional
         Those of the game, in place of what the settings of a duel name.
 

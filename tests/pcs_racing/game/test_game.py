@@ -423,7 +423,7 @@ def test_unknown_names_are_one_clear_error(track):
         make_game("Nowhere")
     with pytest.raises(UnknownNameError, match="unknown archive 'nothing'"):
         make_game(track, "nothing")
-    with pytest.raises(UnknownNameError, match="race preset 'rally' is unknown"):
+    with pytest.raises(UnknownNameError, match="race settings 'rally' are unknown"):
         make_game(track, race="rally")
     with pytest.raises(UnknownNameError, match="characteristic 'charm' is unknown"):
         make_game(track, characteristics=("charm",))

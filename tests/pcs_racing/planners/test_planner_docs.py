@@ -1,11 +1,7 @@
 """docs/planners.md says what the code says, and its code runs."""
 
-import re
-import subprocess
-import sys
-
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, python_blocks, run_python
 
 from pcs_racing import get_planner
 from pcs_racing.planners import planner
@@ -48,22 +44,16 @@ def test_every_shipped_planner_is_on_the_page(name):
     assert f"| `{name}` |" in PAGE
 
 
-def run(*command: str) -> list[str]:
-    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=REPOSITORY, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
-
-
 def test_the_pages_code_runs(tmp_path):
-    blocks = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    blocks = python_blocks(PAGE)
     assert len(blocks) >= 5
     page = tmp_path / "page.py"
     page.write_text("\n".join([*blocks, "print(result.state.memory[0, 0].max() > 10, policy.planner.name)\n"]))
-    assert run(str(page))[-1] == "True follower"
+    assert run_python(str(page)).splitlines()[-1] == "True follower"
 
 
 def test_the_example_runs():
-    rows = run("examples/custom_planner.py", "--races", "4", "--track", "Pipkin")
+    rows = run_python("examples/custom_planner.py", "--races", "4", "--track", "Pipkin").splitlines()
     assert len([row for row in rows[:7] if row]) == 7
     assert "60 races of 40 s, preset contest, on Pipkin; seed 0" in rows  # its drivers against agents of the zoo
     assert any(row.startswith("caution 0.3 ") for row in rows)

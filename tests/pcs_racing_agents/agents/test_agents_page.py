@@ -1,11 +1,10 @@
 """docs/agents.md and docs/zoo.md: the code runs, and what the zoo says of itself stands there."""
 
-import re
 import sys
 
 import numpy as np
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, python_blocks, run_block
 
 from pcs_racing_agents import make, names
 from pcs_racing_agents.agents import make_setting, measured
@@ -24,7 +23,7 @@ sys.path.remove(str(REPOSITORY / "tools"))
 DOCS = REPOSITORY / "docs"
 PAGE = (DOCS / "agents.md").read_text(encoding="utf-8")
 ZOO_PAGE = (DOCS / "zoo.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+BLOCKS = python_blocks(PAGE)
 AGAIN = "run: python benchmarks/zoo.py --write"
 
 made_under_v0 = pytest.mark.xfail(
@@ -35,7 +34,7 @@ made_under_v0 = pytest.mark.xfail(
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_the_code_runs(number, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    exec(compile(BLOCKS[number], "docs/agents.md", "exec"), {"__name__": "snippet"})
+    run_block(BLOCKS[number])
 
 
 @made_under_v0

@@ -238,7 +238,7 @@ def test_policies_lists_every_planner_and_parameter(run):
         (["race", "--track", "no/such folder", *PAIR], "no/such folder"),
         (["race", "--track", "Pipkin", "--ego", "latice", "--opponent", "lattice"], "did you mean 'lattice'?"),
         (["race", "--track", "Pipkin", "--ego", "lattice:pace=nan", "--opponent", "lattice"], "must be finite"),
-        (["race", "--track", "Pipkin", *PAIR, "--preset", "cup"], "race preset 'cup' is unknown"),
+        (["race", "--track", "Pipkin", *PAIR, "--preset", "cup"], "race settings 'cup' are unknown"),
         (["race", "--track", "Pipkin", *PAIR, "--duration", "-1"], "duration is -1.0"),
         (["race", "--track", "Pipkin", *PAIR, "--seed", "-1"], "seed is -1"),
         (["race", "--track", "Pipkin", *PAIR, "--index", "-1"], "index is -1"),

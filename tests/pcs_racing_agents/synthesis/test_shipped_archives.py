@@ -12,7 +12,7 @@ from pcs_racing.testing import check_archive
 from pcs_racing_agents.synthesis import load_archive_config
 from pcs_racing_agents.synthesis.archive_report import stated_settings
 from pcs_racing_agents.synthesis.archive_run import stage_scenarios
-from pcs_racing_agents.synthesis.evaluate import Block, race_block, summarise
+from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
 
 made_under_v0 = pytest.mark.xfail(
     reason="shipped archives, networks and figures were made under -v0; they are made again once all races have changed"
@@ -71,7 +71,7 @@ def test_its_coordinates_are_what_the_measuring_races_give(name):
     archive = load_archive(name)
     _, _, final = stage_scenarios(load_archive_config(name))
     chosen = [0, len(archive) - 1]
-    found = summarise(race_block(Block(final, archive.parameters[chosen])))
+    found = summarise(race_policies((final, archive.parameters[chosen])))
     assert (np.abs(found.coordinates - archive.coordinates[chosen]) <= archive.spread[chosen]).all()
     np.testing.assert_allclose(found.own_crash, archive.own_crash[chosen], atol=0.05)
 

@@ -12,9 +12,9 @@ import yaml
 
 from pcs_racing import load_track, save_archive
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.study.config import StudyConfig

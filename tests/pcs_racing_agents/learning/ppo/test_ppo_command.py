@@ -3,8 +3,8 @@ from dataclasses import replace
 import pytest
 import yaml
 
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.configuration import plain_settings
 
 
 @pytest.fixture

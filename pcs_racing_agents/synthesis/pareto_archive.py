@@ -1,4 +1,4 @@
-"""Everything that was evaluated in a search, and the archive in it: the points that none of its others beats."""
+"""The archive of a search: everything evaluated, and which of its points no other beats."""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.synthesis.indicators import non_dominated
 
-__all__ = ["Explored", "Scale"]
+__all__ = ["ParetoArchive", "Scale"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -31,7 +31,7 @@ class Scale(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Explored:
+class ParetoArchive:
     """All points of a search so far. A value: adding points gives a new one.
 
     Attributes
@@ -63,8 +63,8 @@ class Explored:
         object.__setattr__(self, "front", rows[kept])
 
     @classmethod
-    def nothing(cls, parameters: int) -> "Explored":
-        """Return what is known before the first evaluation."""
+    def empty(cls, parameters: int) -> "ParetoArchive":
+        """Return an archive without points."""
         none = np.zeros(0)
         return cls(np.zeros((0, parameters)), np.zeros((0, 0)), none, none.astype(np.int64), none.astype(np.bool_))
 
@@ -73,11 +73,11 @@ class Explored:
 
     def joined(
         self, parameters: Floats, objectives: Floats, violation: Floats, member: NDArray[np.bool_] | None = None
-    ) -> "Explored":
+    ) -> "ParetoArchive":
         """Return this with n more points, all of them members of the archive unless stated."""
         count = len(parameters)
         known = self.objectives if len(self) else np.zeros((0, objectives.shape[1]))
-        return Explored(
+        return ParetoArchive(
             np.concatenate([self.parameters, parameters]),
             np.concatenate([known, objectives]),
             np.concatenate([self.violation, violation]),
@@ -85,7 +85,7 @@ class Explored:
             np.concatenate([self.member, np.ones(count, np.bool_) if member is None else member]),
         )
 
-    def averaged(self, rows: Indices, objectives: Floats, violation: Floats) -> "Explored":
+    def averaged(self, rows: Indices, objectives: Floats, violation: Floats) -> "ParetoArchive":
         """Return this with one more evaluation of some points in their means; a point may be there several times."""
         means, violations, counts = self.objectives.copy(), self.violation.copy(), self.evaluations.copy()
         for row, value, excess in zip(rows, objectives, violation, strict=True):
@@ -94,7 +94,7 @@ class Explored:
             violations[row] += (excess - violations[row]) / counts[row]
         return replace(self, objectives=means, violation=violations, evaluations=counts)
 
-    def replaced(self, objectives: Floats, violation: Floats) -> "Explored":
+    def replaced(self, objectives: Floats, violation: Floats) -> "ParetoArchive":
         """Return this with other values of the front's points; members outside the front leave the archive.
 
         For objectives that have changed their meaning: values from before can't be compared with those from after.

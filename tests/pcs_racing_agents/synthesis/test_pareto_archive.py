@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pcs_racing_agents.synthesis.explored import Explored
+from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive
 
 
 def known(seed=0, count=30, axes=2):
@@ -12,7 +12,7 @@ def known(seed=0, count=30, axes=2):
     objectives = rng.normal(size=(count, axes)).round(1)
     objectives[5] = objectives[4]
     violation, member = rng.normal(-0.5, 0.6, count), rng.random(count) < 0.8
-    return Explored.nothing(3).joined(rng.random((count, 3)), objectives, violation, member)
+    return ParetoArchive.empty(3).joined(rng.random((count, 3)), objectives, violation, member)
 
 
 def beats(one, other):
@@ -34,7 +34,7 @@ def test_the_front_is_what_no_other_feasible_member_beats_and_the_first_of_equal
 
 
 def test_points_are_added_as_members_unless_stated():
-    one = Explored.nothing(2).joined(np.array([[0.1, 0.2]]), np.array([[1.0, 2.0, 3.0]]), np.array([-1.0]))
+    one = ParetoArchive.empty(2).joined(np.array([[0.1, 0.2]]), np.array([[1.0, 2.0, 3.0]]), np.array([-1.0]))
     assert len(one) == 1
     assert (one.evaluations.tolist(), one.member.tolist(), one.front.tolist()) == ([1], [True], [0])
     two = one.joined(np.array([[0.3, 0.4]]), np.array([[9.0, 9.0, 9.0]]), np.array([0.0]), np.array([False]))
@@ -92,7 +92,7 @@ def test_the_scale_runs_from_the_worst_to_the_best_of_the_front():
 
 def test_where_the_front_has_no_extent_all_feasible_points_give_it_or_it_is_1():
     points = np.zeros((3, 3))
-    single = Explored.nothing(3).joined(
+    single = ParetoArchive.empty(3).joined(
         points, np.array([[5.0, 2.0], [4.0, 2.0], [9.0, 9.0]]), np.array([0.0, 0.0, 1.0])
     )
     assert single.front.tolist() == [0]
