@@ -41,7 +41,7 @@ class Mixture:
     setting: Setting
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
+        """Probabilities of the moves, shape (B, M)."""
         now = moves_made(observation, self._axes)
         chances = np.zeros((len(observation), len(self.setting.moves)))
         for step in np.unique(now):
@@ -152,12 +152,16 @@ def psro(
     members : sequence of Agent
         Agents given as objects instead of by name.
     fit : Fit or path, optional
+<<<<<<< HEAD
         Weights computed by :func:`pcs_racing_agents.tournament.fitting.fit_psro`; the shipped ones by default.
+=======
+        Weights chosen_fit by :func:`pcs_racing_agents.tournament.fitting.fit_psro`; the shipped ones by default.
+>>>>>>> h-networks
     """
     facts: dict[str, str] = {}
     if weights is None:
-        found = find_fit("psro", setting, fit)
-        weights, facts = found.choice, fit_facts(found)
+        chosen_fit = find_fit("psro", setting, fit)
+        weights, facts = chosen_fit.choice, fit_facts(chosen_fit)
     elif fit is not None:
         raise InputError(f"agent {name!r} got weights and a fit; give one of the two")
     own = {member.name: member for member in members}

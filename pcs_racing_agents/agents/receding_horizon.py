@@ -2,7 +2,7 @@
 
 The paper solves the whole game beforehand, and names that as the reason for few decisions: with more of them the tree
 becomes too deep. A search from the present state needs no tree of the whole game. It sees where both cars are and how
-fast, but not what the opponent is made of (:mod:`pcs_racing_agents.agents.lookahead`).
+fast, but not the opponent's parameters (:mod:`pcs_racing_agents.agents.lookahead`).
 """
 
 from dataclasses import dataclass
@@ -199,7 +199,7 @@ class RecedingHorizon:
         worth = search.worth(state.race, state.step)
         lead = state.race.lead / LEAD_SCALE
         if search.config.utility == "win":
-            # The opponent is a guess: of two races won or lost alike, the one with more lead is won more surely.
+            # The opponent is a guess: of two races with the same result, the one with more lead is won more surely.
             worth = worth + np.where(state.race.crashed, 0.0, LEAD_BONUS * np.clip(lead, -5.0, 5.0))
         if not done.all():
             if self.network is not None:
