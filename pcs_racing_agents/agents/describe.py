@@ -19,11 +19,7 @@ NEEDS = {
     "": "nothing",
     "fit": "a fit to training races, the file `ARCHIVE-RACE-{name}.yaml` or `fit=FILE`",
     "network": "the network `ARCHIVE-RACE-{kind}`, or `network=FOLDER`",
-<<<<<<< HEAD
     "agents": "what its member agents need",
-=======
-    "agents": "what its members need",
->>>>>>> h-networks
 }
 
 

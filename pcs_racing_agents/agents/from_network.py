@@ -238,13 +238,8 @@ CFR_REGRET_MATCHING = _entry(
 NORMALISED_REGRET = _entry(
     "normalised",
     "argmax",
-<<<<<<< HEAD
     "makes the move with the highest predicted regret, normalised to the same size at every decision",
     "cumulative regret, divided by its largest magnitude at the node",
-=======
-    "makes the move of highest regret, every situation counting the same however rarely the opponent comes there",
-    "cumulative regret, divided by its largest magnitude at the node",
->>>>>>> h-networks
 )
 ADVANTAGE = _entry(
     "advantage",

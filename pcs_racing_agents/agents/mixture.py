@@ -152,11 +152,7 @@ def psro(
     members : sequence of Agent
         Agents given as objects instead of by name.
     fit : Fit or path, optional
-<<<<<<< HEAD
         Weights computed by :func:`pcs_racing_agents.tournament.fitting.fit_psro`; the shipped ones by default.
-=======
-        Weights chosen_fit by :func:`pcs_racing_agents.tournament.fitting.fit_psro`; the shipped ones by default.
->>>>>>> h-networks
     """
     facts: dict[str, str] = {}
     if weights is None:
