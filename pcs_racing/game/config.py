@@ -7,8 +7,8 @@ from typing import Any
 
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Settings, checked, choice, flag, load_settings, number, setting, tenths, whole
-from pcs_racing.game.archive import EPSILON, check_epsilon
 from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.moves import EPSILON, check_epsilon
 from pcs_racing.race.config import PAPER, RaceConfig, load_race_config
 
 __all__ = ["EPSILON_RULE", "UTILITIES", "GameConfig", "load_game_config"]

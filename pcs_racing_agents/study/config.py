@@ -7,7 +7,7 @@ from typing import Any
 
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import Settings, load_settings, names, setting, tenths, text, whole
-from pcs_racing.game.archive import list_archives
+from pcs_racing.game.archive_files import list_archives
 from pcs_racing.game.config import EPSILON_RULE, GameConfig, load_game_config
 from pcs_racing.race.config import load_race_config
 from pcs_racing_agents.jobs.configuration import shipped_configs

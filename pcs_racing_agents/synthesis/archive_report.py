@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing.planners.registry import get_planner
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import package_version
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveProgress
 from pcs_racing_agents.synthesis.config import ArchiveConfig
@@ -99,7 +101,7 @@ def write_archive(
     )
     for axis, high, low in zip(config.axes, archive.ideal, archive.nadir, strict=True):
         facts[f"ideal_{axis}"], facts[f"nadir_{axis}"] = high, low
-    facts["no_op_share"], facts["duplicate_share"] = archive.no_op_share(), archive.duplicate_share()
+    facts["no_op_share"], facts["duplicate_share"] = no_op_share(archive), duplicate_share(archive)
     if len(parameters) < config.fewest:
         _log.warning("the archive holds %d policies; %d were wanted", len(parameters), config.fewest)
     settings = {**stated_settings(config), **_versions(), **notes, **facts}
@@ -107,7 +109,7 @@ def write_archive(
     write_atomically(folder / "hypervolume.csv", lambda file: file.write(_course(history)))
     if find_spec("matplotlib") is not None:
         draw_front(archive, folder / "front.png")
-    archive.save(folder)
+    save_archive(archive, folder)
     return archive
 
 

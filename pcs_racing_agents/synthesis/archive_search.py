@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.diverse import greedy_map, similarity

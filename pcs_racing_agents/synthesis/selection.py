@@ -7,7 +7,7 @@ difference may well belong to the front, so it stays; all policies drive the sam
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 
 __all__ = ["beaten", "difference_errors", "front_layers", "spread_first", "thin_out"]
 

@@ -20,12 +20,12 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.base.settings import Settings, choice, load_settings, number, setting, whole, wholes
 from pcs_racing.game.game import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
-from pcs_racing_agents.agents.blind import Blend
-from pcs_racing_agents.agents.network import FromNetwork
+from pcs_racing_agents.agents.blind import ConstantStrategy
+from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
-from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes
+from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.branches import WORTH, branch_games
 from pcs_racing_agents.learning.responses.ensemble import merge_networks
 from pcs_racing_agents.networks import GameIdentity, RegretNetwork, Rows, game_identity, join_rows, train_network
@@ -158,7 +158,7 @@ def learn_response(
     identity = game_identity(games[0])
     # Opponents may keep their policy whatever the rules; the learner has the moves that the rules offer.
     chances = (np.arange(len(setting.moves)) < len(identity.moves)) / len(identity.moves)
-    random_moves = _agent("random-moves", Blend(chances), setting, settings.seed)
+    random_moves = _agent("random-moves", ConstantStrategy(chances), setting, settings.seed)
     arenas = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
     for game in games:
         if game_identity(game) != identity:
@@ -169,7 +169,7 @@ def learn_response(
     def fit(members: int) -> RegretNetwork:
         learn = partial(_learn, join_rows(rows), identity, name)
         wanted = [settings.train_settings(i) for i in range(members)]
-        found = dict(completed(each(learn, wanted), in_other_processes(executor), f"learning {name}"))
+        found = dict(run_tasks(numbered_tasks(learn, wanted), in_other_processes(executor), f"learning {name}"))
         return merge_networks([found[i] for i in range(members)], name)
 
     steps = games[0].config.moves
@@ -199,7 +199,7 @@ def _agent(name: str, strategy: Any, setting: Setting, seed: int) -> Agent:
 
 
 def _follow(network: RegretNetwork, setting: Setting) -> Agent:
-    return _agent(network.name, FromNetwork(network, "argmax", len(setting.moves)), setting, 0)
+    return _agent(network.name, NetworkStrategy(network, "argmax", len(setting.moves)), setting, 0)
 
 
 def _tasks(games: int, opponents: int, settings: ResponseSettings, step: int, round_: int) -> list[BranchTask]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from repository import REPOSITORY
 
-from pcs_racing import InputError, PolicyArchive, load_archive
+from pcs_racing import InputError, load_archive
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.cli.main import main
@@ -138,7 +138,7 @@ from pcs_racing_agents.synthesis.archive_run import make_archive
 from tests.pcs_racing_agents.synthesis.test_archive_run import TINY
 make_archive(TINY, sys.argv[1], callback=lambda news: time.sleep(0.5))
 """
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(REPOSITORY), str(REPOSITORY / "tests")))}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])}
     process = subprocess.Popen([sys.executable, "-c", code, str(folder)], env=environment)
     while not list(folder.glob("job/chunks/generation-00002-*.npz")):
         assert process.poll() is None
@@ -320,7 +320,7 @@ def test_the_command(tmp_path, capsys):
     assert "<PolicyArchive 'small'" in out
     assert f"archive: {tmp_path / 'a'}" in out
     assert "measurement: generation 0/0, hypervolume " in err
-    assert PolicyArchive.load(tmp_path / "a").name == "small"
+    assert load_archive(tmp_path / "a").name == "small"
     assert main([*arguments, "--config", str(settings), "--name", "other"]) == 2
     assert "its name is 'small', not 'other'" in capsys.readouterr().err
     assert main(["synthesize", "--config", "nothing", "--out", str(tmp_path / "b")]) == 2

@@ -2,6 +2,7 @@ import re
 
 import pytest
 
+from pcs_racing import save_archive
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.trees import load_ego_trees, load_trees
 
@@ -20,7 +21,7 @@ def run(capsys):
 
 @pytest.fixture
 def small(archive, tmp_path):
-    return archive.save(tmp_path / "an archive")
+    return save_archive(archive, tmp_path / "an archive")
 
 
 def test_trees_are_played_and_taken_up(run, small, tmp_path):

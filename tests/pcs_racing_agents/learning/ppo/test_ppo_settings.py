@@ -5,8 +5,8 @@ import pytest
 from pcs_racing import InputError
 from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing_agents.jobs.configuration import shipped_configs
-from pcs_racing_agents.learning.ppo.level import make_level
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
+from pcs_racing_agents.learning.ppo.train import make_task
 from pcs_racing_agents.study import load_study_config
 
 
@@ -79,13 +79,13 @@ def test_unknown_settings_are_told_what_there_is():
 )
 def test_what_settings_name_must_exist(duel_settings, changes, message):
     with pytest.raises(InputError, match=message):
-        make_level(replace(duel_settings, **changes))
+        make_task(replace(duel_settings, **changes))
 
 
 def test_rules_of_one_name_are_refused(drive_settings, tmp_path):
     file = tmp_path / "other.yaml"
     file.write_text("name: short\n")
     with pytest.raises(InputError, match="two of these rules have the same name"):
-        make_level(replace(drive_settings, races=(*drive_settings.races, str(file))))
+        make_task(replace(drive_settings, races=(*drive_settings.races, str(file))))
     with pytest.raises(UnknownNameError, match="planner 'tortoise' is unknown"):
-        make_level(replace(drive_settings, opponents={"tortoise": 1}))
+        make_task(replace(drive_settings, opponents={"tortoise": 1}))

@@ -1,6 +1,6 @@
-"""What an agent loses to an opponent that knows it, without a game tree: it is played against every sequence of moves.
+"""The best response to an agent without a game tree: it is played against every sequence of moves.
 
-An agent whose moves are certain leaves a single race for each sequence of moves of its opponent, so the best reply is
+A deterministic agent leaves a single race for each sequence of moves of its opponent, so the best response is
 found exactly from a few hundred pieces of driving. This is how agents are judged that make the move "stay", which game
 trees leave out.
 """
@@ -16,19 +16,19 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.tournament.matches import game_between, moves_of
 
-__all__ = ["Replies", "best_reply"]
+__all__ = ["ResponseUtility", "best_response_utility"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-class Replies(NamedTuple):
-    """What comes of an agent against everything that its opponent can do.
+class ResponseUtility(NamedTuple):
+    """Utility of an agent against the opponent that responds best, and against random moves.
 
     Attributes
     ----------
     best : float
-        What the agent gets if the opponent knows it and replies best; utility, mean over the seeds.
+        Utility of the agent if the opponent knows it and responds best, mean over the seeds.
     random : float
         What it gets if the opponent draws every move, all with the same chance.
     """
@@ -37,12 +37,12 @@ class Replies(NamedTuple):
     random: float
 
 
-def best_reply(
+def best_response_utility(
     game: RaceGame, agent: Competitor, *, policies: ArrayLike, start: Starts, seeds: ArrayLike, car: int = 0
-) -> Replies:
+) -> ResponseUtility:
     """Play an agent against every sequence of moves of its opponent.
 
-    The opponent replies best to what it sees: the moves that both have made. It knows the agent, but not the seed of
+    The opponent responds best to what it sees: the moves that both have made. It knows the agent, but not the seed of
     the noise; the agent sees what it always sees.
 
     Parameters
@@ -67,7 +67,7 @@ def best_reply(
         If it is a driver, which makes no moves, or something does not fit the game.
     """
     if isinstance(agent, Driver):
-        raise InputError(f"{agent.name!r} is a driver and makes no moves; only agents can be judged by replies")
+        raise InputError(f"{agent.name!r} is a driver and makes no moves; only agents can be judged by responses")
     if car not in (0, 1):
         raise InputError(f"car is {car!r}; it must be 0 or 1")
     options = game.table.shape[1]
@@ -80,25 +80,25 @@ def best_reply(
     for _ in range(arena.config.moves):
         own = moves_of(agent, arena, state, car)
         games = np.repeat(np.arange(state.games), options)
-        replies = np.tile(np.arange(options), state.games)
+        responses = np.tile(np.arange(options), state.games)
         actions = np.zeros((len(games), 2), np.int64)
-        actions[:, car], actions[:, 1 - car] = own[games], replies
-        levels.append((seen[games], replies))
+        actions[:, car], actions[:, 1 - car] = own[games], responses
+        levels.append((seen[games], responses))
         parents.append(games)
         state = arena.step(take_games(state, games), actions)
-        history = (seen[games] * len(arena.move_names) + actions[:, car]) * options + replies
+        history = (seen[games] * len(arena.move_names) + actions[:, car]) * options + responses
         seen = np.unique(history, return_inverse=True)[1].astype(np.int64)
     worth = arena.utility(state)[:, car].astype(np.float64)
-    return Replies(best=_smallest(worth, levels, parents), random=float(worth.mean()))
+    return ResponseUtility(best=_smallest(worth, levels, parents), random=float(worth.mean()))
 
 
 def _smallest(worth: Floats, levels: list[tuple[Indices, Indices]], parents: list[Indices]) -> float:
     """Return what an opponent leaves that makes it small, knowing what it has seen, mean over the seeds."""
-    for (seen, reply), parent in zip(reversed(levels), reversed(parents), strict=True):
-        options = int(reply.max()) + 1
+    for (seen, response), parent in zip(reversed(levels), reversed(parents), strict=True):
+        options = int(response.max()) + 1
         sums = np.zeros((int(seen.max()) + 1, options))
-        np.add.at(sums, (seen, reply), worth)
-        chosen = sums.argmin(axis=1)[seen] == reply
+        np.add.at(sums, (seen, response), worth)
+        chosen = sums.argmin(axis=1)[seen] == response
         above = np.zeros(int(parent.max()) + 1)
         above[parent[chosen]] = worth[chosen]
         worth = above

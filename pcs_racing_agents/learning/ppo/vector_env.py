@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.learning.ppo.parts import Part, part_seeds
+from pcs_racing_agents.learning.ppo.tasks import EnvGroup, group_seeds
 
-__all__ = ["PartsVecEnv"]
+__all__ = ["GroupedVecEnv"]
 
 
-class PartsVecEnv(VecEnv):
-    """Several parts, one after the other, as one vector environment.
+class GroupedVecEnv(VecEnv):
+    """Several groups of environments, one after the other, as one vector environment.
 
     Parameters
     ----------
-    parts : sequence of Part
+    groups : sequence of EnvGroup
         All with the same spaces.
     seed : int
         Root of everything that is drawn in them.
@@ -26,17 +26,17 @@ class PartsVecEnv(VecEnv):
         What rewards are multiplied by.
     """
 
-    def __init__(self, parts: Sequence[Part], seed: int, reward_scale: float = 1.0) -> None:
-        self.parts = list(parts)
+    def __init__(self, groups: Sequence[EnvGroup], seed: int, reward_scale: float = 1.0) -> None:
+        self.groups = list(groups)
         self._root, self._scale = seed, reward_scale
-        self._edges = np.cumsum([0, *(len(part) for part in self.parts)])
+        self._edges = np.cumsum([0, *(len(group) for group in self.groups)])
         self._actions: Any = None
-        super().__init__(int(self._edges[-1]), self.parts[0].observation_space, self.parts[0].action_space)
+        super().__init__(int(self._edges[-1]), self.groups[0].observation_space, self.groups[0].action_space)
 
     def reset(self) -> NDArray[np.float32]:
         """Begin everywhere anew, with the same seeds every time."""
-        seeds = part_seeds(self._root, len(self.parts), 0)
-        return np.concatenate([part.reset(seed) for part, seed in zip(self.parts, seeds, strict=True)])
+        seeds = group_seeds(self._root, len(self.groups), 0)
+        return np.concatenate([group.reset(seed) for group, seed in zip(self.groups, seeds, strict=True)])
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions for `step_wait`."""
@@ -45,7 +45,7 @@ class PartsVecEnv(VecEnv):
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Make the step."""
         pieces = np.split(self._actions, self._edges[1:-1])
-        steps = [part.step(piece) for part, piece in zip(self.parts, pieces, strict=True)]
+        steps = [group.step(piece) for group, piece in zip(self.groups, pieces, strict=True)]
         observations, rewards, terminated, truncated, last = map(np.concatenate, zip(*steps, strict=True))
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -54,13 +54,13 @@ class PartsVecEnv(VecEnv):
         return observations, (rewards * self._scale).astype(np.float32), done, infos
 
     def get_state(self) -> list[Any]:
-        """Return the state of every part."""
-        return [part.get_state() for part in self.parts]
+        """Return the state of every group."""
+        return [group.get_state() for group in self.groups]
 
     def set_state(self, state: Sequence[Any]) -> None:
         """Go on from what `get_state` returned."""
-        for part, one in zip(self.parts, state, strict=True):
-            part.set_state(one)
+        for group, value in zip(self.groups, state, strict=True):
+            group.set_state(value)
 
     def close(self) -> None:
         """Do nothing: there is nothing to let go."""
@@ -72,7 +72,7 @@ class PartsVecEnv(VecEnv):
         return [None for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refuse: environments of a part share their attributes."""
+        """Refuse: environments of a group share their attributes."""
         raise InputError(f"{attr_name!r} can't be set for single environments")
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError
-from pcs_racing_agents.learning.ppo.plain_state import pack, unpack
+from pcs_racing_agents.learning.ppo.checkpoint import pack, unpack
 
 
 class Pair(NamedTuple):
