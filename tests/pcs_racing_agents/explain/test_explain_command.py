@@ -4,6 +4,8 @@ import csv
 from dataclasses import replace
 
 import pytest
+from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.view.contests import open_results, planned_contest
 
 from pcs_racing import load_race_config, load_track
 from pcs_racing.race.replay import read_replay
@@ -14,10 +16,8 @@ from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
-from pcs_racing_agents.tournament.cells import play_cell
 from pcs_racing_agents.tournament.play import record_row
 from pcs_racing_agents.tournament.table import write_rows
-from pcs_racing_agents.view.contests import open_results, planned_contest
 
 AGENTS = ["random-moves", "lane-switcher", "never-switch"]
 

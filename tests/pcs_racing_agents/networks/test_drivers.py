@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 import yaml
+from pcs_racing_agents.tournament.cells import play_cell
 
 from pcs_racing import InputError, get_planner, make_game
 from pcs_racing.base.errors import UnknownNameError
@@ -14,7 +15,6 @@ from pcs_racing_agents.agents import make
 from pcs_racing_agents.networks import driver
 from pcs_racing_agents.networks.layers import Layers
 from pcs_racing_agents.networks.network_files import list_networks, shipped_folder
-from pcs_racing_agents.tournament.cells import play_cell
 
 made_under_v0 = pytest.mark.xfail(
     reason="shipped archives, networks and figures were made under -v0; they are made again once all races have changed"

@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from pcs_racing_agents.tournament.cells import play_cell
 from toy_cells import toy_cells
 
 from pcs_racing import InputError, make_game
@@ -31,7 +32,6 @@ from pcs_racing_agents.study.report_inputs import (
 )
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import overview_rows
-from pcs_racing_agents.tournament.cells import play_cell
 from pcs_racing_agents.tournament.round_robin import round_robin
 
 NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'

@@ -2,15 +2,15 @@ import csv
 
 import numpy as np
 import pytest
+from pcs_racing_agents.study.cell_races import cell_races, read_races
+from pcs_racing_agents.tournament.cells import play_cell
 from toy_cells import toy_cells
 
 from pcs_racing import InputError, make_game
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.study.cell_races import cell_races, read_races
 from pcs_racing_agents.study.table import PAPER_TABLE, make_table
 from pcs_racing_agents.study.table_text import p_text, table_markdown, table_text, write_table
-from pcs_racing_agents.tournament.cells import play_cell
 from pcs_racing_agents.tournament.statistics import compare, holm
 from pcs_racing_agents.tournament.table import write_rows
 

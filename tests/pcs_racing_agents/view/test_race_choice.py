@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from pcs_racing_agents.tournament.result_lines import lines_of
-from pcs_racing_agents.view.race_choice import OUTCOMES, choose_races, outcomes
 from pcs_racing_agents.view.race_columns import race_columns
+
+from pcs_racing_agents.view.race_choice import OUTCOMES, choose_races, outcomes
 
 
 def columns_of(races):

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pcs_racing_agents.tournament.result_lines import lines_of
+from pcs_racing_agents.view.contests import open_results
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import read_replay
 from pcs_racing_agents.tournament.play import record_row
-from pcs_racing_agents.tournament.result_lines import lines_of
-from pcs_racing_agents.view.contests import open_results
 from pcs_racing_agents.view.race_replays import PLACES, RaceDriver, circuit_values, race_values
 
 

@@ -9,6 +9,8 @@ from http.client import HTTPConnection
 import numpy as np
 import pytest
 import yaml
+from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.view.contests import open_results
 
 from pcs_racing import load_track
 from pcs_racing.base.errors import InputError
@@ -20,8 +22,6 @@ from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results, write_rows
-from pcs_racing_agents.tournament.cells import play_cell
-from pcs_racing_agents.view.contests import open_results
 from pcs_racing_agents.view.race_replays import DrivenRace, RaceDriver
 from pcs_racing_agents.view.view_server import MOST_KEPT, RaceService, make_server
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from pcs_racing.base.packing import unpack
 from pcs_racing_agents.tournament.result_lines import lines_of, read_lines
 from pcs_racing_agents.view.contests import open_results
-from pcs_racing_agents.view.race_choice import Pick, choose_races
 from pcs_racing_agents.view.race_columns import RaceColumns, packed_columns, race_columns
+
+from pcs_racing.base.packing import unpack
+from pcs_racing_agents.view.race_choice import Pick, choose_races
 from pcs_racing_agents.view.race_replays import RaceDriver
 from pcs_racing_agents.view.view_page import ViewContent, view_page
 from pcs_racing_agents.view.view_server import RaceService, make_server

@@ -1,7 +1,6 @@
 """Cells of a study whose truth is known: drawn, not driven."""
 
 import numpy as np
-
 from pcs_racing_agents.study.cell_races import CellRaces, Key
 
 STRENGTHS = {"never-switch": 0.0, "best-fixed": 0.5, "cfr-argmax": 0.6, "our-best": 1.1}
