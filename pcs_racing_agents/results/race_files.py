@@ -220,11 +220,11 @@ def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, lis
 
 def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
     """Turn words into numbers, checking each of them."""
+    if not len(lines.at):
+        raise InputError(f"{lines.where} holds no races")
     missing = [name for name in (*NEEDED, *need) if name not in lines.columns]
     if missing:
         raise InputError(f"{lines.where} has no column {missing[0]!r}; it must be a results.csv of races")
-    if not len(lines.at):
-        raise InputError(f"{lines.where} holds no races")
     if len(lines.at) > MOST_RACES:
         raise InputError(f"{lines.where} holds {len(lines.at)} races; at most {MOST_RACES} can be read")
 

@@ -176,6 +176,8 @@ class RaceTable:
     def take(self, rows: ArrayLike) -> "RaceTable":
         """Return some of the races: numbers, or a bool for each."""
         chosen = np.asarray(rows)
+        if chosen.size == 0:
+            chosen = chosen.astype(np.intp)  # an empty list is one of floats
 
         def part(column: Any) -> Any:
             return column._replace(codes=column.codes[chosen]) if isinstance(column, Categorical) else column[chosen]

@@ -13,12 +13,14 @@ from pcs_racing_agents.results.races import Categorical, RaceRow, concatenate_ra
 words = st.sampled_from(["a", "b, c", "", "d"])
 steps = st.integers(0, 3)
 rows = st.builds(
-    RaceRow, ego=words, opponent=words, track=words, seed=st.integers(0, 2**70), race=st.integers(0, 1000),
+    RaceRow, preset=words, ego=words, opponent=words, track=words, lead=st.sampled_from([0.0, -1.5, 99.1234]),
+    seed=st.integers(0, 2**70), race=st.integers(0, 1000),
     start_s=st.integers(-1000, 1000).map(lambda tenths: tenths / 10), side=st.integers(0, 1),
     winner=st.sampled_from(["", "ego", "opponent"]), crash=st.sampled_from(["", "wall", "car"]),
     fault=st.sampled_from(["", "ego", "opponent", "both"]), ego_overtakes=st.integers(0, 300),
     duration=st.integers(0, 400).map(lambda tenths: tenths / 10), opponent_variant=st.integers(0, 300),
     ego_path=st.lists(st.integers(0, 300), max_size=5).map(tuple),
+    ego_variant=steps, opponent_overtakes=steps, opponent_path=st.just(()), ego_moves=st.just(("stay",)),
     opponent_moves=st.lists(st.sampled_from(["stay", "pace +"]), max_size=4).map(tuple),
 )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """From a finished study to what the package ships: its networks, and what was chosen on its training races.
 
     pcs-racing study paper --out out/paper
-    python -m pcs_racing_agents.study.ship paper out/paper .
+    python tools/ship_study.py paper out/paper .
 
 The last argument is a checkout; networks go to ``networks/``, choices to ``pcs_racing_agents/agents/fits/``.
 """
@@ -16,7 +16,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.study.config import load_study_config
-from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.study.study import Study
 
 __all__ = ["main", "ship"]
 
@@ -36,8 +36,7 @@ def ship(study: Study, checkout: Path) -> list[Path]:
     for kind, found in kinds.items():
         name = f"{stem}-{kind}"
         written.append(replace(load_network(study.network(found)), name=name).save(checkout / "networks" / name))
-    folder = checkout / "pcs_racing_agents" / "strategies" / "fits"
-    folder.mkdir(exist_ok=True)
+    folder = checkout / "pcs_racing_agents" / "agents" / "fits"
     for file in sorted([*study.folder.glob("blind/*.yaml"), *study.folder.glob("rivals/psro.yaml")]):
         if file.name != "done.yaml":
             written.append(save_fit(load_fit(file), folder / f"{stem}-{file.name}"))
