@@ -51,16 +51,17 @@ def test_what_is_compiled_already_is_not_announced(tmp_path, capsys):
 def package(tmp_path, monkeypatch) -> Path:
     """A package of three modules, each with cached code; ``top`` imports ``base``."""
     monkeypatch.setattr(config, "CACHE_DIR", "")  # numba keeps code beside the sources
-    cache = tmp_path / "__pycache__"
-    cache.mkdir()
-    (tmp_path / "base.py").write_text("A = 1\n")
-    (tmp_path / "top.py").write_text("from pcs_racing_example import (\n    base,\n)\n")
-    (tmp_path / "other.py").write_text("B = 1\n")
-    forget_stale_code(tmp_path)
+    folder = tmp_path / "pcs_racing_example"
+    cache = folder / "__pycache__"
+    cache.mkdir(parents=True)
+    (folder / "base.py").write_text("A = 1\n")
+    (folder / "top.py").write_text("from pcs_racing_example import (\n    base,\n)\n")
+    (folder / "other.py").write_text("B = 1\n")
+    forget_stale_code(folder)
     for module in ("base", "top", "other"):
         for ending in ("nbi", "1.nbc"):
             (cache / f"{module}.f-1.py311.{ending}").touch()
-    return tmp_path
+    return folder
 
 
 def cached(package: Path) -> set[str]:

@@ -22,6 +22,7 @@ from pcs_racing_agents.jobs.chunk_files import fingerprint, read_chunk, write_ch
 from pcs_racing_agents.jobs.executors import tasks_in_flight
 from pcs_racing_agents.jobs.jobs import JobError, chunk_file, make_executor, open_job, show_progress
 
+CHECKOUT = os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])
 SETTINGS = {"seed": 3, "race": {"duration": 16.0, "tracks": ["Pipkin", "Saltmere"]}}
 
 
@@ -207,7 +208,7 @@ def test_half_written_files_of_a_killed_run_are_cleared_away(tmp_path):
 SCRIPT = """
 import sys, time
 from pcs_racing_agents.jobs.jobs import open_job, make_executor
-from tests.pcs_racing_agents.test_jobs import SETTINGS, slow_square
+from tests.pcs_racing_agents.jobs.test_jobs import SETTINGS, slow_square
 
 if __name__ == "__main__":
     with open_job(sys.argv[1], "squares", SETTINGS) as job, make_executor(sys.argv[2], 2) as executor:
@@ -218,12 +219,11 @@ if __name__ == "__main__":
 @pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is spoken of here")
 @pytest.mark.parametrize("kind", ["serial", "processes"])
 def test_killed_and_started_again_the_files_are_the_same(tmp_path, kind):
-    repository = REPOSITORY
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     folder = tmp_path / "job"
     command = [sys.executable, str(script), str(folder), kind]
-    environment = {**os.environ, "PYTHONPATH": str(repository)}
+    environment = {**os.environ, "PYTHONPATH": CHECKOUT}
     process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
     while len(list(folder.glob("chunks/*.npz"))) < 4:
         assert process.poll() is None
@@ -268,7 +268,7 @@ def parents_alive(task: int) -> dict[str, int]:
 ORPHANS = """
 import sys
 from pcs_racing_agents.jobs.jobs import open_job, make_executor
-from tests.pcs_racing_agents.test_jobs import parents_alive
+from tests.pcs_racing_agents.jobs.test_jobs import parents_alive
 
 if __name__ == "__main__":
     with open_job(sys.argv[1], "squares", {}) as job, make_executor("processes", 2) as executor:
@@ -282,7 +282,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
     script.write_text(ORPHANS)
     pids = tmp_path / "pids"
     pids.mkdir()
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "PID_FOLDER": str(pids)}
+    environment = {**os.environ, "PYTHONPATH": CHECKOUT, "PID_FOLDER": str(pids)}
     process = subprocess.Popen([sys.executable, str(script), str(tmp_path / "job")], env=environment)
     while len(list(pids.iterdir())) < 2:
         assert process.poll() is None

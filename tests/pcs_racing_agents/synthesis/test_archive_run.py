@@ -138,7 +138,7 @@ from pcs_racing_agents.synthesis.archive_run import make_archive
 from tests.pcs_racing_agents.synthesis.test_archive_run import TINY
 make_archive(TINY, sys.argv[1], told=lambda news: time.sleep(0.5))
 """
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])}
     process = subprocess.Popen([sys.executable, "-c", code, str(folder)], env=environment)
     while not list(folder.glob("job/chunks/generation-00002-*.npz")):
         assert process.poll() is None
