@@ -198,7 +198,7 @@ def test_strong_and_safe_stand_beside_each_other(content, parsed):
 def test_without_rows_of_the_paper_nothing_is_said_of_it(content):
     table = replace(content.table, rows=tuple(replace(row, paper=None) for row in content.table.rows))
     page = report_page(ReportContent("", table=table))
-    assert "paper" not in re.sub(r"base64,[^\"]*|the paper&#x27;s test|<style>.*?</style>", "", page, flags=re.DOTALL)
+    assert "paper" not in re.sub(r"base64,[^\"]*|the paper&#39;s test|<style>.*?</style>", "", page, flags=re.DOTALL)
     assert "paper" not in overview_rows(table)[0]
     assert len({len(row) for row in overview_rows(table)}) == 1
 
@@ -212,9 +212,7 @@ def test_sections_without_content_are_left_out():
 
 
 def test_without_matplotlib_the_page_says_so(monkeypatch, content):
-    from pcs_racing_agents.study import markup
-
-    monkeypatch.setattr(markup, "find_spec", lambda name: None)
+    monkeypatch.setattr(report, "find_spec", lambda name: None)
     page = report_page(replace(content, pictures=(), races=[race._replace(picture=b"") for race in content.races]))
     assert "matplotlib is not installed" in page
     assert "<img" not in page
@@ -232,7 +230,6 @@ def test_every_field_is_told(content):
         empty = ReportContent("")
         if name not in ("epsilon", "loss_unit", "judged", "curves", "reward_curves", "title"):
             assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(empty), name
-    assert len(report._SECTIONS) == 12
 
 
 # Races to watch
