@@ -7,18 +7,13 @@ The last argument is a checkout; networks go to ``networks/``, choices to ``pcs_
 """
 
 import argparse
-import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pcs_racing.base.errors import InputError
 from pcs_racing_agents.agents.fits import load_fit, save_fit
-from pcs_racing_agents.networks import load_network
+from pcs_racing_agents.networks import load_network, save_network
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.study import Study
-
-__all__ = ["main", "ship"]
 
 
 def ship(study: Study, checkout: Path) -> list[Path]:
@@ -35,29 +30,26 @@ def ship(study: Study, checkout: Path) -> list[Path]:
         kinds["gain"] = study.config.responses[0]
     for kind, found in kinds.items():
         name = f"{stem}-{kind}"
-        written.append(replace(load_network(study.network(found)), name=name).save(checkout / "networks" / name))
+        written.append(
+            save_network(replace(load_network(study.network(found)), name=name), checkout / "networks" / name)
+        )
     folder = checkout / "pcs_racing_agents" / "agents" / "fits"
+    folder.mkdir(exist_ok=True)
     for file in sorted([*study.folder.glob("blind/*.yaml"), *study.folder.glob("rivals/psro.yaml")]):
         if file.name != "done.yaml":
             written.append(save_fit(load_fit(file), folder / f"{stem}-{file.name}"))
     return written
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Ship what a study has found."""
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], allow_abbrev=False)
     parser.add_argument("config", help="of the study")
     parser.add_argument("folder", type=Path, help="of the study")
     parser.add_argument("checkout", type=Path, help="where networks/ and pcs_racing_agents/ are")
-    given = parser.parse_args(arguments)
-    try:
-        for path in ship(Study(load_study_config(given.config), given.folder), given.checkout):
-            print(path)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+    given = parser.parse_args()
+    for path in ship(Study(load_study_config(given.config), given.folder), given.checkout):
+        print(path)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

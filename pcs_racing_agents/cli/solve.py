@@ -18,7 +18,6 @@ from pcs_racing_agents.trees import load_trees
 __all__ = ["add", "solve_table"]
 
 
-
 NOTE = """value: what car 0 gets; exploitability: half of what both could gain by best responses; units of the utility
 agreement: decisions whose likeliest move is a best one against the exact solution; on path: the same, each as often
 as the exact solution leads to it; decisions at which all moves are worth the same do not count"""

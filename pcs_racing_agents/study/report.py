@@ -15,9 +15,10 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.replay import replay_page
 from pcs_racing_agents.explain.situations import Situations, situations_text
+from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.text_table import is_number
 from pcs_racing_agents.study.highlights import Watched
-from pcs_racing_agents.study.report_inputs import Curve, TreeLoss, mean_losses, mean_scores, places_of
+from pcs_racing_agents.study.report_inputs import TreeLoss, mean_losses, mean_scores, places_of
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin

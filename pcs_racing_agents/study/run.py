@@ -12,7 +12,7 @@ import yaml
 
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.files import write_atomically
-from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.study.clock import seconds_counted
 from pcs_racing_agents.study.config import StudyConfig

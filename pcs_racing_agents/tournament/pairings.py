@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.game import RaceGame
+from pcs_racing.game.moves import move_names
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
@@ -110,7 +111,7 @@ class Pairing:
             duration=matches.duration,
             variants=narrow(self.variants),
             path=narrow(matches.policy),
-            moves=Categorical(self.game.archive.move_names(config.epsilon, True), narrow(matches.moves)),
+            moves=Categorical(move_names(self.game.archive, config.epsilon, True), narrow(matches.moves)),
         )
 
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from pcs_racing.track.track import Track, calibration_values
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.jobs.chunk_files import fingerprint
-from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
-from pcs_racing_agents.jobs.tasks import completed, each
+from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.jobs.fingerprint import fingerprint
+from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.tasks import numbered_tasks, run_tasks
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.matches import Matches, join_matches
 from pcs_racing_agents.tournament.pairings import Pairing
@@ -114,7 +115,7 @@ def play_pairings(
         job.run(kept, worker, blocks, executor=executor, progress=tell, keep=False)
     else:
         tell(0, len(blocks), name)
-        for index, arrays in completed(each(worker, blocks), executor, name):
+        for index, arrays in run_tasks(numbered_tasks(worker, blocks), executor, name):
             results[index] = arrays
             tell(len(results), len(blocks), name)
     index = 0
