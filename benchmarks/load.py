@@ -148,7 +148,7 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
         played = play_plan(plan, job=job, executor=workers, progress=progress)
         used = time.process_time() - processor - apart
         print(
-            f"{len(played.rows)} races: {used:.0f} s of processor time, {1e3 * used / len(played.rows):.2f} ms a race"
+            f"{len(played.races)} races: {used:.0f} s of processor time, {1e3 * used / len(played.races):.2f} ms a race"
         )
         print(f"with what came of them: {resident_megabytes():.0f} MB, at most so far {peak_megabytes():.0f} MB")
         begin = time.process_time()

@@ -11,13 +11,12 @@ import numpy as np
 
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.cli.options import Commands, add_command, output_file
+from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.solvers.compare import METHODS, MethodRow, compare_methods
 from pcs_racing_agents.trees import load_trees
 
 __all__ = ["add", "solve_table"]
 
-
-COLUMNS = ("tree", "policies", "method", "value", "exploitability", "agreement", "on path", "ms")
 
 NOTE = """value: what car 0 gets; exploitability: half of what both could gain by best responses; units of the utility
 agreement: decisions whose likeliest move is a best one against the exact solution; on path: the same, each as often
@@ -95,12 +94,7 @@ def solve_table(solved: Sequence[SolvedTree]) -> str:
     for i, rows in enumerate(zip(*(tree.rows for tree in solved), strict=True)):
         mean = MethodRow(rows[0].method, *(float(np.mean(numbers)) for numbers in list(zip(*rows, strict=True))[1:]))
         lines.append(("mean" if i == 0 else "", "", *_cells(mean)))
-    widths = [max(len(line[column]) for line in lines) for column in range(len(COLUMNS))]
-    left = {0, 1, 2}
-    table = "\n".join(
-        "  ".join(c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(line, widths, strict=True)))
-        for line in lines
-    )
+    table = "\n".join(aligned(lines, left=3))
     return f"{table}\n\n{NOTE}"
 
 

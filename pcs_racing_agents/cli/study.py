@@ -35,11 +35,12 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.cli.estimates import announce, cores_of, stage_estimates
     from pcs_racing_agents.jobs.jobs import executor_from
     from pcs_racing_agents.study import load_study_config, run_study
-    from pcs_racing_agents.study.run import stage_seconds, stages_to_run
+    from pcs_racing_agents.study.run import stages_to_run
+    from pcs_racing_agents.study.stages import stage_seconds
 
     changes = {} if arguments.seed is None else {"seed": arguments.seed}
     config = load_study_config(arguments.config, **changes)
-    left = stages_to_run(config, arguments.out, arguments.stage)
+    left = {stage.name for stage in stages_to_run(config, arguments.out, arguments.stage)}
     seconds = sum(spent for stage, spent in stage_estimates(config).items() if stage in left)
     with executor_from(arguments) as executor:
         announce(seconds, cores_of(arguments))

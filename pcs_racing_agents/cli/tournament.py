@@ -88,6 +88,6 @@ def run(arguments: argparse.Namespace) -> None:
         with open_job(arguments.out, "tournament", tournament_settings(plan)) as job:
             tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
             print(tournament_text(tournament))
-            print(f"results: {write_results(tournament, arguments.out / 'results.csv')}")
+            print(f"results: {write_results(tournament.races, arguments.out / 'results.csv')}")
             if can_draw("the payoff matrix"):
                 print(f"picture: {payoff_picture(tournament, arguments.out / 'payoffs.png')}")

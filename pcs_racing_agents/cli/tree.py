@@ -11,6 +11,7 @@ from pcs_racing.game.game import RaceGame, make_game
 from pcs_racing_agents.cli.estimates import announce, cores_of, ego_seconds, tree_seconds
 from pcs_racing_agents.cli.options import Commands, add_command, add_preset, add_track
 from pcs_racing_agents.jobs.jobs import Progress, add_executor_options, executor_from, show_progress
+from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.trees import StoredTrees, build_ego_trees, build_trees
 from pcs_racing_agents.trees.ego import OPPONENTS
 from pcs_racing_agents.trees.paths import check_size
@@ -124,8 +125,7 @@ def tree_table(trees: StoredTrees) -> str:
         total.append(s)
         first, second = tree.policies
         rows.append((str(i), f"{first} {second}", f"{tree.start_s:.1f} m", str(tree.side), str(s.seeds), *_shares(s)))
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    lines = aligned(rows, left=0)
     driven, live, shared, replayed = (sum(getattr(s, key) for s in total) for key in TreeStatistics._fields[1:5])
     lines += [
         f"{driven} segments driven of {live} different ones: {driven / shared:.0%} of the {shared} of trees that share "

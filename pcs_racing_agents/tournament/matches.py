@@ -25,6 +25,7 @@ __all__ = [
     "game_between",
     "join_matches",
     "moves_of",
+    "name_of",
     "play_games",
     "variant_count",
 ]
@@ -127,12 +128,13 @@ def check_competitor(game: RaceGame, competitor: Competitor) -> None:
     shape = getattr(getattr(model, "observation_space", None), "shape", None)
     if shape is not None and tuple(shape) != (size,):
         raise InputError(
-            f"agent {_name(competitor)!r} sees observations of shape {tuple(shape)}; this game shows ({size},)"
+            f"agent {name_of(competitor)!r} sees observations of shape {tuple(shape)}; this game shows ({size},)"
         )
     count = getattr(getattr(model, "action_space", None), "n", None)
     if count is not None and int(count) > moves:
         raise InputError(
-            f"agent {_name(competitor)!r} has {int(count)} moves; this game has {moves} ({', '.join(game.move_names)})"
+            f"agent {name_of(competitor)!r} has {int(count)} moves; this game has {moves} "
+            f"({', '.join(game.move_names)})"
         )
 
 
@@ -185,7 +187,7 @@ def play_games(
         wrong = np.flatnonzero((chosen[:, car] < 0) | (chosen[:, car] >= count))
         if len(wrong):
             raise InputError(
-                f"game {wrong[0]}: the {CARS[car]}'s variant is {chosen[wrong[0], car]}; {_name(who)!r} has variants "
+                f"game {wrong[0]}: the {CARS[car]}'s variant is {chosen[wrong[0], car]}; {name_of(who)!r} has variants "
                 f"0 to {count - 1}"
             )
     parts = []
@@ -279,13 +281,13 @@ def _ask(
         answer = np.asarray(answer)
     if answer.shape != rows.shape or answer.dtype.kind not in "iu":
         raise InputError(
-            f"agent {_name(who)!r} returned moves of shape {answer.shape} and type {answer.dtype} for {len(rows)} "
+            f"agent {name_of(who)!r} returned moves of shape {answer.shape} and type {answer.dtype} for {len(rows)} "
             "games; they must be whole numbers, one for each"
         )
     wrong = np.flatnonzero((answer < 0) | (answer >= len(game.move_names)))
     if len(wrong):
         raise InputError(
-            f"agent {_name(who)!r} made move {answer[wrong[0]]} in game {rows[wrong[0]]}; there are moves 0 to "
+            f"agent {name_of(who)!r} made move {answer[wrong[0]]} in game {rows[wrong[0]]}; there are moves 0 to "
             f"{len(game.move_names) - 1} ({', '.join(game.move_names)})"
         )
     actions[rows] = answer
@@ -293,5 +295,6 @@ def _ask(
     return actions, memory
 
 
-def _name(who: Any) -> str:
+def name_of(who: Any) -> str:
+    """Return the name of a competitor; of a model without one that of its class."""
     return str(getattr(who, "name", type(who).__name__))

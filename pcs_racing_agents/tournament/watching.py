@@ -12,7 +12,7 @@ from pcs_racing.race.recording import record_drive
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
-from pcs_racing_agents.tournament.matches import Matches, game_between, play_games
+from pcs_racing_agents.tournament.matches import Matches, game_between, name_of, play_games
 
 __all__ = ["Recording", "record_match"]
 
@@ -75,13 +75,12 @@ def record_match(
             else:
                 parameters = arena.archive.parameters[match.policy[0, car, step]]
             theta[step, car, : len(parameters)] = parameters
-    names = tuple(str(getattr(who, "name", type(who).__name__)) for who in cars)
     replay = record_drive(
         arena.setup,
         start,
         match.noise[0],
         theta,
-        names=(names[0], names[1]),
+        names=(name_of(cars[0]), name_of(cars[1])),
         step_ticks=arena.config.step_ticks,
         candidates=candidates,
     )

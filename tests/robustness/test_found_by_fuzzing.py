@@ -18,7 +18,7 @@ from pcs_racing_agents.agents.fits import Fit, load_fit
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.networks.settings import load_train_settings
-from pcs_racing_agents.study.cell_races import COLUMNS, read_races
+from pcs_racing_agents.results.race_files import NEEDED, read_results
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.report_inputs import LOSSES, read_curves, read_losses
 from pcs_racing_agents.synthesis.config import ArchiveConfig
@@ -81,10 +81,10 @@ def test_a_level_that_is_a_list(tmp_path):
 
 @pytest.mark.parametrize("number", ["nan", "inf", "1e300"])
 def test_tables_with_numbers_that_are_none(tmp_path, number):
-    races = dict.fromkeys(COLUMNS, "0") | {"winner": "ego", "crash": "", "fault": "", "start_s": number}
+    races = dict.fromkeys(NEEDED, "0") | {"winner": "ego", "crash": "", "fault": "", "start_s": number}
     (tmp_path / "results.csv").write_text(",".join(races) + "\n" + ",".join(races.values()) + "\n")
     with pytest.raises(InputError):
-        read_races(tmp_path / "results.csv")
+        read_results(tmp_path / "results.csv")
 
 
 def test_tables_that_are_infinite_or_empty(tmp_path):
