@@ -1,4 +1,4 @@
-"""``pcs-racing synthesize``: an archive of policies from a directed search, which may be stopped and goes on."""
+"""``pcs-racing synthesize``: search for an archive of policies; a stopped search can be resumed."""
 
 import argparse
 import time
@@ -18,18 +18,26 @@ CHANGES = ("preset", "generations", "population", "method", "seed", "name")
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``synthesize``."""
     parser = add_command(
         commands,
         "synthesize",
-        "search an archive of policies on some circuits",
+        "search for an archive of policies that drive differently, by racing on one or more circuits",
         "pcs-racing synthesize --out out/archive",
         "pcs-racing synthesize --track Tarnfjord Pipkin --generations 30 --population 24 --out out/mine",
         "pcs-racing synthesize --config default --out out/default",
     )
     shipped = ", ".join(list_archive_configs())
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the archive, new or begun")
-    parser.add_argument("--config", metavar="C", help=f"settings: {shipped} or a YAML file; what follows changes them")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder of the archive; a search that was stopped resumes in its folder",
+    )
+    parser.add_argument(
+        "--config", metavar="C", help=f"settings: {shipped} or a YAML file; other options override them"
+    )
     parser.add_argument(
         "--track",
         nargs="+",
@@ -37,17 +45,17 @@ def add(commands: Commands) -> None:
         help=f"{TRACK_HELP}; every policy races on all of them (default: {', '.join(SHIPPED_TRACKS)})",
     )
     parser.add_argument("--preset", help="rules of the race: paper, contest or a YAML file")
-    parser.add_argument("--generations", type=int, metavar="N", help="how often new policies are proposed")
-    parser.add_argument("--population", type=int, metavar="N", help="policies of a generation")
-    parser.add_argument("--method", help="mo-cma-es (the paper's), nsga2, comocma, cma-mae or random")
-    parser.add_argument("--seed", type=int, metavar="N", help="root of everything that is drawn")
-    parser.add_argument("--name", help="of the archive (default: the configuration's, or the folder's)")
+    parser.add_argument("--generations", type=int, metavar="N", help="number of generations")
+    parser.add_argument("--population", type=int, metavar="N", help="number of policies in a generation")
+    parser.add_argument("--method", help="search method: mo-cma-es (of the paper), nsga2, comocma, cma-mae or random")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of all random draws")
+    parser.add_argument("--name", help="name of the archive (default: that of the configuration, or of the folder)")
     add_executor_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Search, and say what was found."""
+    """Run the search, and print a summary of the archive."""
     changes = {key: getattr(arguments, key) for key in CHANGES if getattr(arguments, key) is not None}
     if arguments.track is not None:
         changes["tracks"] = tuple(arguments.track)
