@@ -1,4 +1,4 @@
-"""The errors that bad input raises: one line that names the value and says what would be right."""
+"""Errors for bad input. A message is one line that names the value and the correct form."""
 
 __all__ = ["ConfigError", "InputError", "MapError", "UnknownNameError"]
 

@@ -205,7 +205,7 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
 
 @kernel(inline="always")
 def target_inputs(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
-    """Inputs that lead to a target steering angle and speed without chatter or overshoot.
+    """Return the inputs that lead to a target steering angle and speed without chatter or overshoot.
 
     The steering moves at its full rate and arrives exactly; the speed error decays with a time constant of 0.1 s
     where the
@@ -262,7 +262,7 @@ def simulate(
     dt: float = 0.01,
     params: VehicleParams | list[VehicleParams] = F1TENTH,
 ) -> NDArray[np.float64]:
-    """Drive one vehicle, or a batch of them, with given controls and return every state.
+    """Simulate one vehicle, or a batch of vehicles, with given controls, and return all states.
 
     Parameters
     ----------
@@ -287,7 +287,7 @@ def simulate(
     Raises
     ------
     InputError
-        If a shape, a value or the mode is impossible.
+        If a shape, a value or the mode is not allowed.
 
     Examples
     --------
