@@ -1,10 +1,10 @@
-"""Numba's code cache on disk: delete outdated code, and let only one process write at a time.
+"""Numba's code on disk: thrown away when the sources behind it change, and written by one process at a time.
 
-Numba checks whether the file of a cached function has changed, but not the files of the functions that it calls. After
-an edit or an update, it would run a mix of old and new code. This module therefore follows the imports between files.
+Numba looks at the file of the function that it loads, but not at the files of the functions which that one calls: after
+an edit or an update it would go on running parts of the old code. This module knows which file imports which.
 
-Numba reads the index of a function's code, adds a line and writes it back. If two processes do this at the same time, a
-line of the index can point to the code of the other process. A lock prevents that.
+Numba reads the index of a function's code, adds a line and writes it back. Two processes that do so at the same time
+may end with a line of one that points to the code of the other. Here they take turns.
 """
 
 import hashlib
@@ -32,7 +32,7 @@ _WORD = re.compile(r"\w+")
 
 
 def forget_stale_code(package: Path) -> None:
-    """Delete numba's cached code of each module whose source, or the source of an imported module, has changed.
+    """Delete numba's cached code of those modules whose source, or that of a module they import, has changed.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def forget_stale_code(package: Path) -> None:
 
 
 def _place(folder: Path) -> Path:
-    """Return the folder where numba stores the code of modules in a folder: the first writable one of three."""
+    """Where numba keeps the code of the modules in a folder: it looks for the first of three that may be written to."""
     elsewhere = caching._CacheLocator.get_suitable_cache_subpath(str(folder / "module.py"))
     named = getattr(config, "CACHE_DIR", "")  # NUMBA_CACHE_DIR
     if named:
@@ -73,7 +73,7 @@ def _place(folder: Path) -> Path:
 
 
 def _read(note: Path) -> dict[str, dict[str, Any]]:
-    """Return the stored digests of the previous run; an empty mapping if they can't be read."""
+    """What was noted last time; nothing if it can't be read."""
     try:
         found = json.loads(note.read_text())
     except (OSError, ValueError):
@@ -82,7 +82,7 @@ def _read(note: Path) -> dict[str, dict[str, Any]]:
 
 
 def _digests(sources: Sequence[Path]) -> dict[str, str]:
-    """Return for every module a digest of its source and of all sources that it imports."""
+    """For every module: a digest of its source and of all sources that it imports."""
     texts = {_module(source): source.read_text(encoding="utf-8") for source in sources}
     imports = {name: _imported(text) & texts.keys() for name, text in texts.items()}
     digests = {}
@@ -96,14 +96,14 @@ def _digests(sources: Sequence[Path]) -> dict[str, str]:
 
 
 def _module(source: Path) -> str:
-    """Return the dotted module name of a source file, such as ``pcs_racing.race.kernel``."""
+    """Dotted name of a source below a folder whose name begins with ``pcs_racing``: ``pcs_racing.race.kernel``."""
     parts = source.with_suffix("").parts
     start = max((i for i, part in enumerate(parts[:-1]) if part.startswith("pcs_racing")), default=len(parts) - 1)
     return ".".join(parts[start:]).removesuffix(".__init__")
 
 
 def _imported(text: str) -> set[str]:
-    """Return the dotted names of all modules and members that a source imports."""
+    """Dotted names of what a source imports, modules and members alike."""
     names = set()
     for module, members in _IMPORT.findall(text):
         names.add(module)
@@ -112,7 +112,7 @@ def _imported(text: str) -> set[str]:
 
 
 def _one_at_a_time(save: Callable[..., None]) -> Callable[..., None]:
-    """Hold a lock on a folder of cached code, so that only one process or thread writes to it."""
+    """Let those who add to a folder of cached code take turns, whatever process they are in."""
 
     @wraps(save)
     def save_alone(cache: Any, key: Any, data: Any) -> None:

@@ -36,8 +36,8 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function like :func:`compiled`, but without reference counts for its arrays.
 
-    Use it only for functions that neither allocate nor return arrays (an allocation is an error at compilation).
-    Reference counting takes about 10 ns for each array argument and field, longer than many of these functions.
+    Only for functions that neither allocate nor return arrays (allocating in one is an error when it is compiled).
+    Counting costs about 10 ns for each array argument and field, more than many of these functions do.
 
     Parameters
     ----------

@@ -205,7 +205,7 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
 
 @kernel(inline="always")
 def target_inputs(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
-    """Return the inputs that lead to a target steering angle and speed without chatter or overshoot.
+    """Inputs that lead to a target steering angle and speed without chatter or overshoot.
 
     The steering moves at its full rate and arrives exactly; the speed error decays with a time constant of 0.1 s
     where the

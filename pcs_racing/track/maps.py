@@ -107,7 +107,7 @@ class MapFolder(NamedTuple):
 
 
 def shipped_folder() -> Path:
-    """Return the folder of the circuits that ship with the package."""
+    """Folder of the circuits that come with the package."""
     package = Path(__file__).resolve().parents[1]
     inside = package / "shipped_maps"  # in an installed package; in a checkout they lie beside it
     return inside if inside.is_dir() else package.parent / "maps"

@@ -91,7 +91,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _planned(arguments: argparse.Namespace) -> "Contest":
-    """Return the races of the two agents that the options name."""
+    """Races of the two agents that the options name."""
     from pcs_racing_agents.view.contests import planned_contest
 
     return planned_contest(

@@ -45,17 +45,17 @@ def add(commands: Commands) -> None:
         help=f"{TRACK_HELP}; every policy races on all of them (default: {', '.join(SHIPPED_TRACKS)})",
     )
     parser.add_argument("--preset", help="rules of the race: paper, contest or a YAML file")
-    parser.add_argument("--generations", type=int, metavar="N", help="number of generations")
-    parser.add_argument("--population", type=int, metavar="N", help="number of policies in a generation")
-    parser.add_argument("--method", help="search method: mo-cma-es (of the paper), nsga2, comocma, cma-mae or random")
-    parser.add_argument("--seed", type=int, metavar="N", help="seed of all random draws")
-    parser.add_argument("--name", help="name of the archive (default: that of the configuration, or of the folder)")
+    parser.add_argument("--generations", type=int, metavar="N", help="how often new policies are proposed")
+    parser.add_argument("--population", type=int, metavar="N", help="policies of a generation")
+    parser.add_argument("--method", help="mo-cma-es (the paper's), nsga2, comocma, cma-mae or random")
+    parser.add_argument("--seed", type=int, metavar="N", help="root of everything that is drawn")
+    parser.add_argument("--name", help="of the archive (default: the configuration's, or the folder's)")
     add_executor_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Run the search, and print a summary of the archive."""
+    """Search, and say what was found."""
     changes = {key: getattr(arguments, key) for key in CHANGES if getattr(arguments, key) is not None}
     if arguments.track is not None:
         changes["tracks"] = tuple(arguments.track)

@@ -25,7 +25,7 @@ __all__ = ["add"]
 
 
 class _Outcome(NamedTuple):
-    """A trained network, its training record, and its scores as text and as rows of a table."""
+    """A network, how it was fitted, what it is worth as text, and as rows of a table."""
 
     network: "RegretNetwork"
     fit: "Fit"

@@ -105,7 +105,7 @@ def _check(arguments: argparse.Namespace) -> Path:
 
 
 def _find(place: Path) -> "tuple[Results | None, Path]":
-    """Return the races of a folder or file, and the results file; None if the settings of the races are unknown."""
+    """Return the races of a folder, or of a file; None where nobody knows how a file's races were driven."""
     from pcs_racing_agents.view.contests import open_results
 
     folder = place
@@ -125,7 +125,7 @@ def _find(place: Path) -> "tuple[Results | None, Path]":
 
 
 def _picks(arguments: argparse.Namespace, columns: "RaceColumns", results: "Results | None") -> "list[Pick]":
-    """Return the races that the page includes."""
+    """Return which races the page is to hold."""
     from pcs_racing_agents.view.race_choice import Pick, choose_races
 
     if results is None:
@@ -175,7 +175,7 @@ def _content(
 
 
 def _kind_of_start(results: "Results") -> str:
-    """Return the kind of start of the races, as far as the folder records it."""
+    """Return how the races start, as far as the folder tells."""
     if results.study is not None:
         return results.study.config.game.race.start
     game = results.settings.get("game")
@@ -184,7 +184,7 @@ def _kind_of_start(results: "Results") -> str:
 
 
 def _serve(arguments: argparse.Namespace, columns: "RaceColumns", results: "Results", picks: "Sequence[Pick]") -> None:
-    """Serve the page until Ctrl-C."""
+    """Serve the page until the viewer ends the command."""
     from dataclasses import replace
 
     from pcs_racing_agents.view.race_replays import RaceDriver

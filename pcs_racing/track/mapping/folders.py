@@ -1,4 +1,4 @@
-"""Write complete map folders, from a seed or from a picture of the walls.
+"""From a seed, or from a picture of the walls, to a complete map folder.
 
 ``python -m pcs_racing.track.mapping.folders maps`` makes every generated circuit in a folder again, each from its own
 ``NAME_track.yaml``.
@@ -21,7 +21,7 @@ from pcs_racing.track.track import Track, build_track
 __all__ = ["generate_map", "import_map", "regenerate"]
 
 SETTINGS = ("seed", "style", "direction", "width", "length_range", "resolution")
-"""Keys of ``NAME_track.yaml`` that determine a generated circuit: the arguments of ``generate_circuit``."""
+"""What of ``NAME_track.yaml`` determines a generated circuit: the arguments of ``generate_circuit``."""
 
 
 def generate_map(
@@ -48,7 +48,7 @@ def generate_map(
     name : str, optional
         Name of the circuit and of its files. Default: the folder's own name.
     description : str
-        Description of the circuit, one line.
+        A line for people.
     direction, width, length_range, resolution
         See ``generate_circuit``.
     picture : bool
@@ -134,7 +134,7 @@ def import_map(
 
 
 def regenerate(folder: str | Path) -> Track:
-    """Generate a circuit again from the seed and the settings in its ``NAME_track.yaml``.
+    """Make a generated circuit again, from the seed and the settings in its ``NAME_track.yaml``.
 
     What the file holds besides them (such as calibrated speed ranges) is kept.
 
