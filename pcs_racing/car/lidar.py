@@ -144,7 +144,7 @@ class Lidar:
         if self.noise > 0.0 and not isinstance(rng, np.random.Generator):
             raise InputError(f"a lidar with noise needs rng, a numpy.random.Generator, got {rng!r}")
         out = np.empty((at.size // 3, self.beams))
-        # Writeable though nobody writes: numba compiles read-only arrays as a type of their own.
+        # Writeable, although no code writes to it: numba compiles read-only arrays as a separate type.
         _scan_all(
             self.track.arrays,
             self.kernel,

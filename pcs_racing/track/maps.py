@@ -232,7 +232,7 @@ def write_map(content: MapFolder) -> Path:
     Raises
     ------
     MapError
-        If a value is impossible, or the folder holds something else or can't be written.
+        If a value is not allowed, the folder has other content, or a file can't be written.
     """
     name, folder = content.name, Path(content.folder)
     if not name.isprintable() or name != name.strip(" .") or not name or set(name) & set('/\\:*?"<>|'):

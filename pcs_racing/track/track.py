@@ -205,7 +205,7 @@ def build_track(
     Raises
     ------
     MapError
-        If a value is impossible or the lines and the grid don't fit together.
+        If a value is not allowed, or if the lines and the grid do not fit together.
     """
     what = f"track {name}"
     grid, resolution, corner = check_grid(occupied, resolution, origin, what)
