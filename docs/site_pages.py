@@ -29,6 +29,7 @@ COPIES = {
     "contributing": "CONTRIBUTING.md",
     "circuits": "maps/README.md",
     "shipped_archives": "archives/README.md",
+    "shipped_drivers": "drivers/README.md",
     "shipped_networks": "networks/README.md",
 }
 REFERENCE = {

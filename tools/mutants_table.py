@@ -115,7 +115,7 @@ MODULES = {
         compare: compare
         efg: efg
         evaluation: evaluation cfr
-        exact: exact_solution
+        backward_induction: backward_induction
         game_tree: game_tree cfr
         matrix_games: matrix_games
         openspiel openspiel_game: openspiel_game
@@ -128,12 +128,12 @@ MODULES = {
         "pcs_racing_agents/synthesis",
         """
         diverse: diverse
-        evaluate: ; evaluate
+        evaluate scenarios: ; evaluate
         indicators: indicators
         selection: selection
-        explored: explored
+        pareto_archive: pareto_archive
         mo_cma_es: mo_cma_es; synthesize
-        optimisers synthesize: ; synthesize
+        optimisers search synthesize: ; synthesize
         archive_search: ; archive_run
         """,
     ),
@@ -143,15 +143,11 @@ MODULES = {
         """
         ratings: ratings
         meta_game: meta_game
-        best_reply: ; best_reply
+        best_response: ; best_response
         table: ; tournament
-        statistics/adaptivity: statistics
         statistics/clusters: statistics
         statistics/comparison: statistics
-        statistics/power: statistics student_t
-        statistics/rates: statistics
-        statistics/resampling: statistics
-        statistics/student_t: student_t statistics
+        statistics/student_t: statistics
         statistics/units: statistics
         """,
     ),
