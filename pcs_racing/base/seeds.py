@@ -1,4 +1,4 @@
-"""Seeds of the noise of races, derived from one root seed."""
+"""Keys of the noise of races, derived from one root seed."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +9,12 @@ __all__ = ["checked_seed", "race_seed", "race_seeds"]
 
 
 def checked_seed(seed: int) -> int:
-    """Check a seed and return it as a plain integer.
+    """A seed as a plain whole number.
 
     Raises
     ------
     InputError
-        If it is not a whole number of at least 0.
+        If it is no whole number from 0.
     """
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"seed is {seed!r}; it must be a whole number from 0")
@@ -22,11 +22,11 @@ def checked_seed(seed: int) -> int:
 
 
 def race_seed(seed: int, index: int) -> np.uint64:
-    """Return the noise seed of one race, which depends only on the root seed and the index of the race."""
+    """Noise key of one race: a function of the root seed and the race's index alone."""
     key = np.random.SeedSequence(checked_seed(seed), spawn_key=(1, index))
     return key.generate_state(1, np.uint64)[0]
 
 
 def race_seeds(seed: int, races: int) -> NDArray[np.uint64]:
-    """Return the noise seeds of the races 0 to ``races`` - 1, shape (races,)."""
+    """Noise keys of the races 0 to ``races`` - 1, shape (races,)."""
     return np.array([race_seed(seed, index) for index in range(races)], np.uint64)
