@@ -1,4 +1,4 @@
-"""The errors that bad input raises: one line that names the value and says what would be right."""
+"""Errors for bad input. A message is one line that names the value and the correct form."""
 
 __all__ = ["ConfigError", "InputError", "MapError", "UnknownNameError"]
 
@@ -7,9 +7,9 @@ _LONGEST = 2000
 
 
 class InputError(ValueError):
-    """A value handed to the package is impossible; the message names it and says what would be right.
+    """An argument has a value that is not allowed; the message names the value and the correct form.
 
-    The value may be anything: line breaks in a message are written out, and the middle of one of more than 2000
+    The value can be any text, so line breaks in a message are escaped, and the middle of a message of more than 2000
     characters is left out.
     """
 
@@ -18,15 +18,15 @@ class InputError(ValueError):
 
 
 class MapError(InputError):
-    """A map folder, or a file in it, can't be raced on."""
+    """A map folder, or a file in it, is not a valid map."""
 
 
 class ConfigError(InputError):
-    """A configuration holds an unknown key or an impossible value."""
+    """A configuration has an unknown key or a value that is not allowed."""
 
 
 class UnknownNameError(InputError, KeyError):
-    """A name stands for nothing that is registered; the message lists the names that do."""
+    """A name is not registered; the message lists the registered names."""
 
     def __str__(self) -> str:
         """Show the message itself (``KeyError`` would show its repr)."""

@@ -1,4 +1,4 @@
-"""``pcs-racing explain``: what an agent did in a race and why; or which move it makes in which situation."""
+"""``pcs-racing explain``: explain the moves of an agent in one race, or summarise them over many races."""
 
 import argparse
 from pathlib import Path
@@ -23,11 +23,11 @@ __all__ = ["add"]
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``explain``."""
     parser = add_command(
         commands,
         "explain",
-        "tell what an agent saw and did in a race, and why",
+        "explain the moves of an agent in a race: its observations, its moves and their effect",
         "pcs-racing explain --agents cfr-argmax never-switch",
         "pcs-racing explain out/mine 12",
         "pcs-racing explain out/mine 12 --car 1 --out out/race-12",
@@ -36,26 +36,39 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("results", nargs="?", type=Path, metavar="RACE", help="folder of a tournament or a study")
     parser.add_argument(
-        "number", nargs="?", type=int, metavar="N", help="line of its results, from 0 (default: 0)", default=None
+        "number",
+        nargs="?",
+        type=int,
+        metavar="N",
+        help="line of its results, counted from 0 (default: 0)",
+        default=None,
     )
-    parser.add_argument("--agents", nargs=2, metavar="AGENT", help="instead of a folder: who drives car 0 and car 1")
+    parser.add_argument("--agents", nargs=2, metavar="AGENT", help="instead of a folder: the agents of car 0 and car 1")
     parser.add_argument("--track", metavar="T", help=f"with --agents: {TRACK_HELP} (default: {DEFAULT_TRACK})")
     add_rules(parser)
-    parser.add_argument("--archive", default="default", help="archive that agents move in (default: default)")
     parser.add_argument(
-        "--races", type=int, metavar="N", help="with --agents: races that the two would drive, even (default: 20)"
+        "--archive", default="default", help="archive whose policies the agents drive (default: default)"
     )
-    parser.add_argument("--index", type=int, metavar="K", help="with --agents: which of these races (default: 0)")
-    parser.add_argument("--car", type=int, choices=(0, 1), help="whose moves to explain (default: the one that moves)")
     parser.add_argument(
-        "--situations", metavar="AGENT", help="which move this agent made in which situation, over all its races"
+        "--races", type=int, metavar="N", help="with --agents: number of planned races, even (default: 20)"
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures, the text, and the race to watch")
+    parser.add_argument(
+        "--index", type=int, metavar="K", help="with --agents: number of the race to explain (default: 0)"
+    )
+    parser.add_argument(
+        "--car", type=int, choices=(0, 1), help="car whose moves are explained (default: the first that makes moves)"
+    )
+    parser.add_argument(
+        "--situations",
+        metavar="AGENT",
+        help="instead of one race: summarise the moves of this agent by situation, over all its races",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the pictures, the text and the replay")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Print the explanation; write it with its pictures if asked to."""
+    """Print the explanation; with ``--out``, also write it with its pictures."""
     _check(arguments)
     if arguments.situations is not None:
         _situations(arguments)
@@ -64,7 +77,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Refuse options that do not go together before anything is driven."""
+    """Refuse options that can't be combined, before any race is simulated."""
     if (arguments.results is None) == (arguments.agents is None):
         raise InputError("give a folder of results, or two agents with --agents; one of the two")
     if arguments.results is not None:

@@ -1,4 +1,4 @@
-"""``pcs-racing solve``: value, exploitability and agreement of all methods, on every tree of a folder."""
+"""``pcs-racing solve``: solve every tree of a folder with several methods, and compare their strategies."""
 
 import argparse
 import csv
@@ -24,16 +24,16 @@ as the exact solution leads to it; decisions at which all moves are worth the sa
 
 
 class SolvedTree(NamedTuple):
-    """One tree and how all methods did on it.
+    """The results of all methods on one tree.
 
     Attributes
     ----------
     number : int
-        Its place in the folder.
+        Number of the tree in its folder.
     policies : tuple of int
-        What the cars started with.
+        Policies of both cars at the start.
     seeds : int
-        Noise seeds of the tree.
+        Number of noise realisations of the tree.
     rows : list of MethodRow
     """
 
@@ -44,25 +44,32 @@ class SolvedTree(NamedTuple):
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``solve``."""
     parser = add_command(
         commands,
         "solve",
-        "solve game trees exactly and by regret minimisation, and judge the strategies",
+        "solve game trees exactly and by regret minimisation, and print value and exploitability of each solution",
         "pcs-racing solve out/trees",
         "pcs-racing solve out/trees --iterations 1000 --methods exact alternating+ --out out/solved.csv",
     )
-    parser.add_argument("trees", type=Path, metavar="DIR", help="folder that 'pcs-racing tree' wrote")
-    parser.add_argument("--iterations", type=int, default=100, metavar="N", help="iterations of CFR (default: 100)")
+    parser.add_argument("trees", type=Path, metavar="DIR", help="folder of game trees, written by 'pcs-racing tree'")
     parser.add_argument(
-        "--methods", nargs="+", default=list(METHODS), choices=METHODS, metavar="M", help=f"out of {', '.join(METHODS)}"
+        "--iterations", type=int, default=100, metavar="N", help="number of iterations of CFR (default: 100)"
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="CSV file to write the table to, too")
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        default=list(METHODS),
+        choices=METHODS,
+        metavar="M",
+        help=f"one or more of {', '.join(METHODS)} (default: all)",
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="file for the table (.csv)")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Solve, print the table, write it."""
+    """Solve all trees, print the table, and write it."""
     target = output_file(arguments.out, ".csv") if arguments.out else None
     trees = load_trees(arguments.trees)
     solved = []
@@ -82,7 +89,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def solve_table(solved: Sequence[SolvedTree]) -> str:
-    """Return the table for people: every tree and method, and the means over the trees."""
+    """Return a text table of every tree and method, and of the means over the trees."""
     lines: list[tuple[str, ...]] = [
         ("tree", "policies", "method", "value", "exploitability", "agreement", "on path", "ms")
     ]

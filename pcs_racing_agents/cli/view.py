@@ -1,4 +1,4 @@
-"""``pcs-racing view``: a page that lists the races of a tournament and plays them."""
+"""``pcs-racing view``: write or serve a page that lists the races of a tournament and plays them."""
 
 import argparse
 import os
@@ -25,11 +25,11 @@ LONE_FILE = "there is no job.yaml beside this file that says how its races were 
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``view``."""
     parser = add_command(
         commands,
         "view",
-        "list the races of a tournament on a page, and watch them",
+        "write a page that lists the races of a tournament or a study and plays them",
         "pcs-racing view out/mine",
         "pcs-racing view out/mine --races 12 40 --out chosen.html",
         "pcs-racing view out/mine --serve",
@@ -37,18 +37,22 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "results", type=Path, metavar="RESULTS", help="folder of a tournament or a study, or its results.csv"
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the page to write (default: view.html there)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="file for the page (default: view.html in the folder of the results)"
+    )
     parser.add_argument(
         "--replays",
         type=int,
         metavar="N",
-        help=f"races to put into the page, chosen by rule (default: {REPLAYS}; with --races or --serve: 0)",
+        help=f"number of races to include, selected by a rule (default: {REPLAYS}; with --races or --serve: 0)",
     )
-    parser.add_argument("--races", type=int, nargs="+", default=[], metavar="K", help="races to put into the page")
+    parser.add_argument("--races", type=int, nargs="+", default=[], metavar="K", help="numbers of races to include")
     parser.add_argument(
-        "--serve", action="store_true", help="write nothing; serve the page from this machine, any race to be watched"
+        "--serve",
+        action="store_true",
+        help="write no file; serve the page from this machine, where any race can be watched",
     )
-    parser.add_argument("--port", type=int, metavar="P", help="with --serve: the port (default: a free one)")
+    parser.add_argument("--port", type=int, metavar="P", help="with --serve: port of the server (default: a free port)")
     parser.add_argument("--no-open", action="store_true", help="do not open the page in a browser")
     parser.set_defaults(run=run)
 
@@ -80,7 +84,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> Path:
-    """Refuse options that do not go together, before any work; return where the page goes."""
+    """Refuse options that can't be combined, before any work; return the path of the page."""
     if arguments.serve and arguments.out is not None:
         raise InputError("--out goes without --serve: a page that is served is not written")
     if arguments.port is not None and not arguments.serve:
@@ -139,7 +143,7 @@ def _picks(arguments: argparse.Namespace, races: "RaceTable", results: "ResultsF
 def _content(
     arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None", picks: "Sequence[Pick]"
 ) -> "ViewContent":
-    """Drive the chosen races, and return what the page shows."""
+    """Simulate the selected races, and return the content of the page."""
     from pcs_racing_agents.jobs.jobs import show_progress
     from pcs_racing_agents.view.race_replays import RaceDriver
     from pcs_racing_agents.view.view_page import ViewContent
@@ -201,7 +205,7 @@ def _serve(
 
 
 def _open(address: str) -> None:
-    """Open a browser, where there is a screen for one: Python would start one that runs in this terminal instead."""
+    """Open a browser if there is a display; without one, Python would start a browser in this terminal."""
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         return
     webbrowser.open(address)
