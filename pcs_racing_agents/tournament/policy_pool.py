@@ -126,7 +126,11 @@ def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: in
     for row, (i, j) in enumerate(pairs):
         ego, rival = pool.policies[i], pool.policies[j]
         # A pair's noise depends on the two policies' places in the pool, not on the block that races it.
-        noise = np.random.SeedSequence(pool.seed, spawn_key=(number, i, j)).generate_state(pool.races, np.uint64)
+        noise = (
+            np.random.SeedSequence(pool.seed, spawn_key=(number, i, j))
+            .generate_state(pool.races, np.uint64)
+            .astype(np.uint64)
+        )
         setup = RaceSetup(track, pool.config, (ego.planner, rival.planner))
         state = start_races(setup, starts, noise)
         theta = np.stack([pad_parameters([policy], setup.theta_size)[0] for policy in (ego, rival)])

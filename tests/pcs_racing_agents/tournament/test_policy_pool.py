@@ -1,4 +1,4 @@
-"""Payoffs of a pool: every pair races on the same lines, from both sides, whoever drives the races and in what order."""
+"""Payoffs of a pool: every pair races on the same lines, from both sides, wherever the races are driven."""
 
 import numpy as np
 import pytest
