@@ -1,7 +1,7 @@
-"""Who can race: an agent moves between the policies of an archive, a driver keeps to a policy of its own.
+"""Competitors: agents, which switch between the policies of an archive, and drivers, which keep a policy of their own.
 
-An :class:`Agent` answers ``predict(observation)`` as a model of Stable-Baselines3 does; wherever an agent may stand,
-such a model may stand, too. An agent is a value: a function from what is seen to the chances of the moves, and a seed.
+An :class:`Agent` has the method ``predict(observation)`` of a model of Stable-Baselines3, and such a model can replace
+an agent everywhere. An agent is a value: a function from observations to the probabilities of the moves, and a seed.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,26 +24,26 @@ from pcs_racing_agents.jobs.fingerprint import fingerprint
 __all__ = ["Agent", "Competitor", "Decider", "Driver", "Strategy", "as_competitor", "competitor_hash"]
 
 Strategy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
-"""``strategy(observation (B, D)) -> (B, M)``: chances of the moves, each row adding up to 1."""
+"""``strategy(observation (B, D)) -> (B, M)``: probabilities of the moves; each row sums to 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Agent:
-    """A strategy of the game of moves.
+    """A strategy of the game, with a name and a seed.
 
     Attributes
     ----------
     name : str
-        What tables call it.
+        Name in tables.
     strategy : callable
-        ``strategy(observation (B, D)) -> (B, M)``: the chances of the moves, row by row, whatever else is in the batch.
-        A dataclass with ``__call__`` can be sent to other processes, and is told apart by its fields.
+        ``strategy(observation (B, D)) -> (B, M)``: the probabilities of the moves; a row depends on its observation
+        alone. A dataclass with ``__call__`` can be sent to other processes; its fields identify it.
     setting : Setting
-        The archive and the rules that it is made for.
+        Archive and rules that it is made for.
     seed : int
-        What a mixed strategy draws with, from 0 to 2**63 - 1.
+        Seed of the random draws of a mixed strategy, from 0 to 2**63 - 1.
     facts : Mapping of str to str
-        What documentation and reports say: what it does, its source, what it was trained on, a digest of its weights.
+        For documentation and reports: what it does, its source, what it was trained on, a digest of its weights.
     """
 
     name: str
@@ -64,30 +64,30 @@ class Agent:
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of all that decides what it does, but not of its name; for a strategy that is a dataclass."""
+        """SHA-256 of all that its moves depend on, without its name; for a strategy that is a dataclass."""
         setting = self.setting
         return fingerprint(self.strategy, int(self.seed), setting.archive.content_hash, setting.config)
 
     def probabilities(self, observation: ArrayLike) -> NDArray[np.float64]:
-        """Return the chances of the moves, shape (B, M), for observations of shape (B, D).
+        """Return the probabilities of the moves, shape (B, M), for observations of shape (B, D).
 
         Raises
         ------
         InputError
             If an observation has the wrong size or is not finite.
         """
-        seen = np.asarray(observation, np.float32)
+        rows = np.asarray(observation, np.float32)
         size = len(self.setting.elements)
-        if seen.ndim != 2 or seen.shape[1] != size:
+        if rows.ndim != 2 or rows.shape[1] != size:
             raise InputError(
                 f"agent {self.name!r} got an observation of shape {np.shape(observation)}; it takes ({size},) or "
                 f"(B, {size})"
             )
-        if not np.isfinite(seen).all():
+        if not np.isfinite(rows).all():
             raise InputError(f"agent {self.name!r} got an observation that holds NaN or infinity")
-        if len(seen) == 0:
+        if len(rows) == 0:
             return np.zeros((0, len(self.setting.moves)))
-        return self.strategy(seen)
+        return self.strategy(rows)
 
     def predict(
         self,
@@ -102,10 +102,10 @@ class Agent:
         ----------
         observation : array_like, shape (D,) or (B, D)
         state, episode_start
-            Not used: an observation holds all that was seen before.
+            Not used: an observation holds all earlier observations of the game.
         deterministic : bool
-            Not used: the same observation always gives the same move. A mixed strategy draws it by a hash of what was
-            seen and the agent's seed.
+            Not used: the same observation always gives the same move. A mixed strategy draws it by a hash of the
+            observation and the agent's seed.
 
         Returns
         -------
@@ -113,34 +113,34 @@ class Agent:
             Indices in :attr:`Setting.moves`.
         state : None
         """
-        seen = np.asarray(observation, np.float32)
-        rows = seen[None] if seen.ndim == 1 else seen
+        observed = np.asarray(observation, np.float32)
+        rows = observed[None] if observed.ndim == 1 else observed
         actions = draw(self.probabilities(rows), rows, self.seed)
-        return (actions.reshape(()) if seen.ndim == 1 else actions), None
+        return (actions.reshape(()) if observed.ndim == 1 else actions), None
 
 
 @runtime_checkable
 class Decider(Protocol):
-    """Who looks at the whole state of a game instead of an observation, such as a search with the simulator."""
+    """A competitor that decides from the whole state of a game instead of an observation, such as a search."""
 
     name: str
 
     def decide(self, game: RaceGame, state: GameState, car: int) -> ArrayLike:
-        """Return the moves of one car in a batch of B games, shape (B,); every game must be decided by itself."""
+        """Return the moves of one car in a batch of B games, shape (B,); a move must depend on its own game alone."""
 
 
 @dataclass(frozen=True, eq=False)
 class Driver:
-    """Policies from outside the archive, each a variant of one driver; it makes no moves.
+    """A competitor that makes no moves: policies from outside the archive, each a variant of it.
 
     Attributes
     ----------
     name : str
-        What tables call it.
+        Name in tables.
     policies : tuple of Policy
         At least one; all of one planner.
     facts : Mapping of str to str
-        What documentation and reports say.
+        For documentation and reports.
     """
 
     name: str
@@ -163,7 +163,7 @@ class Driver:
         return f"<Driver {self.name!r}: {len(self.policies)} policies of planner {self.planner.name!r}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle a planner that is registered by its name: it then is the same object in the other process."""
+        """Pickle a registered planner by its name, so that the other process uses its own object."""
         planner: Planner | str = self.planner
         if self.planner.name in planner_names() and get_planner(self.planner.name) is self.planner:
             planner = self.planner.name
@@ -172,12 +172,12 @@ class Driver:
 
     @property
     def planner(self) -> Planner:
-        """The family that its policies belong to."""
+        """Planner of its policies."""
         return self.policies[0].planner
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of its planner's name, its parameters, and the weights that its code holds, but not of its name."""
+        """SHA-256 of its planner's name, its parameters and its network's weights, without its name."""
         weights = [self.facts["weights sha256"]] if "weights sha256" in self.facts else []
         return fingerprint(
             self.planner.name, self.planner.parameter_names, [p.parameters for p in self.policies], *weights
@@ -190,18 +190,12 @@ def _driver(name: str, planner: Planner | str, rows: list[tuple[Any, str]], fact
 
 
 Competitor = Agent | Driver | Predictor | Decider
-"""Who may race; all but drivers move between the policies of the archive."""
+"""Everything that can race; all but drivers switch between the policies of the archive."""
 
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """A model under a name of your own.
-
-    Attributes
-    ----------
-    name : str
-    model : Predictor
-    """
+    """A model with a name for tables."""
 
     name: str
     model: Predictor
@@ -213,58 +207,59 @@ class Named:
         return self.model.predict(observation, state, episode_start, deterministic)
 
 
-def as_competitor(given: Any, name: str | None = None) -> Competitor:
-    """Return something that can race: a policy becomes a driver, a model gets a name.
+def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
+    """Return a competitor for a policy (a driver), for a model (which gets a name) or for a competitor.
 
     Parameters
     ----------
-    given : Agent, Driver, Policy, object with ``predict`` or with ``decide``
+    candidate : Agent, Driver, Policy, object with ``predict`` or with ``decide``
     name : str, optional
-        Its name, where it is not to be the one it has.
+        Name in place of its own.
 
     Raises
     ------
     InputError
-        If it is nothing that can race.
+        If it can't race.
     """
-    if isinstance(given, Policy):
-        return Driver(name or given.name, (given,))
-    if isinstance(given, type) or not isinstance(given, Agent | Driver | Predictor | Decider):
+    if isinstance(candidate, Policy):
+        return Driver(name or candidate.name, (candidate,))
+    if isinstance(candidate, type) or not isinstance(candidate, Agent | Driver | Predictor | Decider):
         raise InputError(
-            f"{given!r} can't race; it must be an agent, a driver, a policy, or an object with "
+            f"{candidate!r} can't race; it must be an agent, a driver, a policy, or an object with "
             "predict(observation, state, episode_start, deterministic)"
         )
-    if name is None and not isinstance(getattr(given, "name", None), str):
-        name = type(given).__name__
-    if name is None or name == getattr(given, "name", None):
-        return given
-    if isinstance(given, Agent):
-        return Agent(name, given.strategy, given.setting, given.seed, given.facts)
-    if isinstance(given, Driver):
-        return Driver(name, given.policies, given.facts)
-    if isinstance(given, Predictor):
-        return Named(name, given)
-    if is_dataclass(given) and any(field.name == "name" for field in fields(given)):
-        return replace(given, name=name)
-    raise InputError(f"{given!r} has a name of its own, {given.name!r}; it can't be called {name!r}")
+    if name is None and not isinstance(getattr(candidate, "name", None), str):
+        name = type(candidate).__name__
+    if name is None or name == getattr(candidate, "name", None):
+        return candidate
+    if isinstance(candidate, Agent):
+        return Agent(name, candidate.strategy, candidate.setting, candidate.seed, candidate.facts)
+    if isinstance(candidate, Driver):
+        return Driver(name, candidate.policies, candidate.facts)
+    if isinstance(candidate, Predictor):
+        return Named(name, candidate)
+    if is_dataclass(candidate) and any(field.name == "name" for field in fields(candidate)):
+        return replace(candidate, name=name)
+    raise InputError(f"{candidate!r} has a name of its own, {candidate.name!r}; it can't be called {name!r}")
 
 
 def competitor_hash(competitor: Competitor) -> str:
-    """SHA-256 of all that decides what a competitor does, for folders of results.
+    """SHA-256 of all that a competitor's moves depend on; it identifies the competitor in folders of results.
 
     Raises
     ------
     InputError
-        If nothing tells it from another one that does otherwise: a plain function, or an object that is neither a
-        dataclass, nor a model of Stable-Baselines3, nor has a ``content_hash``.
+        If it can't be identified: a plain function, or an object that is neither a dataclass, nor a model of
+        Stable-Baselines3, nor has a ``content_hash``.
     """
     model = competitor.model if isinstance(competitor, Named) else competitor
     state = getattr(getattr(model, "policy", None), "state_dict", None)
     if callable(state):
         return fingerprint({key: tensor.detach().cpu().numpy() for key, tensor in state().items()})
-    what = model.strategy if isinstance(model, Agent) else model
-    if isinstance(what, Driver) or is_dataclass(what) or isinstance(getattr(what, "content_hash", None), str):
-        return model.content_hash if isinstance(model, Agent) else fingerprint(what)
+    behaviour = model.strategy if isinstance(model, Agent) else model
+    has_hash = isinstance(getattr(behaviour, "content_hash", None), str)
+    if isinstance(behaviour, Driver) or is_dataclass(behaviour) or has_hash:
+        return model.content_hash if isinstance(model, Agent) else fingerprint(behaviour)
     raise InputError(
         f"results of agent {getattr(competitor, 'name', '')!r} can't be kept in a folder: nothing tells it from "
         "another one of that name; make it a dataclass, or give it a content_hash"

@@ -1,7 +1,7 @@
-"""Agents that never look at the opponent: constant probabilities, an open-loop plan, a walk to one policy.
+"""Agents that do not use their observations of the opponent: constant, open-loop, or on a path to one policy.
 
-They are what an adaptive agent must be compared with; :mod:`pcs_racing_agents.tournament.fitting` chooses the best plan
-and the best walk.
+They are the baselines of adaptive agents; :mod:`pcs_racing_agents.tournament.fitting` chooses the best open-loop
+sequence and the best target policy on training races.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ConstantStrategy:
-    """The same probabilities in every situation.
+    """A strategy with the same probabilities in every situation.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class ConstantStrategy:
 
 @dataclass(frozen=True, eq=False)
 class OpenLoopStrategy:
-    """A plan: a sequence of moves that was chosen before the race.
+    """An open-loop strategy: a sequence of moves that was chosen before the race.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class OpenLoopStrategy:
 
 @dataclass(frozen=True, eq=False)
 class WalkStrategy:
-    """A walk through the archive: the next move depends on the own policy alone.
+    """A path through the archive: the next move depends on the own policy alone.
 
     Attributes
     ----------
@@ -98,10 +98,10 @@ class WalkStrategy:
 
 
 def walk_to(setting: Setting, target: int) -> WalkStrategy:
-    """Return the walk to a policy: a shortest path of moves there, then moves that keep it.
+    """Return the strategy that follows a shortest path of moves to a policy, and then keeps it.
 
-    Where no path leads there, it goes to the policy nearest to the target that can be reached. Of several shortest
-    paths it takes the one whose moves come first in the list.
+    If no path leads to the target, the path ends at the nearest policy that can be reached. Of several shortest paths
+    it takes the one whose moves come first in the list.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def walk_to(setting: Setting, target: int) -> WalkStrategy:
 
 
 def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.int64]:
-    """First move of a shortest path from each policy to a target, shape (K,).
+    """Return the first move of a shortest path from each policy to a target, shape (K,).
 
     Parameters
     ----------
@@ -135,16 +135,16 @@ def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.i
         At the end of its path, a policy gets the move whose outcome lies nearest: one that keeps it, if there is one.
     """
     leads_to = np.asarray(table, np.int64)
-    where = np.asarray(points, np.float64)
+    coordinates = np.asarray(points, np.float64)
     policies = len(leads_to)
     steps = _distances(leads_to)
-    away = np.linalg.norm(where - where[target], axis=1)
+    distance = np.linalg.norm(coordinates - coordinates[target], axis=1)
     first = np.empty(policies, np.int64)
     for k in range(policies):
         reached = np.flatnonzero(steps[k] < policies)
-        goal = target if steps[k, target] < policies else reached[np.argmin(away[reached])]
+        goal = target if steps[k, target] < policies else reached[np.argmin(distance[reached])]
         if goal == k:
-            first[k] = np.argmin(np.linalg.norm(where[leads_to[k]] - where[k], axis=1))
+            first[k] = np.argmin(np.linalg.norm(coordinates[leads_to[k]] - coordinates[k], axis=1))
             # The move "stay" comes last; among moves that keep the policy it is preferred.
             if leads_to[k, -1] == k:
                 first[k] = leads_to.shape[1] - 1
@@ -171,8 +171,8 @@ def _distances(leads_to: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def always(setting: Setting, move: str, *, name: str | None = None, seed: int = 0) -> Agent:
     """Make the same move again and again."""
-    chances = np.eye(len(setting.moves))[setting.move(move)]
-    return Agent(name or f"always-{''.join(move.split())}", ConstantStrategy(chances), setting, seed)
+    probabilities = np.eye(len(setting.moves))[setting.move(move)]
+    return Agent(name or f"always-{''.join(move.split())}", ConstantStrategy(probabilities), setting, seed)
 
 
 def never_switch(setting: Setting, *, name: str = "never-switch", seed: int = 0) -> Agent:
@@ -181,10 +181,10 @@ def never_switch(setting: Setting, *, name: str = "never-switch", seed: int = 0)
 
 
 def random_moves(setting: Setting, *, name: str = "random-moves", seed: int = 0) -> Agent:
-    """Draw each move, all that the rules offer with the same chance."""
-    chances = np.zeros(len(setting.moves))
-    chances[: setting.offered] = 1.0 / setting.offered
-    return Agent(name, ConstantStrategy(chances), setting, seed)
+    """Draw each move uniformly among those that the rules offer."""
+    probabilities = np.zeros(len(setting.moves))
+    probabilities[: setting.offered] = 1.0 / setting.offered
+    return Agent(name, ConstantStrategy(probabilities), setting, seed)
 
 
 def best_schedule(
@@ -195,7 +195,7 @@ def best_schedule(
     moves: Sequence[str] | None = None,
     fit: FitSource = None,
 ) -> Agent:
-    """Make the moves of a plan, one after the other, whatever happens.
+    """Make the moves of a fixed sequence, in every race.
 
     Parameters
     ----------
@@ -210,8 +210,8 @@ def best_schedule(
     """
     facts = {}
     if moves is None:
-        chosen_fit = find_fit("best-schedule", setting, fit)
-        moves, facts = chosen_fit.choice, fit_facts(chosen_fit)
+        loaded = find_fit("best-schedule", setting, fit)
+        moves, facts = loaded.choice, fit_facts(loaded)
     elif fit is not None:
         raise InputError(f"agent {name!r} got moves and a fit; give one of the two")
     if isinstance(moves, str) or len(moves) != setting.config.moves:
@@ -229,7 +229,7 @@ def best_fixed(
     target: int | None = None,
     fit: FitSource = None,
 ) -> Agent:
-    """Walk to one policy of the archive by a shortest path of moves, and keep it.
+    """Go to one policy of the archive by a shortest path of moves, and keep it.
 
     Parameters
     ----------
@@ -243,8 +243,8 @@ def best_fixed(
     """
     facts = {}
     if target is None:
-        chosen_fit = find_fit("best-fixed", setting, fit)
-        target, facts = chosen_fit.choice, fit_facts(chosen_fit)
+        loaded = find_fit("best-fixed", setting, fit)
+        target, facts = loaded.choice, fit_facts(loaded)
     elif fit is not None:
         raise InputError(f"agent {name!r} got a target and a fit; give one of the two")
     strategy = walk_to(setting, target)

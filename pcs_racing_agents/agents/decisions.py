@@ -1,4 +1,4 @@
-"""From what each move is worth to the probabilities of the moves: functions from (B, M) to (B, M)."""
+"""Decision rules: from the values of the moves to their probabilities, functions from (B, M) to (B, M)."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,20 +14,20 @@ Floats = NDArray[np.float64]
 
 
 def argmax(values: NDArray[Any]) -> Floats:
-    """The move that is worth most, and of equals the first.
+    """Return probability 1 for the move of the highest value, the first of equal ones.
 
-    With unclipped regrets this is the paper's rule (its eq. for the argmax of the clipped regret) wherever a regret is
-    positive. Where none is, the paper allows any move; this takes the one with the least regret lost.
+    With unclipped regrets this is the paper's rule (the argmax of the clipped regret) wherever a regret is positive.
+    Where none is, the paper allows any move; this rule takes the one of the highest (least negative) regret.
     """
-    chances = np.zeros(values.shape)
-    np.put_along_axis(chances, np.argmax(values, axis=-1)[..., None], 1.0, axis=-1)
-    return chances
+    probabilities = np.zeros(values.shape)
+    np.put_along_axis(probabilities, np.argmax(values, axis=-1)[..., None], 1.0, axis=-1)
+    return probabilities
 
 
 def regret_matching(values: NDArray[Any]) -> Floats:
-    """In proportion to positive regret (Hart and Mas-Colell 2000); the highest regret where none is positive.
+    """Return probabilities in proportion to positive regret (Hart and Mas-Colell 2000); argmax where none is positive.
 
-    It also draws from networks that were taught probabilities.
+    Outputs that are probabilities already stay as they are.
     """
     positive = np.maximum(np.asarray(values, np.float64), 0.0)
     total = positive.sum(axis=-1, keepdims=True)
@@ -35,10 +35,10 @@ def regret_matching(values: NDArray[Any]) -> Floats:
 
 
 def softmax(values: NDArray[Any]) -> Floats:
-    """In proportion to the exponential of the values, for networks that put out logits."""
-    raised = np.asarray(values, np.float64)
-    raised = np.exp(raised - raised.max(axis=-1, keepdims=True))
-    return raised / raised.sum(axis=-1, keepdims=True)
+    """Return probabilities in proportion to the exponential of the values, which are logits."""
+    exponentials = np.asarray(values, np.float64)
+    exponentials = np.exp(exponentials - exponentials.max(axis=-1, keepdims=True))
+    return exponentials / exponentials.sum(axis=-1, keepdims=True)
 
 
 DECISIONS: dict[str, Callable[[NDArray[Any]], Floats]] = {

@@ -1,4 +1,4 @@
-"""What an agent of the zoo is, what it learned from, how strong it is and what it costs, as text."""
+"""Descriptions of the zoo's agents as text: options, training, strength, cost and hash."""
 
 import inspect
 import re
@@ -27,18 +27,18 @@ def option_meanings(function: Callable[..., Any]) -> dict[str, str]:
     """Return what a function's docstring says of its parameters, by name."""
     text = inspect.getdoc(function) or ""
     _, _, rest = text.partition("Parameters\n----------\n")
-    found: dict[str, str] = {}
+    meanings: dict[str, str] = {}
     names: list[str] = []
     for line in rest.splitlines():
         if re.fullmatch(r"-+", line):
             break
         if line and not line.startswith(" "):
             names = [name.strip() for name in line.partition(" : ")[0].split(",")]
-            found |= dict.fromkeys(names, "")
+            meanings |= dict.fromkeys(names, "")
         else:
             for name in names:
-                found[name] = f"{found[name]} {line.strip()}".strip()
-    return {name: _plain(meaning) for name, meaning in found.items() if meaning}
+                meanings[name] = f"{meanings[name]} {line.strip()}".strip()
+    return {name: _plain(meaning) for name, meaning in meanings.items() if meaning}
 
 
 def describe(name: str, entry: Entry) -> str:
@@ -57,43 +57,43 @@ def describe(name: str, entry: Entry) -> str:
 
 
 def facts_of(name: str, setting: Setting) -> list[str]:
-    """Return what an agent has learned from, how strong it is, what it costs and its hash, in one game; a line each."""
+    """Return lines about an agent in one game: its training, strength, cost and hash."""
     try:
         agent = build(name, setting)
     except UnknownNameError:
         return ["Not shipped for this game."]
     facts = dict(getattr(agent, "facts", {}))
-    for known in ("does", "source", "weights sha256"):
-        facts.pop(known, None)
+    for key in ("does", "source", "weights sha256"):
+        facts.pop(key, None)
     lines = [f"{key[0].upper()}{key[1:]}: {value}." for key, value in facts.items()]
     digest = competitor_hash(agent)
-    found = measured(setting.archive.name, setting.race, name, digest)
-    if found is None:
+    measurement = measured(setting.archive.name, setting.race, name, digest)
+    if measurement is None:
         lines.append("Strength and cost: not measured as it is.")
     else:
-        against = ", ".join(f"{score:.3f} against {rival}" for rival, score in found.against.items())
+        against = ", ".join(f"{score:.3f} against {rival}" for rival, score in measurement.against.items())
         lines.append(
-            f"Strength: score {found.score:.3f}, rating {rating_text(found)}, on {found.tracks} in {found.races:.0f} "
-            f"races ({against}); own crashes {found.own_crash:.1%}."
+            f"Strength: score {measurement.score:.3f}, rating {rating_text(measurement)}, on {measurement.tracks} in "
+            f"{measurement.races:.0f} races ({against}); own crashes {measurement.own_crash:.1%}."
         )
-        lines.append(f"Cost: {_cost(found)}.")
+        lines.append(f"Cost: {_cost(measurement)}.")
     return [*lines, f"Hash: {digest[:16]}."]
 
 
-def rating_text(one: Measured) -> str:
+def rating_text(measurement: Measured) -> str:
     """Return a rating with its interval."""
-    if np.isnan(one.rating):
+    if np.isnan(measurement.rating):
         return "unknown"
-    interval = "" if np.isnan(one.rating_low) else f" [{one.rating_low:+.0f}, {one.rating_high:+.0f}]"
-    return f"{one.rating:+.0f}{interval}"
+    low, high = measurement.rating_low, measurement.rating_high
+    return f"{measurement.rating:+.0f}" + ("" if np.isnan(low) else f" [{low:+.0f}, {high:+.0f}]")
 
 
-def _cost(one: Measured) -> str:
-    first, second = microseconds(one.one_us), microseconds(one.many_us)
+def _cost(measurement: Measured) -> str:
+    first, second = microseconds(measurement.one_us), microseconds(measurement.many_us)
     if second:
         return f"{first} us for one observation, {second} us for each of 1,000 at once"
-    kind = "decision" if one.agent not in entries() or entries()[one.agent].moves else "plan with 0.1 s of simulation"
-    return f"{first} us for a {kind}"
+    entry = entries().get(measurement.agent)
+    return f"{first} us for a {'decision' if entry is None or entry.moves else 'plan with 0.1 s of simulation'}"
 
 
 def microseconds(value: float) -> str:

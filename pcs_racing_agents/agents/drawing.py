@@ -1,7 +1,7 @@
-"""Drawing moves from a mixed strategy without a generator: what is drawn is a hash of what was seen.
+"""Random draws of moves from a mixed strategy without a generator: a draw is a hash of the observation and a seed.
 
-The same agent in the same situation makes the same move, in a batch of any size and in any order; that is what lets a
-race be driven again to the last bit. To somebody who does not know the agent's seed the moves are as good as random.
+The same agent makes the same move for the same observation, in a batch of any size and in any order, so that a race
+can be simulated again to the last bit. To an opponent who does not know the seed the moves are as good as random.
 """
 
 import numpy as np
@@ -38,11 +38,11 @@ def hash_rows(rows: NDArray[np.float32], seed: int) -> NDArray[np.uint64]:
     return out
 
 
-def draw(chances: NDArray[np.float64], seen: NDArray[np.float32], seed: int) -> NDArray[np.int64]:
-    """Draw a column of each row of probabilities (B, M) by the hash of what was seen (B, D), shape (B,)."""
-    share = (hash_rows(seen, seed) >> np.uint64(11)).astype(np.float64) * 2.0**-53
-    edges = np.cumsum(chances, axis=1)
+def draw(probabilities: NDArray[np.float64], observations: NDArray[np.float32], seed: int) -> NDArray[np.int64]:
+    """Draw a column of each row of probabilities (B, M) by the hash of the observation (B, D), shape (B,)."""
+    share = (hash_rows(observations, seed) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    edges = np.cumsum(probabilities, axis=1)
     # In units of the total, so that rounding in the sum never leaves a gap at the end.
-    chosen = (edges <= (share * edges[:, -1])[:, None]).sum(axis=1)
-    last = chances.shape[1] - 1 - np.argmax(chances[:, ::-1] > 0.0, axis=1)
-    return np.minimum(chosen, last)
+    column = (edges <= (share * edges[:, -1])[:, None]).sum(axis=1)
+    last = probabilities.shape[1] - 1 - np.argmax(probabilities[:, ::-1] > 0.0, axis=1)
+    return np.minimum(column, last)

@@ -14,12 +14,12 @@ __all__ = ["planner_driver", "random_policy", "trained_driver"]
 
 
 def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0) -> Driver:
-    """Every policy that was evaluated while the archive was made: the paper's random agent.
+    """Drive every policy that the archive's synthesis evaluated: the paper's random agent.
 
     Raises
     ------
     InputError
-        If the archive does not say which these were.
+        If the archive does not hold them.
     """
     archive = setting.archive
     explored = len(archive.explored_parameters)
@@ -29,7 +29,7 @@ def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 
 
 
 def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:
-    """All variants of a planner, or its default policy where it has none.
+    """Drive all variants of a planner, or its default policy if it has none.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str |
 def trained_driver(
     setting: Setting, *, name: str = "ppo-drive", seed: int = 0, network: str | Path | None = None
 ) -> Driver:
-    """A network that steers, trained by ``pcs-racing ppo`` at the level of control.
+    """Drive with a network that steers, trained by ``pcs-racing ppo`` at the control level.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def trained_driver(
         Not used: it drives without an archive, and by any rules.
     name : str
     network : str or Path, optional
-        Another one: the name of a shipped one or its folder.
+        Another network: the name of a shipped one or its folder.
 
     Raises
     ------
@@ -75,8 +75,8 @@ def trained_driver(
 
 
 def _variant(planner: str, variant: str) -> Policy:
-    called = planner if variant == "default" else f"{planner}:{variant}"
-    return get_planner(planner).policy(variant, name=called)
+    name = planner if variant == "default" else f"{planner}:{variant}"
+    return get_planner(planner).policy(variant, name=name)
 
 
 RANDOM_POLICY = Entry(

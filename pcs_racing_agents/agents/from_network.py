@@ -1,4 +1,4 @@
-"""Agents that ask a network what each move is worth, and decide by a rule: the paper's agent and its relatives."""
+"""Agents that decide by a network's values of the moves: the paper's agent and its relatives."""
 
 from dataclasses import dataclass
 
@@ -35,12 +35,12 @@ _DETAILS = ("setting_", "test_", "validation_", "training_")
 
 @dataclass(frozen=True, eq=False)
 class NetworkStrategy:
-    """Decides by the values of a network alone.
+    """A strategy that applies a decision rule to the values of a network.
 
     Attributes
     ----------
     network : RegretNetwork
-        It may value fewer moves than there are: it then leaves out "stay", the last, which is never made.
+        If it has no value for "stay", the last move, that move is never made.
     decision : str
         One of :data:`pcs_racing_agents.agents.decisions.DECISIONS`.
     count : int
@@ -57,24 +57,24 @@ class NetworkStrategy:
     def __call__(self, observation: Observations) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         values = self.network.unclipped(observation)
-        chances = np.zeros((len(observation), self.count))
-        chances[:, : values.shape[1]] = get_decision(self.decision)(values)
-        return chances
+        probabilities = np.zeros((len(observation), self.count))
+        probabilities[:, : values.shape[1]] = get_decision(self.decision)(values)
+        return probabilities
 
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveStrategy:
-    """Keeps to a strategy that never looks at the race, unless the network promises clearly more.
+    """A strategy that follows a blind agent, unless a network predicts a gain above a margin.
 
     Attributes
     ----------
     network : RegretNetwork
-        What each move is worth; in the units of its target.
+        Values of the moves, in the units of its target.
     blind : Agent
-        The strategy to keep to.
+        The agent to follow; it does not use its observations.
     margin : float
-        By how much the best move must be worth more than the blind strategy's, 0 or above. A move that the network does
-        not value ("stay", where it has not learned it) is worth 0, as in a network of advantages.
+        Least difference between the values of the best move and of the blind agent's, 0 or above. A move that the
+        network does not value ("stay", where it has not learned it) counts 0, as in a network of advantages.
     """
 
     network: RegretNetwork
@@ -83,18 +83,18 @@ class AdaptiveStrategy:
 
     def __call__(self, observation: Observations) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
-        usual = self.blind.probabilities(observation)
-        values = np.zeros(usual.shape)
-        known = self.network.unclipped(observation)
-        values[:, : known.shape[1]] = known
-        best = np.argmax(known, axis=1)
+        default = self.blind.probabilities(observation)
+        values = np.zeros(default.shape)
+        predicted = self.network.unclipped(observation)
+        values[:, : predicted.shape[1]] = predicted
+        best = np.argmax(predicted, axis=1)
         rows = np.arange(len(observation))
-        gain = values[rows, best] - (usual * values).sum(axis=1)
-        return np.where((gain > self.margin)[:, None], np.eye(usual.shape[1])[best], usual)
+        gain = values[rows, best] - (default * values).sum(axis=1)
+        return np.where((gain > self.margin)[:, None], np.eye(default.shape[1])[best], default)
 
 
-def fitting_network(source: NetworkSource, setting: Setting, kind: str, who: str) -> RegretNetwork:
-    """Return a network after checking that it belongs to a setting.
+def fitting_network(source: NetworkSource, setting: Setting, kind: str, agent: str) -> RegretNetwork:
+    """Return a network for a setting, after a check that it belongs to it.
 
     Parameters
     ----------
@@ -104,23 +104,23 @@ def fitting_network(source: NetworkSource, setting: Setting, kind: str, who: str
     setting : Setting
     kind : str
         What it was trained to approximate.
-    who : str
-        Name of the agent, for the message.
+    agent : str
+        Name of the agent, for error messages.
 
     Raises
     ------
     UnknownNameError
         If there is no such network.
     InputError
-        If it sees other observations or belongs to another archive.
+        If it takes other observations or belongs to another archive.
     """
     if source is None:
         source = f"{setting.archive.name}-{setting.race}-{kind}"
         if source not in list_networks():
-            known = ", ".join(list_networks()) or "none"
+            shipped = ", ".join(list_networks()) or "none"
             raise UnknownNameError(
-                f"agent {who!r} needs a network, and none called {source!r} is shipped (there are: {known}); train one "
-                "with 'pcs-racing train' and give it as network=FOLDER"
+                f"agent {agent!r} needs a network, and none called {source!r} is shipped (there are: {shipped}); train "
+                "one with 'pcs-racing train' and give it as network=FOLDER"
             )
     network = load_network(source)
     epsilon = setting.config.epsilon
@@ -135,15 +135,15 @@ def fitting_network(source: NetworkSource, setting: Setting, kind: str, who: str
     try:
         network.check_identity(identity, "the game")
     except InputError as error:
-        raise InputError(f"agent {who!r}: {error}") from None
+        raise InputError(f"agent {agent!r}: {error}") from None
     return network
 
 
 def network_facts(network: RegretNetwork) -> dict[str, str]:
-    """What reports say of an agent's network."""
-    # The manifest has all of it; these are the figures that say how much there was to learn from.
-    shown = {key: value for key, value in network.training.items() if not key.startswith(_DETAILS)}
-    trained = ", ".join(f"{key} {value}" for key, value in shown.items())
+    """Return facts about an agent's network for reports."""
+    # The manifest has all fields; these are the ones about the amount of training data.
+    figures = {key: value for key, value in network.training.items() if not key.startswith(_DETAILS)}
+    trained = ", ".join(f"{key} {value}" for key, value in figures.items())
     return {
         "network": f"{network.name}: {network.target}, preset {network.identity.preset}",
         "trained on": trained or "not said",
@@ -163,7 +163,7 @@ def from_network(
     decision: str = "argmax",
     network: NetworkSource = None,
 ) -> Agent:
-    """Decide by what a network says that each move is worth.
+    """Decide by a network's values of the moves.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def adaptive(
     blind: str | Agent = "best-fixed",
     margin: float | None = None,
 ) -> Agent:
-    """Keep to the best strategy that never looks at the race, and leave it where a network promises clearly more.
+    """Follow a blind agent, and leave it where a network predicts a gain above a margin.
 
     Parameters
     ----------
@@ -202,12 +202,12 @@ def adaptive(
     kind : str
         What the network was trained to approximate; names the shipped one.
     network : RegretNetwork, str or path, optional
-        What each move is worth: another network, the name of a shipped one or its folder.
+        Values of the moves: another network, the name of a shipped one or its folder.
     blind : Agent or str
         The default strategy, with its own needs.
     margin : float, optional
-        How much more a move must promise, in units of the network's target; by default what the network's training says
-        (``margin``), else 0.
+        Least predicted gain of a move, in units of the network's target; by default the ``margin`` in the facts of the
+        network's training, else 0.
     """
     loaded = fitting_network(network, setting, kind, name)
     blind_agent = build_member(blind, setting, seed)

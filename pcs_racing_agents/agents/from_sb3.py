@@ -1,4 +1,4 @@
-"""A policy trained with Stable-Baselines3 as a network of our own: no torch at the race, the same bits in any batch."""
+"""Conversion of a policy trained with Stable-Baselines3: it races without torch, with the same bits in any batch."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ __all__ = ["network_from_sb3"]
 def network_from_sb3(
     model: Any, identity: GameIdentity, name: str = "ppo", training: "dict[str, Any] | None" = None
 ) -> RegretNetwork:
-    """Return the network that chooses the moves of a model: its outputs are the logits of the moves.
+    """Return a model's policy as a network whose outputs are the logits of the moves.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def network_from_sb3(
     Raises
     ------
     InputError
-        If the model is built otherwise.
+        If the model has another structure.
     """
     policy = getattr(model, "policy", None)
     try:

@@ -1,7 +1,7 @@
-"""Looking ahead: where all moves of the next few steps lead from where a game stands, driven in one batch per step.
+"""A search by simulation: all sequences of moves of the next few steps, one batch of games for each step.
 
-What is looked into is a *guess* of the game (:func:`guess_games`): what can be seen from one of the cars, with what
-can't be seen replaced: a decision by it uses neither the opponent's parameters nor its plans nor the noise to come.
+The search simulates a *guess* of the game (:func:`guess_games`), built from what one of the cars can observe: it uses
+neither the opponent's parameters nor its plans nor the noise to come.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 def search_game(game: RaceGame) -> RaceGame:
-    """Return the game in which an agent looks ahead: both cars drive policies of the archive, and may keep theirs."""
+    """Return the game of a search: both cars drive policies of the archive and have the move "stay"."""
     family = game.archive.family()
     if game.config.stay and all(planner is family for planner in game.setup.planners):
         return game
@@ -30,24 +30,24 @@ def search_game(game: RaceGame) -> RaceGame:
 
 
 def guess_games(game: RaceGame, search: RaceGame, state: GameState, car: int, seeds: NDArray[np.uint64]) -> GameState:
-    """Return games as one of the players may think that they stand.
+    """Return the states of games as one of the players can guess them.
 
-    Both cars are where they are, and as fast. The opponent drives the policy of the archive that is nearest to what was
-    measured of it in the last step, and has just begun to do so: what its planner remembers, its path and its command
-    are forgotten. So is the present steering disturbance of both cars.
+    Positions and speeds are those of the game. The opponent drives the policy of the archive that is nearest to its
+    measurement in the last step; its planner's memory, its path and its command are reset. So is the steering
+    disturbance of both cars.
 
     Parameters
     ----------
     game : RaceGame
-        What is played.
+        The game that is played.
     search : RaceGame
-        Where it is looked ahead (:func:`search_game`).
+        The game of the search (:func:`search_game`).
     state : GameState
-        B games that go on. Left as it is.
+        B games that are not over; not modified.
     car : int
-        Who looks ahead.
+        The car that searches.
     seeds : ndarray, shape (B,), uint64
-        Keys of the noise that is imagined.
+        Keys of the noise in the search.
     """
     other = 1 - car
     own_memory = game.setup.planners[car].memory_total
@@ -65,29 +65,29 @@ def guess_games(game: RaceGame, search: RaceGame, state: GameState, car: int, se
 
 
 def merge_histories(table: Indices, policy: Indices, depth: int) -> list[Indices]:
-    """Find the histories of moves that pass through the same policies.
+    """Map every history of moves to the first one that passes through the same policies.
 
     Parameters
     ----------
     table : ndarray, shape (K, A)
-        Where every move leads from every policy.
+        Policy after every move from every policy.
     policy : ndarray, shape (B,)
-        Policies to start with.
+        Start policies.
     depth : int
 
     Returns
     -------
     list of ndarray, shape (B, A**k)
-        For ``k`` from 0 to ``depth`` moves: the first history of them that is one race with each history. Histories
-        stand in row-major order, first move first.
+        For ``k`` from 0 to ``depth`` moves: for each history the first one with the same policies. Histories are in
+        row-major order, first move first.
     """
     options = table.shape[1]
     first = (table[:, :, None] == table[:, None, :]).argmax(axis=2)  # of the moves that lead to the same policy
-    here = policy[:, None]
+    policies = policy[:, None]
     same = [np.zeros((len(policy), 1), np.int64)]
     for _ in range(depth):
-        same.append((same[-1][:, :, None] * options + first[here]).reshape(len(policy), -1))
-        here = table[here].reshape(len(policy), -1)
+        same.append((same[-1][:, :, None] * options + first[policies]).reshape(len(policy), -1))
+        policies = table[policies].reshape(len(policy), -1)
     return same
 
 
@@ -100,25 +100,25 @@ def look_ahead(
     leaf: str,
     value: Callable[[RaceGame, GameState, int], Floats],
 ) -> Floats:
-    """Drive all that may happen in the next steps, and value where it leads.
+    """Simulate all histories of moves of the next steps, and return the values of their ends.
 
-    Histories of moves that pass through the same policies are driven once. A crash ends its branch.
+    Histories of moves that pass through the same policies are simulated once. A crash ends its branch.
 
     Parameters
     ----------
     search : RaceGame
     guess : GameState
-        B games that go on, all after the same number of moves and with as many left as ``depth`` at least.
+        B games that are not over, all after the same number of moves and with at least ``depth`` moves left.
     car : int
-        Who looks ahead.
+        The car that searches.
     moves : tuple of two ndarray, shapes (A,) and (C,)
-        Indices of the moves that it thinks of, and of those that it expects of the opponent.
+        Indices of the moves of the car, and of those of the opponent.
     depth : int
     leaf : {"rollout", "now", "network"}
         Where a branch ends: at the end of the race, both cars keeping the policies of the last move; or after the last
-        move, where "network" also needs to know what was seen until then.
+        move, with observations for "network".
     value : callable
-        ``value(search, states, car) -> (N,)``: what the ends are worth to the car.
+        ``value(search, states, car) -> (N,)``: value of the ends to the car.
 
     Returns
     -------
@@ -127,39 +127,40 @@ def look_ahead(
     """
     options = tuple(len(m) for m in moves)
     tables = tuple(search.table[:, m] for m in moves)
-    same = tuple(merge_histories(tables[i], guess.policy[:, (car, 1 - car)[i]], depth) for i in range(2))
-    state, where = guess, np.arange(guess.games).reshape(-1, 1, 1)
+    representative = tuple(merge_histories(tables[i], guess.policy[:, (car, 1 - car)[i]], depth) for i in range(2))
+    # row[g, i, j]: the row of `state` that holds game g after the i-th own and the j-th opponent's history.
+    state, row = guess, np.arange(guess.games).reshape(-1, 1, 1)
     for k in range(1, depth + 1):
-        alone = [same[i][k] == np.arange(options[i] ** k) for i in range(2)]
-        game, mine, theirs = np.nonzero(alone[0][:, :, None] & alone[1][:, None, :])
-        parents = take_games(state, where[game, mine // options[0], theirs // options[1]])
+        distinct = [representative[i][k] == np.arange(options[i] ** k) for i in range(2)]
+        game, own, other = np.nonzero(distinct[0][:, :, None] & distinct[1][:, None, :])
+        parents = take_games(state, row[game, own // options[0], other // options[1]])
         actions = np.empty((len(game), 2), np.int64)
-        actions[:, car] = moves[0][mine % options[0]]
-        actions[:, 1 - car] = moves[1][theirs % options[1]]
+        actions[:, car] = moves[0][own % options[0]]
+        actions[:, 1 - car] = moves[1][other % options[1]]
         if k < depth or leaf == "network":
             state = search.step(parents, actions)
         else:
             state = _drive_on(search, parents, actions, to_the_end=leaf == "rollout")
-        where = np.zeros((guess.games, options[0] ** k, options[1] ** k), np.int64)
-        where[game, mine, theirs] = np.arange(len(game))
-    worth = value(search, state, car)
+        row = np.zeros((guess.games, options[0] ** k, options[1] ** k), np.int64)
+        row[game, own, other] = np.arange(len(game))
+    end_values = value(search, state, car)
     game = np.arange(guess.games)[:, None, None]
-    return worth[where[game, same[0][depth][:, :, None], same[1][depth][:, None, :]]]
+    return end_values[row[game, representative[0][depth][:, :, None], representative[1][depth][:, None, :]]]
 
 
 def _drive_on(search: RaceGame, state: GameState, actions: Indices, *, to_the_end: bool) -> GameState:
-    """Move in place and drive on, measuring nothing: of what was to be seen only the race is right afterwards."""
-    going = ~search.done(state)
+    """Move and simulate in place without measurements: afterwards only the race of the state is valid."""
+    running = ~search.done(state)
     policy = search.table[state.policy, actions]
-    left = search.config.moves - state.step
-    ticks = search.config.step_ticks * (int(left.max(initial=0)) if to_the_end else 1)
-    # Races that are over stand still, whatever drives them.
+    remaining = search.config.moves - state.step
+    ticks = search.config.step_ticks * (int(remaining.max(initial=0)) if to_the_end else 1)
+    # A race that is over does not change any more.
     advance(search.setup, state.race, search.theta(policy), ticks, threads=search.threads, ittc=False)
     if to_the_end:
         driven = -(-state.race.tick // search.config.step_ticks) - 1  # the step in which a race ended counts
-        state.step[going] = driven[going]
+        state.step[running] = driven[running]
     else:
-        state.step[going] += 1
+        state.step[running] += 1
     return state
 
 
@@ -177,8 +178,8 @@ def root_games(payoffs: Floats, options: tuple[int, int], depth: int) -> Floats:
     Returns
     -------
     ndarray, shape (B, A, C)
-        What the first moves are worth, both playing on by an equilibrium; against an opponent with a single move (C =
-        1) that is the best reply.
+        Values of the first moves if both then play an equilibrium; against an opponent with a single move (C = 1)
+        the value of a best response.
     """
     own, other = options
     values = payoffs

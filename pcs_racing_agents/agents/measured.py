@@ -1,7 +1,7 @@
-"""How strong the agents are and what a decision costs: what ``benchmarks/zoo.py`` measured, by agent and by its hash.
+"""Measured strength of the agents and cost of their decisions, written by ``benchmarks/zoo.py``.
 
-The table is a file of the package, ``measured.csv``. A line holds for the very agent that it was measured with: its
-hash is that of all that decides what the agent does (:func:`pcs_racing_agents.agents.agent.competitor_hash`).
+The table is a file of the package, ``measured.csv``. A line is valid for an agent with the same hash
+(:func:`pcs_racing_agents.agents.agent.competitor_hash`).
 """
 
 import csv
@@ -21,24 +21,24 @@ NUMBERS = ("races", "score", "rating", "rating_low", "rating_high", "own_crash",
 
 
 class Measured(NamedTuple):
-    """What was measured of an agent.
+    """Measured strength and cost of an agent.
 
     Attributes
     ----------
     archive, race, agent : str
-        In which game, and its name.
+        The game, and the agent's name.
     sha256 : str
         The agent's hash.
     tracks : str
         Circuits, separated by ``", "``.
     races : float
-        Races that it drove.
+        Number of its races.
     score : float
         Races won, a tie counting half, mean over the opponents.
     rating, rating_low, rating_high : float
-        Bradley-Terry rating among all that were measured, and its 95 % interval; NaN where the races do not tell.
+        Bradley-Terry rating among all measured agents, and its 95 % interval; NaN if it can't be estimated.
     own_crash : float
-        Share of its races that ended in a crash that it is to blame for.
+        Share of its races that ended in a crash by its fault.
     one_us, many_us : float
         Microseconds of a decision for a single observation, and for each of 1,000 at once; of a driver, which decides
         by planning ten times a second, those of a plan with 0.1 s of simulation. NaN where it was not measured.
@@ -63,14 +63,14 @@ class Measured(NamedTuple):
 
 
 def measured(archive: str, race: str, agent: str, sha256: str) -> Measured | None:
-    """Return what was measured of an agent as it is; None where it was not, or has changed since."""
-    found = measurements().get((archive, race, agent))
-    return found if found is not None and found.sha256 == sha256 else None
+    """Return the measurement of an agent; None if there is none, or if the agent has changed since."""
+    measurement = measurements().get((archive, race, agent))
+    return measurement if measurement is not None and measurement.sha256 == sha256 else None
 
 
 @lru_cache(maxsize=1)
 def measurements() -> dict[tuple[str, str, str], Measured]:
-    """Return everything that was measured, by archive, race and agent.
+    """Return all measurements, by archive, race and agent.
 
     Raises
     ------
@@ -91,13 +91,13 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
                     for name, value in row.items()
                     if name.startswith(AGAINST) and value
                 }
-                one = Measured(**values, against=scores)
-                table[one.archive, one.race, one.agent] = one
+                measurement = Measured(**values, against=scores)
+                table[measurement.archive, measurement.race, measurement.agent] = measurement
     except (KeyError, ValueError, TypeError) as error:
         raise InputError(f"{path} is damaged ({error}); python benchmarks/zoo.py --write makes it again") from None
     return table
 
 
 def measured_file() -> Path:
-    """Return the path of the table."""
+    """Path of the table."""
     return Path(__file__).resolve().parent / "measured.csv"

@@ -1,8 +1,8 @@
-"""A mixture: one of several agents is drawn for each game, as a meta-strategy or a restricted response does.
+"""Mixtures of agents: one of several agents is drawn for each game, as in a meta-strategy or a restricted response.
 
-By Kuhn's theorem a draw before the game can be replaced by draws on the way: in each situation every member counts as
-much as it is likely to have come there. That makes a mixture an ordinary strategy: a function of what is seen, whose
-exploitability can be measured like that of any other.
+By Kuhn's theorem a draw before the game can be replaced by draws at each decision, in which every member has the
+posterior probability of having reached the situation. So a mixture is an ordinary strategy, a function of the
+observation, whose exploitability can be measured like that of any other.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,15 +25,15 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Draws one of its members for each game.
+    """A strategy that draws one of its members for each game.
 
     Attributes
     ----------
     members : tuple of Agent
     weights : ndarray, shape (C,)
-        How often each is drawn; they add up to 1.
+        Probabilities of the members; they sum to 1.
     setting : Setting
-        Of all members.
+        Common to all members.
     """
 
     members: tuple[Agent, ...]
@@ -42,32 +42,33 @@ class Mixture:
 
     def __call__(self, observation: Observations) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
-        now = moves_made(observation, self._axes)
-        chances = np.zeros((len(observation), len(self.setting.moves)))
-        for step in np.unique(now):
-            rows = np.flatnonzero(now == step)
-            chances[rows] = self._at(observation[rows], int(step))
-        return chances
+        steps = moves_made(observation, self._axes)
+        probabilities = np.zeros((len(observation), len(self.setting.moves)))
+        for step in np.unique(steps):
+            rows = np.flatnonzero(steps == step)
+            probabilities[rows] = self._at(observation[rows], int(step))
+        return probabilities
 
     @property
     def _axes(self) -> int:
         return len(self.setting.archive.characteristics)
 
-    def _at(self, seen: Observations, step: int) -> Floats:
-        """Chances in situations of one step."""
+    def _at(self, observation: Observations, step: int) -> Floats:
+        """Probabilities of the moves for observations at one step."""
         archive, axes = self.setting.archive, self._axes
-        likely = np.tile(self.weights, (len(seen), 1))
+        posterior = np.tile(self.weights, (len(observation), 1))
         for k in range(step):
-            before = earlier(seen, axes, k)
-            here, there = (archive.nearest(own(seen, axes, at)) for at in (k, k + 1))
-            made = self.setting.table[here] == there[:, None]  # moves that it may have been, shape (B, M)
+            past = earlier(observation, axes, k)
+            policy, next_policy = (archive.nearest(own(observation, axes, at)) for at in (k, k + 1))
+            # A move is not observed, only the policy that it leads to: all moves with the same result count, (B, M).
+            possible = self.setting.table[policy] == next_policy[:, None]
             for c, member in enumerate(self.members):
-                likely[:, c] *= (member.probabilities(before) * made).sum(axis=1)
-        total = likely.sum(axis=1, keepdims=True)
-        # A situation that no member would have come to: as if the game began here.
-        likely = np.where(total > 0.0, likely / np.where(total > 0.0, total, 1.0), self.weights)
-        now = np.stack([member.probabilities(seen) for member in self.members], axis=1)
-        return (likely[:, :, None] * now).sum(axis=1)
+                posterior[:, c] *= (member.probabilities(past) * possible).sum(axis=1)
+        total = posterior.sum(axis=1, keepdims=True)
+        # A situation that no member can reach: as if the game began here.
+        posterior = np.where(total > 0.0, posterior / np.where(total > 0.0, total, 1.0), self.weights)
+        probabilities = np.stack([member.probabilities(observation) for member in self.members], axis=1)
+        return (posterior[:, :, None] * probabilities).sum(axis=1)
 
 
 def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
@@ -94,8 +95,8 @@ def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
                 f"members {members[0].name!r} and {member.name!r} are made for different archives or rules; a mixture "
                 "needs one"
             )
-    kept = np.flatnonzero(shares > 0.0)
-    return Mixture(tuple(members[int(i)] for i in kept), shares[kept] / shares.sum(), members[0].setting)
+    positive = np.flatnonzero(shares > 0.0)
+    return Mixture(tuple(members[int(i)] for i in positive), shares[positive] / shares.sum(), members[0].setting)
 
 
 # Agents
@@ -110,7 +111,7 @@ def restricted_response(
     safe: str | Agent = "nash",
     share: float = 0.5,
 ) -> Agent:
-    """Draw for each game whether to exploit or to play safe.
+    """Draw for each game which of two agents plays it: one that exploits, or one that plays safe.
 
     Parameters
     ----------
@@ -140,7 +141,7 @@ def psro(
     members: Sequence[Agent] = (),
     fit: FitSource = None,
 ) -> Agent:
-    """Draw an agent for each game, with the chances of an equilibrium of the game of choosing agents.
+    """Draw an agent for each game, with the probabilities of an equilibrium of the game of choosing agents.
 
     Parameters
     ----------
@@ -156,8 +157,8 @@ def psro(
     """
     facts: dict[str, str] = {}
     if weights is None:
-        chosen_fit = find_fit("psro", setting, fit)
-        weights, facts = chosen_fit.choice, fit_facts(chosen_fit)
+        loaded = find_fit("psro", setting, fit)
+        weights, facts = loaded.choice, fit_facts(loaded)
     elif fit is not None:
         raise InputError(f"agent {name!r} got weights and a fit; give one of the two")
     own = {member.name: member for member in members}

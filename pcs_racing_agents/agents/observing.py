@@ -1,4 +1,4 @@
-"""Reading observations: which step it is, where the own policy lies, and what was to be seen earlier.
+"""The parts of an observation: the number of moves made, the coordinates of both policies, and earlier observations.
 
 An observation holds a block of numbers for every step, and then the share of the moves that have been made. A block is
 the own coordinates, the opponent's, the lead, and whether the step is over
@@ -15,7 +15,7 @@ Observations = NDArray[np.float32]
 
 
 def step_count(observation: Observations, axes: int) -> int:
-    """Number of steps that an observation has room for: one more than there are moves."""
+    """Number of steps in an observation: one more than there are moves."""
     return (observation.shape[-1] - 1) // (2 * axes + 2)
 
 
@@ -29,22 +29,22 @@ def moves_made(observation: Observations, axes: int) -> NDArray[np.int64]:
 
 
 def own(observation: Observations, axes: int, step: int | None = None) -> Observations:
-    """Own normalised coordinates in a step, by default in the one that is just over, shape (B, G)."""
-    return _part(observation, axes, step, 0)
+    """Own normalised coordinates in a step, by default in the last one that is over, shape (B, G)."""
+    return _coordinates(observation, axes, step, 0)
 
 
 def opponent(observation: Observations, axes: int, step: int | None = None) -> Observations:
-    """Opponent's coordinates as measured in a step, by default in the one that is just over, shape (B, G)."""
-    return _part(observation, axes, step, axes)
+    """Measured coordinates of the opponent in a step, by default in the last one that is over, shape (B, G)."""
+    return _coordinates(observation, axes, step, axes)
 
 
-def _part(observation: Observations, axes: int, step: int | None, first: int) -> Observations:
-    at = moves_made(observation, axes) if step is None else np.full(len(observation), step)
-    return _blocks(observation, axes)[np.arange(len(observation)), at, first : first + axes]
+def _coordinates(observation: Observations, axes: int, step: int | None, first: int) -> Observations:
+    index = moves_made(observation, axes) if step is None else np.full(len(observation), step)
+    return _blocks(observation, axes)[np.arange(len(observation)), index, first : first + axes]
 
 
 def earlier(observation: Observations, axes: int, moves: int) -> Observations:
-    """Return what was to be seen when so many moves had been made, shape (B, D)."""
+    """Return the observations after the given number of moves, shape (B, D)."""
     steps = step_count(observation, axes)
     before = observation.copy()
     before[:, (moves + 1) * (2 * axes + 2) : -1] = 0.0

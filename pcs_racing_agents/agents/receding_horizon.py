@@ -1,8 +1,8 @@
-"""Receding horizon: at every decision look a few steps ahead from where the cars are, and solve that small game.
+"""Receding-horizon control: at every decision simulate the next few steps, and solve that small game.
 
-The paper solves the whole game beforehand, and names that as the reason for few decisions: with more of them the tree
-becomes too deep. A search from the present state needs no tree of the whole game. It sees where both cars are and how
-fast, but not the opponent's parameters (:mod:`pcs_racing_agents.agents.lookahead`).
+The paper solves the whole game before the race, and names that as its limit: with more decisions the tree becomes too
+deep. A search from the present state needs no tree of the whole game. It uses positions and speeds of both cars, but
+not the opponent's parameters (:mod:`pcs_racing_agents.agents.lookahead`).
 """
 
 from dataclasses import dataclass
@@ -32,41 +32,41 @@ LEAVES = {
     "now": "the lead at that moment",
     "network": "what a network of utilities (target static-q) says, halfway between the two players' views",
 }
-"""How the ends of a search are valued; where the race is over, by the rules."""
+"""Values of the leaves of a search; a race that is over is valued by the rules."""
 
 OPPONENTS = {
-    "static": "keeps the policy that it seems to drive: the search is for the best reply",
+    "static": "keeps the policy that it seems to drive: the search is for a best response",
     "equilibrium": "has the same moves and looks as far ahead: the search is for an equilibrium",
 }
-"""What a search expects of the opponent."""
+"""Models of the opponent in a search."""
 
 DECISIONS = {
     "argmax": "the most probable move",
-    "sample": "drawn, by a hash of what was seen and the agent's seed",
+    "sample": "drawn, by a hash of the observation and the agent's seed",
 }
-"""Which move of an equilibrium strategy is made; of a best reply it is the best one."""
+"""Choice of a move from an equilibrium strategy; a best response has a single one."""
 
 NETWORK_TARGET = "static-q"
-NOISES = 4  # courses of the noise to imagine, where there is noise
+NOISES = 4  # default number of noise realisations
 MAX_LEAVES = 100_000
-LEAD_BONUS = 0.01  # per LEAD_SCALE of lead, up to 5 of them, where only winning counts
+LEAD_BONUS = 0.01  # per LEAD_SCALE of lead, at most 5 of them, if the utility is "win"
 STATES = 20_000  # of games held in memory at a time, about 3 kB each
 
 
 @dataclass(frozen=True, eq=False)
 class RecedingHorizon:
-    """Looks ahead at every decision; a :class:`pcs_racing_agents.agents.Decider`.
+    """A competitor that searches at every decision; a :class:`pcs_racing_agents.agents.Decider`.
 
     Attributes
     ----------
     name : str
-        What tables call it.
+        Name in tables.
     setting : Setting
-        The archive and the rules that it is made for.
+        Archive and rules that it is made for.
     seed : int
-        What it imagines noise and draws moves with, from 0 to 2**63 - 1.
+        Seed of the noise in the search and of the draws of moves, from 0 to 2**63 - 1.
     depth : int
-        Steps of the game to look ahead, at least 1; near the end of the game there are fewer.
+        Steps of the game to search, at least 1; near the end of the game there are fewer.
     leaf : str
         One of :data:`LEAVES`.
     opponent : str
@@ -74,7 +74,7 @@ class RecedingHorizon:
     decision : str
         One of :data:`DECISIONS`.
     noises : int
-        Courses of the steering noise to average over.
+        Number of realisations of the steering noise to average over.
     network : RegretNetwork, optional
         For the leaf "network".
 
@@ -95,33 +95,34 @@ class RecedingHorizon:
     network: RegretNetwork | None = None
 
     def __post_init__(self) -> None:
-        who = f"agent {self.name!r}"
+        agent = f"agent {self.name!r}"
         for key, least, below in (("seed", 0, 2**63), ("depth", 1, 2**31), ("noises", 1, 10_000)):
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value < below:
-                raise InputError(f"the {key} of {who} is {value!r}; it must be a whole number from {least}")
-        for key, known in (("leaf", LEAVES), ("opponent", OPPONENTS), ("decision", DECISIONS)):
-            if not isinstance(getattr(self, key), str) or getattr(self, key) not in known:
-                raise InputError(f"the {key} of {who} is {getattr(self, key)!r}; it must be one of {', '.join(known)}")
+                raise InputError(f"the {key} of {agent} is {value!r}; it must be a whole number from {least}")
+        for key, options in (("leaf", LEAVES), ("opponent", OPPONENTS), ("decision", DECISIONS)):
+            if not isinstance(getattr(self, key), str) or getattr(self, key) not in options:
+                value = getattr(self, key)
+                raise InputError(f"the {key} of {agent} is {value!r}; it must be one of {', '.join(options)}")
         if (self.network is None) is (self.leaf == "network"):
-            raise InputError(f"{who} has leaf {self.leaf!r} and network {self.network!r}; it takes one for 'network'")
+            raise InputError(f"{agent} has leaf {self.leaf!r} and network {self.network!r}; it takes one for 'network'")
         if self.network is not None and self.network.target != NETWORK_TARGET:
             raise InputError(
-                f"network {self.network.name!r} of {who} has target {self.network.target!r}, which does not say what a "
-                f"situation is worth; it must be {NETWORK_TARGET!r}"
+                f"network {self.network.name!r} of {agent} has target {self.network.target!r}, which is no value of a "
+                f"situation; it must be {NETWORK_TARGET!r}"
             )
         count = len(self.setting.moves)
         pairs = count if self.opponent == "static" else count * count
         leaves = self.noises * pairs ** min(self.depth, self.setting.config.moves)
         if leaves > MAX_LEAVES:
             raise InputError(
-                f"{who} would look at {leaves:.3g} ends for a decision, more than {MAX_LEAVES}; make its depth "
+                f"{agent} would look at {leaves:.3g} ends for a decision, more than {MAX_LEAVES}; make its depth "
                 f"{self.depth} or its noises {self.noises} smaller"
             )
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of all that decides what it does, but not of its name."""
+        """SHA-256 of all that its moves depend on, without its name."""
         options = (self.seed, self.depth, self.leaf, self.opponent, self.decision, self.noises)
         network = self.network and (self.network.layers, self.network.mean, self.network.scale)
         return fingerprint("receding horizon", options, network, self.setting.archive.content_hash, self.setting.config)
@@ -129,32 +130,33 @@ class RecedingHorizon:
     def decide(self, game: RaceGame, state: GameState, car: int) -> Indices:
         """Return the moves of one car in a batch of B games, shape (B,).
 
-        Every game is decided by itself, whatever else is in the batch. In games that are over the move means nothing.
+        A move depends on its own game alone. In games that are over the move means nothing.
 
         Raises
         ------
         InputError
-            If the game is played with another archive or other rules, or a car that is to move is driven from outside
-            the archive.
+            If the game is played with another archive or other rules, or if the policy of the car is not from the
+            archive.
         """
-        games, seen = self.root_games(game, state, car)
+        games, observation = self.root_games(game, state, car)
+        stay = bool(game.config.stay)
         if games.shape[2] == 1 or len(games) == 0:
-            return _highest(games[:, :, 0], bool(game.config.stay))
-        chances = solve_matrix_games(games).rows
+            return _highest(games[:, :, 0], stay)
+        probabilities = solve_matrix_games(games).rows
         return (
-            draw(chances, seen, self.seed) if self.decision == "sample" else _highest(chances, bool(game.config.stay))
+            draw(probabilities, observation, self.seed) if self.decision == "sample" else _highest(probabilities, stay)
         )
 
     def root_games(self, game: RaceGame, state: GameState, car: int) -> tuple[Floats, NDArray[np.float32]]:
-        """Return what the search finds: the matrix games that are left to be played at once.
+        """Return the results of the search as matrix games of the next moves.
 
         Returns
         -------
         games : ndarray, shape (B, A, C)
-            What each pair of own move and opponent's move is worth to the car; C = 1 against a static opponent. 0 in
-            games that are over.
-        seen : ndarray, shape (B, D), float32
-            What the car observed.
+            Value of each pair of own move and opponent's move to the car; C = 1 against a static opponent. 0 in games
+            that are over.
+        observation : ndarray, shape (B, D), float32
+            Observations of the car.
         """
         self.setting.check_fits(game, self.name)
         outside = np.flatnonzero(state.policy[:, car] < 0)
@@ -167,55 +169,57 @@ class RecedingHorizon:
         own = np.arange(len(game.move_names))
         stay = np.array([len(search.move_names) - 1])
         moves = (own, own if self.opponent == "equilibrium" else stay)
-        found = np.zeros((state.games, len(own), len(moves[1])))
-        seen = game.observation(state)[:, car]
-        left = np.where(game.done(state), 0, game.config.moves - state.step)
-        for more in np.unique(left[left > 0]):
-            depth = min(self.depth, int(more))
+        games = np.zeros((state.games, len(own), len(moves[1])))
+        observation = game.observation(state)[:, car]
+        remaining = np.where(game.done(state), 0, game.config.moves - state.step)
+        for moves_left in np.unique(remaining[remaining > 0]):
+            depth = min(self.depth, int(moves_left))
             batch = max(1, STATES // (self.noises * (len(own) * len(moves[1])) ** depth))
-            rows = np.flatnonzero(left == more)
+            rows = np.flatnonzero(remaining == moves_left)
             for first in range(0, len(rows), batch):
-                part = rows[first : first + batch]
-                guess = self._guess(game, search, take_games(state, part), car, seen[part])
-                leaf = "rollout" if depth == more else self.leaf  # nothing but the end is left to be valued
+                chunk = rows[first : first + batch]
+                guess = self._guess(game, search, take_games(state, chunk), car, observation[chunk])
+                leaf = "rollout" if depth == moves_left else self.leaf  # nothing but the end is left to be valued
                 payoffs = look_ahead(search, guess, car, moves, depth, leaf, self._value)
-                # The courses of the noise share their information sets: who knew which one comes would know the future.
-                payoffs = payoffs.reshape(len(part), self.noises, *payoffs.shape[1:]).mean(axis=1)
-                found[part] = root_games(payoffs, (len(own), len(moves[1])), depth)
-        return found, seen
+                # Averaged before the games are solved: a player who knew the noise realisation would know the future.
+                payoffs = payoffs.reshape(len(chunk), self.noises, *payoffs.shape[1:]).mean(axis=1)
+                games[chunk] = root_games(payoffs, (len(own), len(moves[1])), depth)
+        return games, observation
 
     def _guess(
-        self, game: RaceGame, search: RaceGame, state: GameState, car: int, seen: NDArray[np.float32]
+        self, game: RaceGame, search: RaceGame, state: GameState, car: int, observation: NDArray[np.float32]
     ) -> GameState:
-        """Each game with each course of the noise, which is the same for all moves and follows from what was seen."""
+        """Return each game with each noise realisation: the same for all moves, and a function of the observation."""
         rows = np.repeat(np.arange(state.games), self.noises)
-        number = np.tile(np.arange(self.noises, dtype=np.float32), state.games)
-        seeds = hash_rows(np.column_stack([seen[rows], number]), self.seed)
+        realisation = np.tile(np.arange(self.noises, dtype=np.float32), state.games)
+        seeds = hash_rows(np.column_stack([observation[rows], realisation]), self.seed)
         return guess_games(game, search, take_games(state, rows), car, seeds)
 
     def _value(self, search: RaceGame, state: GameState, car: int) -> Floats:
-        """What the ends of a search are worth to a car, shape (N,)."""
+        """Return the values of the ends of a search to a car, shape (N,)."""
         done = search.done(state)
-        worth = search.worth(state.race, state.step)
+        values = search.worth(state.race, state.step)
         lead = state.race.lead / LEAD_SCALE
         if search.config.utility == "win":
-            # The opponent is a guess: of two races with the same result, the one with more lead is won more surely.
-            worth = worth + np.where(state.race.crashed, 0.0, LEAD_BONUS * np.clip(lead, -5.0, 5.0))
+            # The opponent is a guess: of two won races, the one with the larger lead is the more certain win.
+            values = values + np.where(state.race.crashed, 0.0, LEAD_BONUS * np.clip(lead, -5.0, 5.0))
         if not done.all():
             if self.network is not None:
                 best = self.network.unclipped(search.observation(state)).max(axis=2).astype(np.float64)
-                # Both views promise too much, since the network lets the other one play blindly.
-                going = 0.5 * (best[:, 0] - best[:, 1])
+                # Both values are too high: the network assumes an opponent that does not observe the race.
+                estimate = 0.5 * (best[:, 0] - best[:, 1])
             elif search.config.utility == "win":
-                going = np.clip(lead, -1.0, 1.0)
+                estimate = np.clip(lead, -1.0, 1.0)
             else:
-                going = state.race.lead
-            worth = np.where(done, worth, going)
-        return worth if car == 0 else -worth
+                estimate = state.race.lead
+            values = np.where(done, values, estimate)
+        return values if car == 0 else -values
 
 
 def _highest(values: Floats, stay: bool) -> Indices:
-    """Column of the highest value of each row: of equal ones "stay", the last, where it is a move, else the first."""
+    """Return the column of the highest value of each row; of equal ones "stay" (the last) if it is a move, else the
+    first.
+    """
     highest = values.max(axis=1, keepdims=True)
     close = values >= highest - 1e-9 * np.maximum(np.abs(highest), 1.0)
     return np.where(close[:, -1] & stay, values.shape[1] - 1, close.argmax(axis=1))
@@ -233,7 +237,7 @@ def receding_horizon(
     noises: int | None = None,
     network: NetworkSource = None,
 ) -> RecedingHorizon:
-    """Look a few steps ahead with the simulator at every decision.
+    """Simulate a few steps ahead at every decision.
 
     Parameters
     ----------
@@ -262,14 +266,14 @@ def receding_horizon(
     InputError
         If a value is impossible, the search would be too large, or the network belongs to another game.
     """
-    found = None
+    loaded = None
     if leaf == "network":
-        found = fitting_network(network, setting, NETWORK_TARGET, name)
+        loaded = fitting_network(network, setting, NETWORK_TARGET, name)
     elif network is not None:
         raise InputError(f"agent {name!r} got a network, but its leaf is {leaf!r}; only leaf 'network' asks one")
     if noises is None:
         noises = NOISES if setting.config.race.steering_noise > 0.0 else 1
-    return RecedingHorizon(name, setting, seed, depth, leaf, opponent, decision, noises, found)
+    return RecedingHorizon(name, setting, seed, depth, leaf, opponent, decision, noises, loaded)
 
 
 RECEDING_HORIZON = Entry(

@@ -1,10 +1,10 @@
-"""The zoo: agents and drivers by name.
+"""The zoo: a registry of agents and drivers by name.
 
 Those of this package are listed in :data:`SHIPPED`. A distribution adds its own in the entry point group
 ``pcs_racing.agents``: ``name = "package.module:function"``. The function takes a
 :class:`pcs_racing_agents.agents.Setting`, the keywords ``name`` and ``seed``, and options of its own; it returns an
-agent, a driver, or any object with ``predict``. A program calls :func:`register_agent`. All are imported when they are
-asked for.
+agent, a driver, or any object with ``predict``. A program calls :func:`register_agent`. A module is imported when its
+agent is built.
 """
 
 import difflib
@@ -44,7 +44,7 @@ ENTRY_POINTS = "pcs_racing.agents"
 """Entry point group in which a distribution names its agents: ``name = "package.module:function"``."""
 
 ALWAYS = "always-"
-_ALWAYS_PLACE = "pcs_racing_agents.agents.blind:always"
+_ALWAYS = "pcs_racing_agents.agents.blind:always"
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +60,11 @@ class Entry:
     source : str
         Where the idea comes from.
     needs : str
-        What it must have learned before it can race: "", "fit" or "network"; "agents" for what its
-        members must have learned.
+        What must be trained before it can race: "", "fit" or "network"; "agents" if its members may need training.
     defaults : Mapping
         Options that differ from those of other entries with the same function.
     moves : bool
-        Whether it moves between the policies of the archive; drivers do not.
+        Whether it makes moves; drivers do not.
     """
 
     build: Callable[..., Any]
@@ -99,16 +98,16 @@ SHIPPED = {
     "gap-follower": "pcs_racing_agents.agents.drivers:GAP_FOLLOWER",
     "pure-pursuit": "pcs_racing_agents.agents.drivers:PURE_PURSUIT",
 }
-"""Agents and drivers of this package: name and place of the entry. A new one is a file and a line here.
+"""Agents and drivers of this package: name, and reference to the entry. A new one is a file and a line here.
 
-Besides there is ``always-MOVE`` for every move.
+In addition there is ``always-MOVE`` for every move.
 """
 
 _registered: dict[str, Entry] = {}
 
 
 def register_agent(name: str, build: Callable[..., Any], summary: str = "", source: str = "") -> None:
-    """Make an agent known by name in this process.
+    """Register an agent under a name in this process.
 
     Parameters
     ----------
@@ -116,7 +115,7 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
     build : callable
         ``build(setting, name=..., seed=..., **options)`` returns an agent, a driver, or any object with ``predict``.
     summary, source : str
-        What reports say of it; by default the first line of the function's docstring.
+        For reports; by default the first line of the function's docstring.
 
     Raises
     ------
@@ -127,24 +126,24 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
         raise InputError(
             f"agent name {name!r} must be text without ':', '=', ',' and spaces, not beginning with always-"
         )
-    known = _registered.get(name)
-    if name in SHIPPED or (known is not None and known.build is not build):
+    existing = _registered.get(name)
+    if name in SHIPPED or (existing is not None and existing.build is not build):
         raise InputError(f"there is an agent {name!r} already; give yours another name")
     _registered[name] = Entry(build, summary or _first_line(build), source)
 
 
 def entries() -> dict[str, Entry]:
-    """Return everything that has a name, without importing what other distributions declare."""
-    declared = {name: Entry(_Place(name, place), f"from {place}") for name, place in _declared().items()}
-    return {**declared, **_registered, **{name: resolve_name(place) for name, place in SHIPPED.items()}}
+    """Return all entries by name, without importing the modules of other distributions."""
+    declared = {name: Entry(_LateFunction(name, source), f"from {source}") for name, source in _declared().items()}
+    return {**declared, **_registered, **{name: resolve_name(reference) for name, reference in SHIPPED.items()}}
 
 
 def names(
     archive: PolicyArchive | str | Path = "default", race: GameConfig | RaceConfig | str | Path = "paper"
 ) -> list[str]:
-    """Return the names of all agents and drivers that can be asked for with an archive, sorted.
+    """Return the names of all agents and drivers for an archive, sorted.
 
-    Those that must learn first also need a network or a fit (:class:`Entry`).
+    Trained agents also need a network or a fit (:class:`Entry`).
     """
     constant = [f"{ALWAYS}{''.join(move.split())}" for move in make_setting(archive, race).moves[:-1]]
     return sorted({*_declared(), *_registered, *SHIPPED, *constant})
@@ -167,9 +166,9 @@ def make(
     archive, race
         The game that it is for, as in :func:`pcs_racing.make_game`.
     seed : int
-        What mixed strategies draw with.
+        Seed of the draws of mixed strategies.
     **options
-        Of the agent; ``docs/agents.md`` lists them.
+        Options of the agent; ``docs/agents.md`` lists them.
 
     Returns
     -------
@@ -179,7 +178,7 @@ def make(
     Raises
     ------
     UnknownNameError
-        If there is no such agent, or what it must have learned is not there.
+        If there is no such agent, or if its network or fit does not exist.
     InputError
         If an option is unknown or impossible, or a network or fit belongs to another game.
 
@@ -191,49 +190,50 @@ def make(
     return build(name, make_setting(archive, race), seed=seed, **options)
 
 
-def build(name: str, setting: Setting, *, seed: int = 0, **given: Any) -> Any:
+def build(name: str, setting: Setting, *, seed: int = 0, **options: Any) -> Any:
     """Make an agent or a driver for a setting; see :func:`make`."""
     if not isinstance(name, str):
         raise InputError(f"agent {name!r} must be a name")
-    known = entries()
+    available = entries()
     if name.startswith(ALWAYS):
-        for key in given:
+        for key in options:
             raise InputError(f"agent {name!r} has no option {key!r}; it has none")
-        return resolve_name(_ALWAYS_PLACE)(setting, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
-    if name not in known:
-        if name.partition(":")[0] in planner_names() and not given:
+        return resolve_name(_ALWAYS)(setting, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
+    if name not in available:
+        if name.partition(":")[0] in planner_names() and not options:
             return as_competitor(parse_policy(name))
-        near = difflib.get_close_matches(name, known, n=1)
+        near = difflib.get_close_matches(name, available, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
-        raise UnknownNameError(f"agent {name!r} is unknown; {hint}there are: {', '.join(sorted(known))}, {ALWAYS}MOVE")
-    entry = known[name]
-    if not isinstance(entry.build, _Place):
-        _check_options(name, entry.build, given)
-    made = entry.build(setting, name=name, seed=seed, **{**entry.defaults, **given})
-    if not isinstance(made, Agent | Driver):
-        return as_competitor(made, name)
-    facts = {"does": entry.summary, "source": entry.source, **made.facts}
-    return replace(made, facts={key: value for key, value in facts.items() if value})
+        every = f"{', '.join(sorted(available))}, {ALWAYS}MOVE"
+        raise UnknownNameError(f"agent {name!r} is unknown; {hint}there are: {every}")
+    entry = available[name]
+    if not isinstance(entry.build, _LateFunction):
+        _check_options(name, entry.build, options)
+    agent = entry.build(setting, name=name, seed=seed, **{**entry.defaults, **options})
+    if not isinstance(agent, Agent | Driver):
+        return as_competitor(agent, name)
+    facts = {"does": entry.summary, "source": entry.source, **agent.facts}
+    return replace(agent, facts={key: value for key, value in facts.items() if value})
 
 
-def build_member(given: str | Agent, setting: Setting, seed: int) -> Agent:
-    """Return an agent that another agent consists of: as it is, or made by name.
+def build_member(member: str | Agent, setting: Setting, seed: int) -> Agent:
+    """Return an agent that is a member of another one; it is given as an agent or by name.
 
     Raises
     ------
     InputError
         If it makes no moves.
     """
-    made = given if isinstance(given, Agent) else build(given, setting, seed=seed)
-    if not isinstance(made, Agent):
-        raise InputError(f"{given!r} makes no moves; only agents can be part of another one")
-    return made
+    agent = member if isinstance(member, Agent) else build(member, setting, seed=seed)
+    if not isinstance(agent, Agent):
+        raise InputError(f"{member!r} makes no moves; only agents can be part of another one")
+    return agent
 
 
 def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
-    """Make an agent from text: a name, which may be followed by options as in ``"cfr-argmax:network=out/net"``.
+    """Make an agent from text: a name, or a name with options as in ``"cfr-argmax:network=out/net"``.
 
-    What begins with the name of a planner is a policy, as in ``"lane-switcher:3"``.
+    A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``.
 
     Raises
     ------
@@ -243,31 +243,31 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
     name, separator, rest = str(text).strip().partition(":")
     if not separator or name not in entries() or name in planner_names():
         return build(str(text).strip(), setting, seed=seed)
-    given: dict[str, Any] = {}
-    for part in rest.split(","):
-        key, equals, value = part.partition("=")
-        if not equals or key.strip() in given or key.strip() in ("name", "seed", "setting"):
-            raise InputError(f"agent {text!r}: {part!r} is not of the form option=value, each option once")
+    options: dict[str, Any] = {}
+    for option in rest.split(","):
+        key, equals, value = option.partition("=")
+        if not equals or key.strip() in options or key.strip() in ("name", "seed", "setting"):
+            raise InputError(f"agent {text!r}: {option!r} is not of the form option=value, each option once")
         try:
-            given[key.strip()] = plain_yaml(value)
+            options[key.strip()] = plain_yaml(value)
         except InputError:
             raise InputError(f"agent {text!r}: {value!r} is no value; it must be a number or plain text") from None
-    made = build(name, setting, seed=seed, **given)
-    return as_competitor(made, str(text).strip())
+    agent = build(name, setting, seed=seed, **options)
+    return as_competitor(agent, str(text).strip())
 
 
 @dataclass(frozen=True)
-class _Place:
-    """A function of another distribution, imported when it is first called."""
+class _LateFunction:
+    """A function of another distribution, imported when it is called."""
 
     name: str
-    place: str
+    reference: str
 
     def __call__(self, setting: Setting, **options: Any) -> Any:
         try:
-            function = resolve_name(self.place)
+            function = resolve_name(self.reference)
         except Exception as error:  # whatever a third party's module raises when it is imported
-            raise InputError(f"agent {self.name!r} can't be loaded from {self.place}: {error}") from error
+            raise InputError(f"agent {self.name!r} can't be loaded from {self.reference}: {error}") from error
         return function(setting, **options)
 
 
@@ -277,9 +277,9 @@ def _declared() -> dict[str, str]:
 
 
 def options(name: str) -> dict[str, Any]:
-    """Return the options of an entry with their defaults (None: it is worked out); of another distribution's, none."""
+    """Return the options of an entry with their defaults (None: computed); of another distribution's entry, none."""
     entry = entries()[name]
-    if isinstance(entry.build, _Place):
+    if isinstance(entry.build, _LateFunction):
         return {}
     free = _free_options(entry.build)
     return {key: entry.defaults.get(key, value) for key, value in free.items()}
@@ -294,12 +294,12 @@ def _free_options(function: Callable[..., Any]) -> dict[str, Any]:
     }
 
 
-def _check_options(name: str, function: Callable[..., Any], given: Iterable[str]) -> None:
+def _check_options(name: str, function: Callable[..., Any], options: Iterable[str]) -> None:
     parameters = inspect.signature(function).parameters.values()
     if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
         return
     free = _free_options(function)
-    for key in given:
+    for key in options:
         if key not in free:
             raise InputError(f"agent {name!r} has no option {key!r}; it has {', '.join(free) or 'none'}")
 
