@@ -70,7 +70,7 @@ def main() -> None:
             f"{stored.settings['archive']['name']}, preset {stored.settings['preset']}, epsilon {rules['epsilon']}, "
             f"utility {rules['utility']}; {options.splits} splits"
         )
-        print(f"{'target':40}  agrees   lost to best reply   lost to equilibrium   seconds")
+        print(f"{'target':40}  agrees   lost to a best response   lost to equilibrium   seconds")
         beside: dict[str, np.ndarray] = {}
         for name, changes in VARIANTS.items():
             agreement, scores, seconds = measure(stored, changes, options.splits)

@@ -92,7 +92,7 @@ def main() -> None:
     # 4. One of these races to watch.
     pairing = cross_pairing(game, ppo, rival, **draws)
     best = int(np.argmax(play_pairing(pairing).lead))
-    recording = record_match(game, ppo, rival, **pairing.one(best))
+    recording = record_match(game, ppo, rival, **pairing.race_arguments(best))
     print(f"\nto watch: {save_replay(recording.replay, arguments.out / 'race.html')}")
 
 

@@ -33,17 +33,17 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.agents.zoo import entries, names
 
     setting = make_setting(arguments.archive, arguments.preset)
-    known, listed = entries(), names(setting.archive, setting.config)
+    available, listed = entries(), names(setting.archive, setting.config)
     if arguments.agent is None:
         width = max(map(len, listed))
         for name in listed:
-            told = known[name].summary if name in known else "makes the same move again and again"
-            print(f"{name.ljust(width)}  {told}")
+            summary = available[name].summary if name in available else "makes the same move again and again"
+            print(f"{name.ljust(width)}  {summary}")
         return
     if arguments.agent not in listed:
         raise UnknownNameError(f"agent {arguments.agent!r} is unknown; there are: {', '.join(listed)}")
-    if arguments.agent in known:
-        print(describe(arguments.agent, known[arguments.agent]).replace("`", "").replace("### ", ""))
+    if arguments.agent in available:
+        print(describe(arguments.agent, available[arguments.agent]).replace("`", "").replace("### ", ""))
     else:
         print(f"{arguments.agent}\n\nMakes the same move again and again.\n")
     print(f"\nWith archive {setting.archive.name} in the {setting.race} race:")

@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 RACING = 1.5e-4
-"""For a second of a race between two cars of the lattice planner."""
+"""Processor seconds for a second of a race between two cars of the lattice planner."""
 TREE_SEGMENT = 2.6e-4
 """For a step of 8 s of a game tree, counting every joint history once (most of them need not be driven)."""
 EGO_SEGMENT = 6.3e-4
@@ -48,13 +48,13 @@ ROW = 4.3e-6
 AXES_MOVES = 4
 """Moves of an archive of two characteristics, "stay" not counted."""
 BLIND_ROUNDS = 3
-"""Rounds that the search for the best plan of moves is taken to need."""
-WORTH_TELLING = 60.0
-"""Seconds from which on a command says how long it takes."""
+"""Assumed rounds of the search for the best open-loop sequence."""
+LONG = 60.0
+"""Least duration of work, s, that a command announces."""
 
 
 def duration_text(seconds: float) -> str:
-    """Return a duration as people say it: ``"40 s"``, ``"5 min"``, ``"2.5 h"``."""
+    """Return a duration as text: ``"40 s"``, ``"5 min"``, ``"2.5 h"``."""
     if seconds < 60.0:
         return f"{seconds:.0f} s"
     if seconds < 90.0 * 60.0:
@@ -84,12 +84,12 @@ def announce(seconds: float, cores: int | None, *, most: bool = False) -> None:
     """
     about = "at most about" if most else "about"
     if cores is None:
-        told = f"{duration_text(seconds)} of processor time"
+        text = f"{duration_text(seconds)} of processor time"
     else:
         seconds /= cores
-        told = f"{duration_text(seconds)} on {cores} {'core' if cores == 1 else 'cores'}"
-    if seconds > WORTH_TELLING:
-        print(f"pcs-racing: this takes {about} {told} (less what an earlier run has done)", file=sys.stderr, flush=True)
+        text = f"{duration_text(seconds)} on {cores} {'core' if cores == 1 else 'cores'}"
+    if seconds > LONG:
+        print(f"pcs-racing: this takes {about} {text} (less what an earlier run has done)", file=sys.stderr, flush=True)
 
 
 def racing_seconds(races: int, duration: float) -> float:
@@ -133,7 +133,7 @@ def synthesis_seconds(config: ArchiveConfig) -> float:
 
 
 def ppo_seconds(settings: PPOSettings) -> float:
-    """Processor seconds of a training, of all seeds together; it ends earlier at a plateau."""
+    """Estimate the processor seconds of a training with all seeds; early stopping may shorten it."""
     rate = DUEL_MOVE if isinstance(settings, DuelSettings) else DRIVE_STEP
     return rate * settings.steps * len(settings.seeds)
 
@@ -155,7 +155,7 @@ def response_seconds(settings: ResponseSettings, config: GameConfig, moves: int,
     games : int
         Number of circuits times number of opponents.
     """
-    # A game is driven to a step, and every move from there to the end.
+    # A game is simulated to the step of its branching, and every branch from there to the end.
     steps = [(k + 1) + moves * (config.moves - k) for k in range(config.moves)]
     racing = racing_seconds(settings.starts * settings.rounds * games, config.step_seconds * sum(steps))
     networks = 2 * settings.rounds * config.moves + settings.members
@@ -177,8 +177,8 @@ def stage_estimates(config: StudyConfig) -> dict[str, float]:
     networks = training_seconds(load_train_settings(config.training)) * len(config.targets)
     pool = len(config.circuits) * len(config.response_pool)
     responses = (response_seconds(load_response_settings(name), game, moves, pool) for name in config.responses)
-    tried = config.fixed_targets + moves + BLIND_ROUNDS * config.moves * moves
-    blind = tried * config.fitting_games * len(config.circuits) * len(config.fitting_opponents)
+    candidates = config.fixed_targets + moves + BLIND_ROUNDS * config.moves * moves
+    blind = candidates * config.fitting_games * len(config.circuits) * len(config.fitting_opponents)
     tables = sum(
         len(tracks) * len(opponents) * len(arms) * config.egos * config.variants * lines * 2
         for tracks, opponents, arms, lines in config.tables.values()

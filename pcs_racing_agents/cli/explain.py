@@ -91,7 +91,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _planned(arguments: argparse.Namespace) -> "Pairing":
-    """Races of the two agents that the options name: those that a tournament between them would drive."""
+    """Return the races of a tournament between the two agents of the options."""
     from pcs_racing.track.track import load_track
     from pcs_racing_agents.tournament import plan_tournament
 
@@ -112,11 +112,11 @@ def _race(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.explain.words import story
     from pcs_racing_agents.view.results_folder import open_results
 
-    lead = None
+    results, number = None, arguments.number or 0
     if arguments.results is not None:
         results = open_results(arguments.results)
-        row = results.row(arguments.number or 0)
-        pairing, race, lead = results.pairing(row), row.race, f"{row.lead:.4f}"
+        row = results.row(number)
+        pairing, race = results.pairing(row), row.race
     else:
         pairing, race = _planned(arguments), arguments.index or 0
         if not 0 <= race < len(pairing):
@@ -128,16 +128,12 @@ def _race(arguments: argparse.Namespace) -> None:
         pairing.game,
         pairing.ego,
         pairing.opponent,
-        **pairing.one(race),
+        **pairing.race_arguments(race),
         car=car,
         candidates=arguments.out is not None,
     )
-    found = f"{explanation.match.lead[0]:.4f}"
-    if lead is not None and found != lead:
-        raise InputError(
-            f"race {arguments.number or 0} came out otherwise than in {arguments.results}: a lead of {found} m instead "
-            f"of {lead} m; it was driven by another version"
-        )
+    if results is not None:
+        results.check_lead(number, explanation.match.lead[0])
     text = story(explanation)
     print(text)
     if arguments.out is not None:
@@ -161,6 +157,7 @@ def _situations(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.explain.situations import situations_text, summarise, write_situations
     from pcs_racing_agents.jobs.jobs import show_progress
     from pcs_racing_agents.tournament.matches import game_between
+    from pcs_racing_agents.tournament.runner import play_pairings
     from pcs_racing_agents.view.results_folder import open_results
 
     agent = arguments.situations
@@ -170,25 +167,26 @@ def _situations(arguments: argparse.Namespace) -> None:
         if agent not in arguments.agents:
             raise InputError(f"--situations is {agent!r}; it must be one of {', '.join(arguments.agents)}")
         pairings = [(_planned(arguments), arguments.agents.index(agent))]
-    progress, total, done = show_progress(), sum(len(pairing) for pairing, _ in pairings), 0
-    first = pairings[0][0]
+    total, first = sum(len(pairing) for pairing, _ in pairings), pairings[0][0]
     announce(racing_seconds(total, first.game.config.horizon), default_threads())
-    seen, made = [], []
-    for pairing, car in pairings:
-        matches = pairing.play()
-        seen.append(matches.seen[:, car])
-        made.append(matches.moves[:, car])
-        done += len(pairing)
-        progress(done, total, agent)
+    played = play_pairings(
+        [pairing for pairing, _ in pairings], name=agent, observations=True, progress=show_progress()
+    )
+    observations, actions = [], []
+    for (_, car), matches in zip(pairings, played, strict=True):
+        observations.append(matches.observations[:, car])
+        actions.append(matches.moves[:, car])
     arena = game_between(first.game, first.ego, first.opponent)
-    found = summarise(np.concatenate(seen), np.concatenate(made), arena.archive, arena.move_names, agent)
+    situations = summarise(
+        np.concatenate(observations), np.concatenate(actions), arena.archive, arena.move_names, agent
+    )
     if arguments.results is None:
         print(f"{first.game.track.name}, {first.game.config.race.name} rules, {total} races")
-    print(situations_text(found))
+    print(situations_text(situations))
     if arguments.out is not None:
-        print(f"table: {write_situations(found, arguments.out / 'situations.csv')}")
+        print(f"table: {write_situations(situations, arguments.out / 'situations.csv')}")
         if can_draw("the picture of the situations"):
             from pcs_racing_agents.explain.situations import situations_picture
             from pcs_racing_agents.pictures.style import save_picture
 
-            print(f"picture: {save_picture(situations_picture(found), arguments.out / 'situations.png')}")
+            print(f"picture: {save_picture(situations_picture(situations), arguments.out / 'situations.png')}")

@@ -45,9 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0, or 2 after an error that the user can correct, which is printed as one line on stderr.
     """
     logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
-    chosen = _parser().parse_args(arguments)
+    parsed = _parser().parse_args(arguments)
     try:
-        chosen.run(chosen)
+        parsed.run(parsed)
         sys.stdout.flush()
     except (InputError, ModuleNotFoundError) as error:
         return _fail(error)

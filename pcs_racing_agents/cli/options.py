@@ -79,11 +79,11 @@ def rules(arguments: argparse.Namespace) -> RaceConfig:
     return load_race_config(arguments.preset, **changes)
 
 
-def can_draw(what: str) -> bool:
+def can_draw(picture: str) -> bool:
     """Return whether matplotlib is installed; if not, print on stderr which picture is missing and what to install."""
     if find_spec("matplotlib") is not None:
         return True
-    print(f'pcs-racing: {what} is not drawn: pip install "pcs-racing[plots]" draws it', file=sys.stderr)
+    print(f'pcs-racing: {picture} is not drawn: pip install "pcs-racing[plots]" draws it', file=sys.stderr)
     return False
 
 

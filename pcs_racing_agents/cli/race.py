@@ -71,16 +71,18 @@ def run(arguments: argparse.Namespace) -> None:
     )
     print(_story(replay))
     if target is None:
-        print(f"to watch it: {_again(arguments)} --replay race.html")
+        print(f"to watch it: {_command(arguments)} --replay race.html")
     else:
         print(f"replay: {save_replay(replay, target)}")
 
 
-def _again(arguments: argparse.Namespace) -> str:
+def _command(arguments: argparse.Namespace) -> str:
     """Return the command that repeats this race; it names every option except those left to the preset."""
     names = ("track", "ego", "opponent", "preset", "duration", "seed", "index")
-    given = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
-    return shlex.join(["pcs-racing", "race", *(f for name, value in given.items() for f in (f"--{name}", str(value)))])
+    options = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
+    return shlex.join(
+        ["pcs-racing", "race", *(f for name, value in options.items() for f in (f"--{name}", str(value)))]
+    )
 
 
 def _story(replay: Replay) -> str:

@@ -48,8 +48,8 @@ def run(arguments: argparse.Namespace) -> None:
 
     changes = {} if arguments.seed is None else {"seed": arguments.seed}
     config = load_study_config(arguments.config, **changes)
-    left = {stage.name for stage in stages_to_run(config, arguments.out, arguments.stage)}
-    seconds = sum(spent for stage, spent in stage_estimates(config).items() if stage in left)
+    remaining = {stage.name for stage in stages_to_run(config, arguments.out, arguments.stage)}
+    seconds = sum(spent for stage, spent in stage_estimates(config).items() if stage in remaining)
     with executor_from(arguments) as executor:
         announce(seconds, cores_of(arguments))
         study = run_study(config, arguments.out, only=arguments.stage, executor=executor)

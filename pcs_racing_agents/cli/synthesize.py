@@ -52,7 +52,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Search, and say what was found."""
+    """Search, and print a summary of the archive."""
     changes = stated_options(arguments, ArchiveConfig)
     if arguments.track is not None:
         changes["tracks"] = tuple(arguments.track)
@@ -86,19 +86,22 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def progress_line() -> ArchiveCallback:
-    """Return a function that keeps a line on stderr up to date: how far, how good, and how long it will take."""
-    say = show_line()
+    """Return a callback that updates a line on stderr: progress, hypervolume, and remaining time."""
+    print_line = show_line()
     begin = time.monotonic()
-    recent = deque([(begin, 0.0)], maxlen=8)  # times and shares done, the last few: a run that goes on begins fast
+    recent = deque([(begin, 0.0)], maxlen=8)  # the last times and shares done: a resumed run begins fast
 
-    def show(at: ArchiveProgress) -> None:
-        recent.append((time.monotonic(), at.done))
-        (earlier, before), (now, after) = recent[0], recent[-1]
-        left = f", about {(now - earlier) * (1.0 - after) / (after - before):.0f} s left" if after > before else ""
-        last = at.done >= 1.0
-        say(
-            f"{at.stage}: generation {at.generation}/{at.generations}, hypervolume {at.hypervolume:.3f}, "
-            f"{at.front} policies, own crashes {at.own_crash:.1%}, {now - begin:.0f} s{'' if last else left}",
+    def show(state: ArchiveProgress) -> None:
+        recent.append((time.monotonic(), state.done))
+        (first_time, first_done), (time_now, done) = recent[0], recent[-1]
+        rest = ""
+        if done > first_done:
+            rest = f", about {(time_now - first_time) * (1.0 - done) / (done - first_done):.0f} s left"
+        last = state.done >= 1.0
+        print_line(
+            f"{state.stage}: generation {state.generation}/{state.generations}, hypervolume {state.hypervolume:.3f}, "
+            f"{state.front} policies, own crashes {state.own_crash:.1%}, {time_now - begin:.0f} s"
+            f"{'' if last else rest}",
             last,
         )
 

@@ -34,10 +34,15 @@ def add(commands: Commands) -> None:
         "pcs-racing track show Tarnfjord --out tarnfjord.png",
     )
     tracks: Commands = group.add_subparsers(title="commands", metavar="COMMAND", required=True)
-
     parser = add_command(tracks, "list", "list the circuits that ship with the package", "pcs-racing track list")
     parser.set_defaults(run=run_list)
+    _add_show(tracks)
+    _add_import(tracks)
+    _add_generate(tracks)
+    _add_calibrate(tracks)
 
+
+def _add_show(tracks: Commands) -> None:
     parser = add_command(
         tracks,
         "show",
@@ -50,6 +55,8 @@ def add(commands: Commands) -> None:
     )
     parser.set_defaults(run=run_show)
 
+
+def _add_import(tracks: Commands) -> None:
     parser = add_command(
         tracks,
         "import",
@@ -69,6 +76,8 @@ def add(commands: Commands) -> None:
     )
     parser.set_defaults(run=run_import)
 
+
+def _add_generate(tracks: Commands) -> None:
     parser = add_command(
         tracks,
         "generate",
@@ -92,6 +101,8 @@ def add(commands: Commands) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="map folder to write")
     parser.set_defaults(run=run_generate)
 
+
+def _add_calibrate(tracks: Commands) -> None:
     parser = add_command(
         tracks,
         "calibrate",
@@ -137,7 +148,7 @@ def run_import(arguments: argparse.Namespace) -> None:
         name=arguments.name,
         picture=can_draw("the picture of the circuit"),
     )
-    _tell(track, arguments.out)
+    _print_written(track, arguments.out)
 
 
 def run_generate(arguments: argparse.Namespace) -> None:
@@ -152,7 +163,7 @@ def run_generate(arguments: argparse.Namespace) -> None:
         width=arguments.width,
         picture=can_draw("the picture of the circuit"),
     )
-    _tell(track, arguments.out)
+    _print_written(track, arguments.out)
 
 
 def run_calibrate(arguments: argparse.Namespace) -> None:
@@ -164,10 +175,10 @@ def run_calibrate(arguments: argparse.Namespace) -> None:
     report = calibrate(track, config, seed=arguments.seed)
     print(report.table())
     if arguments.write:
-        print(f"written: {_keep_calibration(track, config.name, report.calibration)}")
+        print(f"written: {_write_calibration(track, config.name, report.calibration)}")
 
 
-def _keep_calibration(track: Track, preset: str, calibration: Calibration) -> Path:
+def _write_calibration(track: Track, preset: str, calibration: Calibration) -> Path:
     """Store a calibration in the file NAME_track.yaml, and keep the other entries of the file."""
     if track.folder is None:
         raise InputError(f"track {track.name!r} does not come from a folder: there is nowhere to write")
@@ -187,5 +198,5 @@ def _direction(text: str) -> str | float:
         return text
 
 
-def _tell(track: Track, folder: Path) -> None:
+def _print_written(track: Track, folder: Path) -> None:
     print(f"{track.summary()}\nwritten: {folder}")

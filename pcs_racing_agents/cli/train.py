@@ -25,7 +25,7 @@ __all__ = ["add"]
 
 
 class _Outcome(NamedTuple):
-    """A network, how it was trained, what it is worth as text, and as rows of a table."""
+    """A trained network, its training, and its scores as text and as rows of a table."""
 
     network: "RegretNetwork"
     result: "TrainingResult"
@@ -132,25 +132,25 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
     from pcs_racing_agents.trees import load_trees
 
     stored = [load_trees(folder) for folder in folders]
-    made = [trees.settings for trees in stored]
-    _check_one_game(folders, made)
-    places = [(trees, i) for trees in stored for i in range(len(trees))]
+    manifests = [trees.settings for trees in stored]
+    _check_one_game(folders, manifests)
+    index = [(trees, i) for trees in stored for i in range(len(trees))]
 
     def learn(executor: Executor | None) -> _Outcome:
         trained = train_on_trees(
-            lambda number: places[number][0][places[number][1]],
+            lambda number: index[number][0][index[number][1]],
             np.concatenate([np.asarray(trees.settings["pairs"]) for trees in stored]),
-            trees_identity(made[0]),
+            trees_identity(manifests[0]),
             settings,
             name=name,
-            about=_about(made),
+            about=_about(manifests),
             executor=executor,
             solving=show_progress("trees"),
             learning=show_progress("epochs"),
         )
         scores = [
-            {"strategy": who, "tree": i, **TreeScore(*row)._asdict()}
-            for who, rows in trained.scores.items()
+            {"strategy": strategy, "tree": i, **TreeScore(*row)._asdict()}
+            for strategy, rows in trained.scores.items()
             for i, row in enumerate(rows.tolist())
         ]
         return _Outcome(trained.network, trained.result, score_table(trained.rows, trained.scores), scores)
@@ -171,25 +171,25 @@ def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> 
     from pcs_racing_agents.trees.storage import read_settings
 
     check_ego_target(settings)
-    made = [read_settings(folder, KIND) for folder in folders]
-    _check_one_game(folders, made)
+    manifests = [read_settings(folder, KIND) for folder in folders]
+    _check_one_game(folders, manifests)
     trees = join_ego([load_ego_trees(folder) for folder in folders])
 
     def learn(executor: Executor | None) -> _Outcome:
         elsewhere = in_other_processes(executor)
         train = partial(
             train_on_ego,
-            identity=trees_identity(made[0]),
+            identity=trees_identity(manifests[0]),
             settings=settings,
             name=name,
-            about=_about(made),
+            about=_about(manifests),
             learning=show_progress("epochs") if elsewhere is None else None,
         )
         trained = run_task(train, trees, elsewhere, "learning")
         table = ego_score_table(score_table(trained.rows, {}), trained.scores)
         scores = [
-            {"strategy": who, "root": i, "utility": value}
-            for who, values in trained.scores.items()
+            {"strategy": strategy, "root": i, "utility": value}
+            for strategy, values in trained.scores.items()
             for i, value in enumerate(values.tolist())
         ]
         return _Outcome(trained.network, trained.result, table, scores)
@@ -208,7 +208,7 @@ def _holds_ego_trees(folder: Path) -> bool:
     return True
 
 
-def _check_one_game(folders: Sequence[Path], made: Sequence[Mapping[str, Any]]) -> None:
+def _check_one_game(folders: Sequence[Path], manifests: Sequence[Mapping[str, Any]]) -> None:
     """Check that all trees have the same archive (by content) and the same rules; tracks may differ."""
 
     def facts(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -216,20 +216,20 @@ def _check_one_game(folders: Sequence[Path], made: Sequence[Mapping[str, Any]]) 
         race = {f"race {key}": value for key, value in settings["rules"]["race"].items()}
         return {"archive": settings["archive"]["sha256"], "encoding": settings["encoding"], **rules, **race}
 
-    first = facts(made[0])
-    for folder, settings in zip(folders, made, strict=True):
-        for key, found in facts(settings).items():
-            if found != first[key]:
+    first = facts(manifests[0])
+    for folder, settings in zip(folders, manifests, strict=True):
+        for key, value in facts(settings).items():
+            if value != first[key]:
                 raise InputError(
-                    f"{folder} and {folders[0]} hold trees of different games: {key} is {found!r:.60} in one and "
+                    f"{folder} and {folders[0]} hold trees of different games: {key} is {value!r:.60} in one and "
                     f"{first[key]!r:.60} in the other"
                 )
 
 
-def _about(made: Sequence[Mapping[str, Any]]) -> dict[str, str | int | float | bool]:
-    rules = made[0]["rules"]
+def _about(manifests: Sequence[Mapping[str, Any]]) -> dict[str, str | int | float | bool]:
+    rules = manifests[0]["rules"]
     return {
-        "tracks": ", ".join(sorted({each["track"]["name"] for each in made})),
+        "tracks": ", ".join(sorted({manifest["track"]["name"] for manifest in manifests})),
         "utility": rules["utility"],
         "step_seconds": rules["step_seconds"],
     }
@@ -239,9 +239,9 @@ def _check_packages(arguments: argparse.Namespace) -> None:
     """Check that the optional libraries are installed, before any long work."""
     from importlib.util import find_spec
 
-    wanted = [("torch", "learning", True), ("tensorboard", "learning", not arguments.no_tensorboard)]
-    wanted += [("matplotlib", "plots", not arguments.no_picture)]
-    for package, extra, needed in wanted:
+    packages = [("torch", "learning", True), ("tensorboard", "learning", not arguments.no_tensorboard)]
+    packages += [("matplotlib", "plots", not arguments.no_picture)]
+    for package, extra, needed in packages:
         if needed and find_spec(package) is None:
             raise ModuleNotFoundError(f'training needs {package}: pip install "pcs-racing[{extra}]"')
 

@@ -95,42 +95,42 @@ def run(arguments: argparse.Namespace) -> None:
         seconds = ego_seconds(game.config, moves, arguments.ego)
     print(f"{game.track.name}, archive {game.archive.name}, preset {game.config.race.name}, {moves} moves", flush=True)
     begin = time.monotonic()
-    played: list[int] = []
+    reports: list[int] = []
 
-    def progress(done: int, total: int, what: str) -> None:
-        played.append(done)
-        shown(done, total, what)
+    def progress(done: int, total: int, label: str) -> None:
+        reports.append(done)
+        show(done, total, label)
 
     with executor_from(arguments) as executor:
         announce(seconds, cores_of(arguments))
         common: dict[str, Any] = {"seed": arguments.seed, "executor": executor, "progress": progress}
         if arguments.ego is None:
-            shown: Progress = show_progress("trees")
+            show: Progress = show_progress("trees")
             trees = build_trees(game, arguments.out, pairs=arguments.pairs, seeds_per_pair=arguments.seeds, **common)
             print(tree_table(trees))
             count, unit = len(trees), "trees"
         else:
             if arguments.seeds is not None:
                 raise InputError(f"--seeds {arguments.seeds} does not go with --ego: every ego tree has its own noise")
-            shown = show_progress("batches of ego trees")
+            show = show_progress("batches of ego trees")
             ego = build_ego_trees(game, arguments.out, roots=arguments.ego, opponent=arguments.opponent, **common)
             count, unit = len(ego), "ego trees"
             print(f"{int(ego.driven.sum())} segments driven, {ego.driven.mean():.1f} for each root")
-    new = (played[-1] - played[0]) / played[-1] * count
+    new = (reports[-1] - reports[0]) / reports[-1] * count
     spent = time.monotonic() - begin
     took = f"{spent:.1f} s, {spent / new:.3g} s each" if new > 0.0 else "all of them were there already"
     print(f"{count} {unit} in {arguments.out}: {took}")
 
 
 def _game(arguments: argparse.Namespace) -> RaceGame:
-    given = {
+    options = {
         "moves": arguments.moves,
         "step_seconds": arguments.step,
         "epsilon": None if arguments.epsilon is None else tuple(arguments.epsilon),
         "utility": arguments.utility,
         "stay": arguments.stay,
     }
-    changes = {key: value for key, value in given.items() if value is not None}
+    changes = {key: value for key, value in options.items() if value is not None}
     return make_game(arguments.track, arguments.archive, arguments.preset, **changes)
 
 

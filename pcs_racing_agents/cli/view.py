@@ -95,35 +95,35 @@ def _check(arguments: argparse.Namespace) -> Path:
         raise InputError(f"--races names {len(arguments.races)} races; a page holds at most {MOST_REPLAYS}")
     if not arguments.results.exists():
         raise InputError(f"there is no {arguments.results}; give the folder of a tournament or a study")
-    place = arguments.results
-    if arguments.out is None and place.is_file():
-        name = "view.html" if place.name == "results.csv" else f"{place.stem}-view.html"
-        return output_file(place.with_name(name), ".html")
-    return output_file(arguments.out or place / "view.html", ".html")
+    path = arguments.results
+    if arguments.out is None and path.is_file():
+        name = "view.html" if path.name == "results.csv" else f"{path.stem}-view.html"
+        return output_file(path.with_name(name), ".html")
+    return output_file(arguments.out or path / "view.html", ".html")
 
 
-def _find(place: Path) -> "tuple[ResultsFolder | None, Path]":
-    """Return the races of a folder, or of a file; None where nobody knows how a file's races were driven."""
+def _find(path: Path) -> "tuple[ResultsFolder | None, Path]":
+    """Return the folder of the races and their file; None for a file without a manifest."""
     from pcs_racing_agents.view.results_folder import open_results
 
-    folder = place
-    if place.is_file():
-        if place.suffix != ".csv":
-            raise InputError(f"{place} is no results file; give a folder, or the results.csv in it")
+    folder = path
+    if path.is_file():
+        if path.suffix != ".csv":
+            raise InputError(f"{path} is no results file; give a folder, or the results.csv in it")
         # The races of a study's ratings have a folder of their own, of the same name as their file.
-        beside = place.resolve().parent if place.name == "results.csv" else place.resolve().with_suffix("")
+        beside = path.resolve().parent if path.name == "results.csv" else path.resolve().with_suffix("")
         if not (beside / "job.yaml").is_file():
-            return None, place
-        folder = place.parent if place.name == "results.csv" else place.with_suffix("")
-    elif not (place / "job.yaml").is_file() and (place / "results.csv").is_file():
-        return None, place / "results.csv"
+            return None, path
+        folder = path.parent if path.name == "results.csv" else path.with_suffix("")
+    elif not (path / "job.yaml").is_file() and (path / "results.csv").is_file():
+        return None, path / "results.csv"
     results = open_results(folder)
     ratings = results.tournament and results.study is not None
     return results, folder.with_suffix(".csv") if ratings else folder / "results.csv"
 
 
 def _picks(arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None") -> "list[Pick]":
-    """Return which races the page is to hold."""
+    """Return the races with replays."""
     from pcs_racing_agents.view.race_choice import Pick, choose_races
 
     if results is None:
@@ -135,9 +135,9 @@ def _picks(arguments: argparse.Namespace, races: "RaceTable", results: "ResultsF
             raise InputError(f"--races names {number}; there are races 0 to {len(races) - 1}")
     default = 0 if arguments.races or arguments.serve else REPLAYS
     count = default if arguments.replays is None else arguments.replays
-    asked = {number: Pick(number, "a race that was asked for") for number in arguments.races}
-    chosen = {pick.race: pick for pick in choose_races(races, count)}
-    return list({**asked, **chosen, **asked}.values())
+    requested = {number: Pick(number, "a race that was asked for") for number in arguments.races}
+    selected = {pick.race: pick for pick in choose_races(races, count)}
+    return list({**requested, **selected, **requested}.values())
 
 
 def _content(
@@ -173,7 +173,7 @@ def _content(
 
 
 def _kind_of_start(results: "ResultsFolder") -> str:
-    """Return how the races start, as far as the folder tells."""
+    """Return the kind of start of the races, if the folder holds it; else the default."""
     if results.study is not None:
         return results.study.config.game.race.start
     game = results.settings.get("game")
@@ -184,7 +184,7 @@ def _kind_of_start(results: "ResultsFolder") -> str:
 def _serve(
     arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder", picks: "Sequence[Pick]"
 ) -> None:
-    """Serve the page until the viewer ends the command."""
+    """Serve the page until the command is interrupted."""
     from dataclasses import replace
 
     from pcs_racing_agents.view.race_replays import RaceDriver

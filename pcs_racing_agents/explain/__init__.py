@@ -1,1 +1,1 @@
-"""Races explained: what an agent saw, what it did and why, in pictures and in words, for one race or for thousands."""
+"""Explanations of races: an agent's observations, values and moves as text and pictures, and counts over races."""

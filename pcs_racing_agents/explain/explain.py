@@ -1,6 +1,6 @@
-"""One race explained: what an agent saw before each of its moves, what the moves were worth to it, and what it did.
+"""Explanation of one race: an agent's observation before each of its moves, its values of the moves, and its choice.
 
-The race is driven again, to the last bit; nothing is guessed from its outcome.
+The race is simulated again, to the last bit.
 """
 
 from dataclasses import dataclass, replace
@@ -20,38 +20,47 @@ from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, W
 from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, opponent, own
 from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.tournament.matches import Matches, game_between
+from pcs_racing_agents.tournament.matches import Matches
 from pcs_racing_agents.tournament.watching import record_match
 
-__all__ = ["Explanation", "Habit", "Step", "Unit", "explain_match", "is_blind", "lead_seen", "mark_moves", "value_unit"]
+__all__ = [
+    "DefaultStrategy",
+    "Explanation",
+    "Step",
+    "Unit",
+    "explain_match",
+    "is_blind",
+    "mark_moves",
+    "observed_lead",
+    "value_unit",
+]
 
 Floats = NDArray[np.float64]
 
 
 class Unit(NamedTuple):
-    """What the values of a network are counted in.
+    """The unit of a network's values.
 
     Attributes
     ----------
     scale : float
-        Multiplies a difference of two values.
+        Factor from a difference of two values to the unit.
     text : str
-        What to say after it, such as ``"of a win"``; ``""`` where a value means nothing by itself.
+        Name of the unit, such as ``"of a win"``; ``""`` if values can only be compared.
     """
 
     scale: float
     text: str
 
 
-class Habit(NamedTuple):
-    """What an agent does unless something else promises clearly more.
+class DefaultStrategy(NamedTuple):
+    """The strategy that an agent follows unless its network predicts a gain above a margin.
 
     Attributes
     ----------
     name : str
-        The strategy that it keeps to.
     margin : float
-        How much more a move must promise, in units of the network's values.
+        In units of the network's values.
     """
 
     name: str
@@ -59,7 +68,7 @@ class Habit(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A moment at which both cars chose a move.
+    """A decision: the observation, values and move of the explained car.
 
     Attributes
     ----------
@@ -68,19 +77,19 @@ class Step(NamedTuple):
     own : ndarray, shape (G,)
         Normalised coordinates of the own policy, from the archive.
     opponent : ndarray, shape (G,)
-        Normalised coordinates of the opponent as measured in the step before: what the agent knew of it.
+        Normalised coordinates of the opponent as measured in the step before, which the agent observed.
     lead : float
         Own lead, m.
     move : int
         Index of the move made.
     policy, next_policy : int
         Own policy before and after it.
-    chances : ndarray, shape (M,), optional
-        Chances of the moves, where the agent tells.
+    probabilities : ndarray, shape (M,), optional
+        Probabilities of the moves, if they are known.
     values : ndarray, shape (V,), optional
-        What each of the first V moves is worth, in units of the agent's network, where it has one.
-    usual : int, optional
-        The move of its habit, where it has one.
+        Values of the first V moves, in units of the agent's network, if it has one.
+    default_move : int, optional
+        The move of its default strategy, if it has one.
     opponent_move : int
         -1 for a driver.
     """
@@ -92,15 +101,15 @@ class Step(NamedTuple):
     move: int
     policy: int
     next_policy: int
-    chances: Floats | None
+    probabilities: Floats | None
     values: Floats | None
-    usual: int | None
+    default_move: int | None
     opponent_move: int
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A race, seen by one of its agents.
+    """A race with the decisions of one of its agents.
 
     Attributes
     ----------
@@ -108,9 +117,9 @@ class Explanation:
     moves : tuple of str
         Names of the M moves.
     names : tuple of two str
-        Who drove car 0 and car 1.
+        Names of the competitors in car 0 and car 1.
     car : int
-        Whose moves are explained.
+        The car whose moves are explained.
     race : str
         Name of the rules.
     step_seconds : float
@@ -120,12 +129,12 @@ class Explanation:
     replay : Replay
         The race, with the moves as events.
     match : Matches
-        What came of it; of one game.
+        Result of the race; of one game.
     unit : Unit, optional
-        Of the values.
-    habit : Habit, optional
+        Unit of the values.
+    default : DefaultStrategy, optional
     blind : bool
-        Whether the agent is known never to look at the opponent.
+        Whether the agent is known not to use its observations of the opponent.
     """
 
     archive: PolicyArchive
@@ -138,12 +147,12 @@ class Explanation:
     replay: Replay
     match: Matches
     unit: Unit | None
-    habit: Habit | None
+    default: DefaultStrategy | None
     blind: bool
 
     @property
     def middle(self) -> Floats:
-        """Median of the archive's normalised coordinates, shape (G,): what "restrained" is said in relation to."""
+        """Median of the archive's normalised coordinates, shape (G,): the reference of words such as "restrained"."""
         return np.median(self.archive.normalised, axis=0)
 
     @property
@@ -163,33 +172,35 @@ def explain_match(
     car: int = 0,
     candidates: bool = False,
 ) -> Explanation:
-    """Drive a game again and explain the moves of one car.
+    """Simulate a game again and explain the moves of one car.
 
     Parameters
     ----------
     game : RaceGame
     ego, rival : Competitor or Policy
-        Who drives car 0 and car 1.
+        Competitors in car 0 and car 1.
     policies, start, seed, candidates
         As for :func:`pcs_racing_agents.tournament.watching.record_match`.
     car : int
-        Whose moves to explain, 0 or 1.
+        The car whose moves are explained, 0 or 1.
 
     Raises
     ------
     InputError
-        If that car's driver makes no moves, or as ``record_match``.
+        If that car's competitor makes no moves, or as ``record_match``.
     """
     if car not in (0, 1):
         raise InputError(f"car is {car!r}; it must be 0 or 1")
     cars = (as_competitor(ego), as_competitor(rival))
-    who = cars[car]
-    if isinstance(who, Driver):
-        raise InputError(f"{who.name!r} in car {car} makes no moves, so there is nothing to explain; try the other car")
+    competitor = cars[car]
+    if isinstance(competitor, Driver):
+        raise InputError(
+            f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain; try the other car"
+        )
     recording = record_match(game, *cars, policies=policies, start=start, seed=seed, candidates=candidates)
-    match, arena = recording.match, game_between(game, *cars)
+    match, arena = recording.match, recording.game
     names = recording.replay.car_names
-    config, strategy = arena.config, getattr(who, "strategy", None)
+    config, strategy = arena.config, getattr(competitor, "strategy", None)
     network = getattr(strategy, "network", None)
     network = network if isinstance(network, RegretNetwork) else None
     return Explanation(
@@ -199,62 +210,63 @@ def explain_match(
         car=car,
         race=config.race.name,
         step_seconds=config.step_seconds,
-        steps=_steps(arena, who, match, car, network),
+        steps=_steps(arena, competitor, match, car, network),
         replay=mark_moves(recording.replay, match, arena.move_names, config.step_seconds),
         match=match,
         unit=None if network is None else value_unit(network, str(config.utility)),
-        habit=Habit(strategy.blind.name, strategy.margin) if isinstance(strategy, AdaptiveStrategy) else None,
-        blind=is_blind(who),
+        default=DefaultStrategy(strategy.blind.name, strategy.margin)
+        if isinstance(strategy, AdaptiveStrategy)
+        else None,
+        blind=is_blind(competitor),
     )
 
 
 def _steps(
-    arena: RaceGame, who: Competitor, match: Matches, car: int, network: RegretNetwork | None
+    arena: RaceGame, competitor: Competitor, match: Matches, car: int, network: RegretNetwork | None
 ) -> tuple[Step, ...]:
     axes = len(arena.characteristics)
-    strategy = getattr(who, "strategy", None)
+    strategy = getattr(competitor, "strategy", None)
     steps = []
     for k in range(int((match.moves[0, car] >= 0).sum())):
-        seen = earlier(match.seen[:, car], axes, k)
-        usual = None
+        observation = earlier(match.observations[:, car], axes, k)
+        default_move = None
         if isinstance(strategy, AdaptiveStrategy):
-            usual = int(strategy.blind.predict(seen[0])[0])
+            default_move = int(strategy.blind.predict(observation[0])[0])
         steps.append(
             Step(
                 time=(k + 1) * arena.config.step_seconds,
-                own=own(seen, axes)[0].astype(np.float64),
-                opponent=opponent(seen, axes)[0].astype(np.float64),
-                lead=float(lead_seen(seen, axes, k)[0]),
+                own=own(observation, axes)[0].astype(np.float64),
+                opponent=opponent(observation, axes)[0].astype(np.float64),
+                lead=float(observed_lead(observation, axes, k)[0]),
                 move=int(match.moves[0, car, k]),
                 policy=int(match.policy[0, car, k]),
                 next_policy=int(match.policy[0, car, k + 1]),
-                chances=who.probabilities(seen)[0] if isinstance(who, Agent) else None,
-                values=None if network is None else network.unclipped(seen)[0].astype(np.float64),
-                usual=usual,
+                probabilities=competitor.probabilities(observation)[0] if isinstance(competitor, Agent) else None,
+                values=None if network is None else network.unclipped(observation)[0].astype(np.float64),
+                default_move=default_move,
                 opponent_move=int(match.moves[0, 1 - car, k]),
             )
         )
     return tuple(steps)
 
 
-def lead_seen(observation: NDArray[np.float32], axes: int, step: int) -> Floats:
-    """Own lead at the end of a step as an observation holds it, m, shape (B,); at most 100 m either way."""
+def observed_lead(observation: NDArray[np.float32], axes: int, step: int) -> Floats:
+    """Return the own lead at the end of a step from observations, m, shape (B,); clipped to 100 m."""
     return LEAD_SCALE * observation[:, step * (2 * axes + 2) + 2 * axes].astype(np.float64)
 
 
-def is_blind(who: Competitor) -> bool:
-    """Whether an agent's moves are known not to depend on anything but time and its own policy."""
-    return isinstance(getattr(who, "strategy", None), ConstantStrategy | OpenLoopStrategy | WalkStrategy)
+def is_blind(competitor: Competitor) -> bool:
+    """Return whether an agent's moves are known to depend on nothing but time and its own policy."""
+    return isinstance(getattr(competitor, "strategy", None), ConstantStrategy | OpenLoopStrategy | WalkStrategy)
 
 
 def value_unit(network: RegretNetwork, utility: str) -> Unit:
-    """Return what a network's values are counted in.
+    """Return the unit of a network's values.
 
     Parameters
     ----------
     network : RegretNetwork
-        Its training may say what an outcome was ``worth`` ("win": shares of races won); else what its target is made of
-        decides, in games of this utility.
+        The fact ``worth`` of its training decides ("win": shares of races won), else its target and the utility.
     utility : str
         One of :data:`pcs_racing.UTILITIES`.
     """
@@ -268,10 +280,10 @@ def value_unit(network: RegretNetwork, utility: str) -> Unit:
 
 def mark_moves(replay: Replay, match: Matches, moves: tuple[str, ...], step_seconds: float) -> Replay:
     """Return a replay with the moves of both cars as events."""
-    made = [
+    events = [
         ReplayEvent((k + 1) * step_seconds, car, "move", moves[match.moves[0, car, k]])
         for car in range(2)
         for k in range(match.moves.shape[2])
         if match.moves[0, car, k] >= 0
     ]
-    return replace(replay, events=(*replay.events, *made))
+    return replace(replay, events=(*replay.events, *events))

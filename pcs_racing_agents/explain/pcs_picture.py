@@ -1,4 +1,4 @@
-"""The Policy Characteristic Space as a picture: everything explored, the archive, and where moves lead."""
+"""Pictures of the Policy Characteristic Space: explored policies, the archive, and its moves."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 def plane(archive: PolicyArchive) -> tuple[int, int]:
-    """Return the axes that go to the right and up: as in the paper, the second and the first."""
+    """Return the characteristics on the horizontal and the vertical axis: as in the paper, the second and the first."""
     return min(1, len(archive.characteristics) - 1), 0
 
 
@@ -27,16 +27,16 @@ def in_units(archive: PolicyArchive, normalised: ArrayLike) -> Floats:
 
 
 def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, faint: bool = False) -> None:
-    """Draw an archive's policies above everything explored, in the characteristics' units.
+    """Draw an archive's policies and all explored policies, in the characteristics' units.
 
     Parameters
     ----------
     axes : matplotlib Axes
     archive : PolicyArchive
     colour_bar : bool
-        Whether to explain the colour of the policies, their crash rate, where it is known.
+        Whether to add a colour bar for the policies' crash rate, if it is known.
     faint : bool
-        Draw it as the background of something else: all policies grey.
+        Draw all policies grey, as a background.
     """
     right, up = plane(archive)
     everything, policies = archive.explored_coordinates, archive.coordinates
@@ -61,7 +61,7 @@ def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, 
 
 
 def _limit(axes: Any, archive: PolicyArchive) -> None:
-    """Show the archive with most of what was explored; a few explored policies may be worlds away."""
+    """Limit the axes to the archive and most of the explored policies; a few of these may be far away."""
     right, up = plane(archive)
     for axis, setter in ((right, axes.set_xlim), (up, axes.set_ylim)):
         low, high = archive.nadir[axis], archive.ideal[axis]
@@ -84,15 +84,15 @@ def draw_arrow(axes: Any, start: ArrayLike, end: ArrayLike, colour: str, **optio
 def archive_picture(
     archive: PolicyArchive, *, epsilon: float | tuple[float, ...] = 0.35, policy: int | None = None
 ) -> Any:
-    """Draw an archive, and where the moves of one of its policies lead.
+    """Draw an archive, and the moves of one of its policies.
 
     Parameters
     ----------
     archive : PolicyArchive
     epsilon : float or tuple of float
-        How far moves go, in normalised units.
+        Length of a move in normalised units.
     policy : int, optional
-        Whose moves to draw; by default those of the policy in the middle.
+        The policy; by default the one in the middle.
 
     Raises
     ------
@@ -109,26 +109,26 @@ def archive_picture(
     draw_archive(axes, archive)
     right, up = plane(archive)
     points = archive.coordinates
-    here = points[start, [right, up]]
-    axes.plot(*here, "o", ms=9, mfc="none", mec=COLOURS[1], mew=1.6, zorder=5)
+    point = points[start, [right, up]]
+    axes.plot(*point, "o", ms=9, mfc="none", mec=COLOURS[1], mew=1.6, zorder=5)
     leads_to = move_table(archive, epsilon)[start]
-    nowhere, ends, labels = [], [], []
+    ineffective, ends, labels = [], [], []
     for target in dict.fromkeys(leads_to.tolist()):
         names = [name for name, end in zip(move_names(archive, epsilon), leads_to, strict=True) if end == target]
         if target == start:
-            nowhere = names
+            ineffective = names
             continue
         ends.append(points[target, [right, up]])
         labels.append(", ".join(names))
-        draw_arrow(axes, here, ends[-1], COLOURS[1])
-    told = f"{len(archive)} policies"
+        draw_arrow(axes, point, ends[-1], COLOURS[1])
+    title = f"{len(archive)} policies"
     if len(archive.explored_coordinates):
-        told += f", grey: {len(archive.explored_coordinates)} explored"
-    axes.set_title(f"Archive {short(archive.name)}, preset {archive.preset}: {told}")
+        title += f", grey: {len(archive.explored_coordinates)} explored"
+    axes.set_title(f"Archive {short(archive.name)}, preset {archive.preset}: {title}")
     text = f"arrows: moves of policy {start}"
-    if nowhere:
-        text += f"; {', '.join(nowhere)} keep{'s' if len(nowhere) == 1 else ''} it"
+    if ineffective:
+        text += f"; {', '.join(ineffective)} keep{'s' if len(ineffective) == 1 else ''} it"
     axes.text(1.0, 1.0, text, transform=axes.transAxes, ha="right", va="top", color=SOFT, fontsize=8.5)
-    shafts = [here + share * (end - here) for end in ends for share in (0.25, 0.5, 0.75)]
+    shafts = [point + share * (end - point) for end in ends for share in (0.25, 0.5, 0.75)]
     place_labels(axes, ends, labels, [INK] * len(ends), avoid=[*points[:, [right, up]], *shafts])
     return figure

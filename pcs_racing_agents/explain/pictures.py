@@ -1,4 +1,4 @@
-"""The pictures of a race: its way through the Policy Characteristic Space, on the track, move by move, and the lead."""
+"""Pictures of an explained race: its path in the Policy Characteristic Space and on the track, values, and lead."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from pcs_racing_agents.explain.explain import Explanation
 from pcs_racing_agents.explain.pcs_picture import draw_archive, draw_arrow, in_units, plane
 from pcs_racing_agents.pictures.style import CARS, EDGE, INK, SOFT, new_figure, picture, short, tidy
 
-__all__ = ["draw_lead", "draw_space", "draw_track", "draw_worth", "explanation_picture"]
+__all__ = ["draw_lead", "draw_space", "draw_track", "draw_values", "explanation_picture"]
 
 
 @picture
@@ -29,15 +29,15 @@ def explanation_picture(explanation: Explanation) -> Any:
     ModuleNotFoundError
         If matplotlib is not installed.
     """
-    told = [step for step in explanation.steps if step.values is not None or step.chances is not None]
-    heights = [4.6, 1.9, 2.0] if told else [4.6, 2.0]
+    decided = [step for step in explanation.steps if step.values is not None or step.probabilities is not None]
+    heights = [4.6, 1.9, 2.0] if decided else [4.6, 2.0]
     figure = new_figure(11.0, sum(heights) + 0.6)
     rows = figure.subfigures(len(heights), 1, height_ratios=heights)
     space, track = rows[0].subplots(1, 2, width_ratios=[1.0, 1.15])
     draw_space(space, explanation)
     draw_track(track, explanation)
-    if told:
-        draw_worth(rows[1], explanation)
+    if decided:
+        draw_values(rows[1], explanation)
     draw_lead(rows[-1].subplots(), explanation)
     replay = explanation.replay
     figure.suptitle(
@@ -47,47 +47,49 @@ def explanation_picture(explanation: Explanation) -> Any:
 
 
 def draw_space(axes: Any, explanation: Explanation) -> None:
-    """Draw the archive, the moves as arrows with their numbers, and what was seen of the opponent before each."""
+    """Draw the archive, the moves as numbered arrows, and the measured opponent before each."""
     archive, steps = explanation.archive, explanation.steps
-    mine, theirs = CARS[explanation.car], CARS[1 - explanation.car]
+    own_colour, other_colour = CARS[explanation.car], CARS[1 - explanation.car]
     draw_archive(axes, archive, faint=True)
     right, up = plane(archive)
     points = archive.coordinates[:, [right, up]]
     estimates = np.array([step.opponent for step in steps]).reshape(-1, len(archive.characteristics))
-    seen = in_units(archive, estimates)[:, [right, up]]
-    _include(axes, seen)
-    axes.plot(seen[:, 0], seen[:, 1], color=theirs, lw=0.9, alpha=0.6, zorder=4)
-    for k, place in enumerate(seen):
-        _number(axes, place, k + 1, theirs)
-    kept: dict[int, list[str]] = {}
+    measured = in_units(archive, estimates)[:, [right, up]]
+    _include(axes, measured)
+    axes.plot(measured[:, 0], measured[:, 1], color=other_colour, lw=0.9, alpha=0.6, zorder=4)
+    for k, point in enumerate(measured):
+        _number(axes, point, k + 1, other_colour)
+    unchanged: dict[int, list[str]] = {}
     for k, step in enumerate(steps):
         if step.next_policy == step.policy:
-            kept.setdefault(step.policy, []).append(str(k + 1))
+            unchanged.setdefault(step.policy, []).append(str(k + 1))
             continue
         before, after = points[step.policy], points[step.next_policy]
-        draw_arrow(axes, before, after, mine)
-        _number(axes, before + 0.5 * (after - before), k + 1, mine)
+        draw_arrow(axes, before, after, own_colour)
+        _number(axes, before + 0.5 * (after - before), k + 1, own_colour)
     for policy in dict.fromkeys([step.policy for step in steps[:1]] + [step.next_policy for step in steps]):
-        axes.plot(*points[policy], "o", ms=7, color=mine, mec="white", mew=0.8, zorder=5)
-    for policy, numbers in kept.items():
+        axes.plot(*points[policy], "o", ms=7, color=own_colour, mec="white", mew=0.8, zorder=5)
+    for policy, numbers in unchanged.items():
         axes.annotate(
             f"{', '.join(numbers)}: kept",
             points[policy],
             xytext=(8, -8),
             textcoords="offset points",
             va="top",
-            color=mine,
+            color=own_colour,
             fontsize=8.5,
             zorder=7,
         )
     names = explanation.names
     axes.set_title("Moves in the Policy Characteristic Space")
-    axes.text(0.99, 0.99, f"{short(names[explanation.car])}: arrows", **_corner(axes, mine))
-    axes.text(0.99, 0.94, f"{short(names[1 - explanation.car])}: as measured before each move", **_corner(axes, theirs))
+    axes.text(0.99, 0.99, f"{short(names[explanation.car])}: arrows", **_corner(axes, own_colour))
+    axes.text(
+        0.99, 0.94, f"{short(names[1 - explanation.car])}: as measured before each move", **_corner(axes, other_colour)
+    )
 
 
 def draw_track(axes: Any, explanation: Explanation) -> None:
-    """Draw where both cars drove, and where they were at each move."""
+    """Draw the paths of both cars, and their positions at each move."""
     replay = explanation.replay
     for loop in join_segments(replay.walls):
         axes.plot(loop[:, 0], loop[:, 1], color="#a5afbb", lw=1.0)
@@ -123,18 +125,18 @@ def draw_track(axes: Any, explanation: Explanation) -> None:
     axes.set_title(signs, color=SOFT, fontsize=8.5)
 
 
-def draw_worth(figure: Any, explanation: Explanation) -> None:
-    """Draw what the moves were worth to the agent, time by time; without a network the chances that it gave them."""
+def draw_values(figure: Any, explanation: Explanation) -> None:
+    """Draw the values of the moves at each decision; without a network their probabilities."""
     steps = explanation.steps
     valued = all(step.values is not None for step in steps)
     panels = figure.subplots(1, explanation.match.moves.shape[2], sharey=True, squeeze=False)[0]
     for axes in panels[len(steps) :]:
-        axes.set_visible(False)  # moves that a crash left no time for
+        axes.set_visible(False)  # no decision any more after a crash
     unit = explanation.unit
     scale = unit.scale if valued and unit is not None else 1.0
-    # Moves that lead to the same policy stay apart: that is part of the picture.
+    # Moves that lead to the same policy keep separate bars, as the network values each of them.
     for k, (axes, step) in enumerate(zip(panels, steps, strict=False)):
-        bars = scale * step.values if valued and step.values is not None else np.asarray(step.chances)
+        bars = scale * step.values if valued and step.values is not None else np.asarray(step.probabilities)
         places = np.arange(len(bars))
         colours = [CARS[explanation.car] if i == step.move else "#b9c3ce" for i in places]
         axes.barh(places, bars, color=colours, height=0.66)
@@ -148,22 +150,22 @@ def draw_worth(figure: Any, explanation: Explanation) -> None:
         tidy(axes, "x")
         axes.spines["left"].set_visible(False)
     if valued:
-        what = unit.text.removeprefix("of a ") + "s" if unit is not None and unit.text == "of a win" else ""
-        what = what or (unit.text if unit is not None else "")
+        label = unit.text.removeprefix("of a ") + "s" if unit is not None and unit.text == "of a win" else ""
+        label = label or (unit.text if unit is not None else "")
         figure.supxlabel(
-            f"what each move is worth{f', {what}' if what else ''}; coloured: made", fontsize=9, color=SOFT
+            f"what each move is worth{f', {label}' if label else ''}; coloured: made", fontsize=9, color=SOFT
         )
     else:
         figure.supxlabel("chance of each move; coloured: made", fontsize=9, color=SOFT)
 
 
 def draw_lead(axes: Any, explanation: Explanation) -> None:
-    """Draw the lead over time, with the moves of both cars where they were made."""
+    """Draw the lead over time, with the moves of both cars."""
     replay, lead = explanation.replay, explanation.lead
     time = np.arange(len(lead)) * replay.frame_dt
-    mine, theirs = CARS[explanation.car], CARS[1 - explanation.car]
-    axes.fill_between(time, lead, 0.0, where=lead >= 0.0, color=mine, alpha=0.18, lw=0.0, interpolate=True)
-    axes.fill_between(time, lead, 0.0, where=lead <= 0.0, color=theirs, alpha=0.18, lw=0.0, interpolate=True)
+    own_colour, other_colour = CARS[explanation.car], CARS[1 - explanation.car]
+    axes.fill_between(time, lead, 0.0, where=lead >= 0.0, color=own_colour, alpha=0.18, lw=0.0, interpolate=True)
+    axes.fill_between(time, lead, 0.0, where=lead <= 0.0, color=other_colour, alpha=0.18, lw=0.0, interpolate=True)
     axes.plot(time, lead, color=INK, lw=1.4)
     axes.axhline(0.0, color="#a5afbb", lw=0.8)
     low, high = min(float(lead.min()), -1.0), max(float(lead.max()), 1.0)
@@ -172,13 +174,15 @@ def draw_lead(axes: Any, explanation: Explanation) -> None:
     for step in explanation.steps:
         axes.axvline(step.time, color=EDGE, lw=1.0, zorder=0)
         label = {"fontsize": 8.5, "ha": "left"}
-        axes.text(step.time + 0.15, high + 0.17 * reach, explanation.moves[step.move], color=mine, va="top", **label)
+        axes.text(
+            step.time + 0.15, high + 0.17 * reach, explanation.moves[step.move], color=own_colour, va="top", **label
+        )
         if step.opponent_move >= 0:
             axes.text(
                 step.time + 0.15,
                 low - 0.17 * reach,
                 explanation.moves[step.opponent_move],
-                color=theirs,
+                color=other_colour,
                 va="bottom",
                 **label,
             )
@@ -188,11 +192,11 @@ def draw_lead(axes: Any, explanation: Explanation) -> None:
     tidy(axes, "y")
 
 
-def _number(axes: Any, place: Any, number: int, colour: str) -> None:
+def _number(axes: Any, point: Any, number: int, colour: str) -> None:
     """Draw a number in a circle."""
     axes.annotate(
         str(number),
-        (float(place[0]), float(place[1])),
+        (float(point[0]), float(point[1])),
         ha="center",
         va="center",
         fontsize=7.0,

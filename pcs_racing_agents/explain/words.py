@@ -1,14 +1,14 @@
-"""A race in words: what the agent saw before each move, what it did, what that was worth, and what came of it."""
+"""Explanation of a race as text: observation, move, reason and consequence of each decision."""
 
 import numpy as np
 
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing_agents.explain.explain import Explanation, Step
 
-__all__ = ["ADJECTIVES", "CLEAR", "lead_words", "opponent_words", "story", "what_was_done", "why"]
+__all__ = ["ADJECTIVES", "CLEAR", "lead_words", "move_words", "opponent_words", "story", "why"]
 
 CLEAR = 0.1
-"""Normalised distance from the archive's middle from which on a driver is called one thing or the other."""
+"""Least normalised distance from the archive's middle for an adjective."""
 LEVEL = 0.3  # m of lead, about a car's length, below which cars are side by side
 
 ADJECTIVES = {
@@ -19,13 +19,13 @@ ADJECTIVES = {
     "smoothness": ("smooth", "restless"),
     "blocking": ("blocking", "not blocking"),
 }
-"""What a driver with much and with little of a characteristic is called."""
+"""Adjectives for a high and a low value of a characteristic."""
 
 
 def story(explanation: Explanation) -> str:
-    """Return the whole race as text: a head, a paragraph for each move, and the end."""
+    """Return the explanation as text: a head, and some lines for each move."""
     me, other = explanation.names[explanation.car], explanation.names[1 - explanation.car]
-    number = f" (car {explanation.car})"  # cars of one name bring it along
+    number = f" (car {explanation.car})"  # names that are equal already end in it
     lines = [
         f"{me.removesuffix(number)}{number} against {other} on {explanation.replay.track_name}, "
         f"{explanation.race} rules: {explanation.replay.outcome}"
@@ -35,7 +35,7 @@ def story(explanation: Explanation) -> str:
     for k, step in enumerate(explanation.steps):
         lines += [
             f"{step.time:5.1f} s  saw: {opponent_words(explanation, step)}; {lead_words(step.lead)}.",
-            f"         did: {what_was_done(explanation, step)}.",
+            f"         did: {move_words(explanation, step)}.",
         ]
         reason = why(explanation, step)
         if reason:
@@ -47,33 +47,37 @@ def story(explanation: Explanation) -> str:
 
 
 def opponent_words(explanation: Explanation, step: Step) -> str:
-    """Say what the opponent looked like: ``"opponent restrained (aggressiveness 0.21 below the middle)"``."""
+    """Describe the observed opponent: ``"opponent restrained (aggressiveness 0.21 below the middle)"``."""
     names = [axis.name for axis in get_characteristics(explanation.archive.characteristics)]
-    away = step.opponent - explanation.middle
-    found, numbers = [], []
-    for name, distance in zip(names, away, strict=True):
+    distances = step.opponent - explanation.middle
+    adjectives, numbers = [], []
+    for name, distance in zip(names, distances, strict=True):
         much, little = ADJECTIVES.get(name, (f"high in {name}", f"low in {name}"))
         if abs(distance) >= CLEAR:
-            found.append(much if distance > 0.0 else little)
+            adjectives.append(much if distance > 0.0 else little)
         side = "above" if distance > 0.0 else "below"
         numbers.append(f"{name} {abs(distance):.2f} {side} the middle")
-    return f"opponent {' and '.join(found) or 'in the middle of the archive'} ({', '.join(numbers)})"
+    return f"opponent {' and '.join(adjectives) or 'in the middle of the archive'} ({', '.join(numbers)})"
 
 
 def lead_words(lead: float) -> str:
-    """Say who is ahead."""
+    """Describe a lead."""
     if abs(lead) < LEVEL:
         return "level"
     return f"{'ahead' if lead > 0.0 else 'behind'} by {abs(lead):.1f} m"
 
 
-def what_was_done(explanation: Explanation, step: Step) -> str:
-    """Say which move was made and what it changed."""
+def move_words(explanation: Explanation, step: Step) -> str:
+    """Describe the move and the change of policy."""
     name = explanation.moves[step.move]
-    chance = "" if step.chances is None or step.chances[step.move] > 0.999 else _drawn(step)
+    chance = "" if step.probabilities is None or step.probabilities[step.move] > 0.999 else _drawn(step)
     if step.next_policy == step.policy:
-        kept = f"kept policy {step.policy}"
-        return f"{name}{chance}, {kept}" if name == "stay" else f"{name}{chance}, no policy lies that way: {kept}"
+        unchanged = f"kept policy {step.policy}"
+        return (
+            f"{name}{chance}, {unchanged}"
+            if name == "stay"
+            else f"{name}{chance}, no policy lies that way: {unchanged}"
+        )
     points = explanation.archive.normalised
     axes = get_characteristics(explanation.archive.characteristics)
     changes = ", ".join(
@@ -84,20 +88,19 @@ def what_was_done(explanation: Explanation, step: Step) -> str:
 
 
 def _drawn(step: Step) -> str:
-    chances = step.chances
-    assert chances is not None
-    return f" (drawn with a chance of {chances[step.move]:.0%})"
+    assert step.probabilities is not None
+    return f" (drawn with a chance of {step.probabilities[step.move]:.0%})"
 
 
 def why(explanation: Explanation, step: Step) -> str:
-    """Say what the move was worth compared with others; empty where the agent does not tell."""
+    """Describe the value of the move compared with others; empty without values."""
     values, unit = step.values, explanation.unit
     if values is None or unit is None:
         return ""
     names = explanation.moves
     best = int(np.argmax(values))
-    if explanation.habit is not None and step.usual is not None:
-        return _why_habit(explanation, step, best)
+    if explanation.default is not None and step.default_move is not None:
+        return _why_default(explanation, step, best)
     if step.move >= len(values):
         return f"its network has no value for {names[step.move]}"
     others = [i for i in range(len(values)) if i != step.move]
@@ -106,8 +109,8 @@ def why(explanation: Explanation, step: Step) -> str:
     stay = len(names) - 1
     second = max(others, key=lambda i: values[i])
     against = stay if stay < len(values) and step.move != stay and names[stay] == "stay" else second
-    told = _worth(explanation, values[step.move] - values[against])
-    text = f"worth {told} than {'staying' if names[against] == 'stay' else names[against]}"
+    gain = _worth(explanation, values[step.move] - values[against])
+    text = f"worth {gain} than {'staying' if names[against] == 'stay' else names[against]}"
     if against != second:
         text += f", {_worth(explanation, values[step.move] - values[second])} than {names[second]}"
     if unit.text == "" and values[step.move] == values[best]:
@@ -115,22 +118,23 @@ def why(explanation: Explanation, step: Step) -> str:
     return text
 
 
-def _why_habit(explanation: Explanation, step: Step, best: int) -> str:
-    """Why an agent left its habit, or did not."""
-    habit, values, usual = explanation.habit, step.values, step.usual
-    assert habit is not None
+def _why_default(explanation: Explanation, step: Step, best: int) -> str:
+    """Describe why an agent left its default strategy, or did not."""
+    default, values, default_move = explanation.default, step.values, step.default_move
+    assert default is not None
     assert values is not None
-    assert usual is not None
-    worth = values[usual] if usual < len(values) else 0.0
+    assert default_move is not None
+    worth = values[default_move] if default_move < len(values) else 0.0
     gain = _worth(explanation, values[best] - worth)
-    margin = _amount(explanation, habit.margin)
+    margin = _amount(explanation, default.margin)
     names = explanation.moves
-    if step.move != usual:
-        return f"worth {gain} than {names[usual]}, what {habit.name} would do, and that is above the margin of {margin}"
-    if best == usual:
-        return f"what {habit.name} would do, and the best move too"
+    if step.move != default_move:
+        usual = f"{names[default_move]}, what {default.name} would do"
+        return f"worth {gain} than {usual}, and that is above the margin of {margin}"
+    if best == default_move:
+        return f"what {default.name} would do, and the best move too"
     return (
-        f"keeps to {habit.name}: the best move, {names[best]}, promises {gain}, which is not above the margin of "
+        f"keeps to {default.name}: the best move, {names[best]}, promises {gain}, which is not above the margin of "
         f"{margin}"
     )
 
@@ -140,7 +144,7 @@ def _worth(explanation: Explanation, difference: float) -> str:
 
 
 def _amount(explanation: Explanation, value: float) -> str:
-    """Return a difference of two values with its unit; without one only its size beside others means anything."""
+    """Return a difference of two values with its unit."""
     unit = explanation.unit
     assert unit is not None
     digits = {"of a win": ".3f", "": ".3g"}.get(unit.text, ".2f")
@@ -148,7 +152,7 @@ def _amount(explanation: Explanation, value: float) -> str:
 
 
 def _what_followed(explanation: Explanation, k: int) -> str:
-    """Say what the next piece of racing brought."""
+    """Describe the change of the lead and the events of the next step."""
     step, replay = explanation.steps[k], explanation.replay
     end = step.time + explanation.step_seconds
     frame = min(round(end / replay.frame_dt), len(replay.cars) - 1)

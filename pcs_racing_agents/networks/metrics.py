@@ -228,10 +228,10 @@ def score_table(rows: Sequence[RowScore], trees: dict[str, NDArray[np.float64]])
         lines += [
             "",
             f"utility on {count} held-out trees, mean of both roles (standard error over trees):",
-            f"  {'strategy'.ljust(width)}  lost to best reply  lost to equilibrium  off in self-play    against random",
+            f"  {'strategy'.ljust(width)}  lost to a best response  lost to equilibrium  off in self-play    against random",
         ]
         for name, scores in trees.items():
             error = scores.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(scores.shape[1], np.nan)
             cells = [f"{m:.3f} ({e:.3f})" for m, e in zip(scores.mean(axis=0), error, strict=True)]
-            lines.append(f"  {name.ljust(width)}  {cells[0]:>18}  {cells[1]:>19}  {cells[2]:>16}  {cells[3]:>16}")
+            lines.append(f"  {name.ljust(width)}  {cells[0]:>23}  {cells[1]:>19}  {cells[2]:>16}  {cells[3]:>16}")
     return "\n".join(lines)

@@ -40,9 +40,9 @@ class BestResponse(NamedTuple):
     value : float
         What it then gets.
     strategy : list of ndarray, shape (rows, M_k)
-        One pure best reply for each level.
+        One pure best response for each level.
     q : list of ndarray, shape (rows, M_k)
-        What each move is worth to it in expectation, if it goes on with best replies.
+        What each move is worth to it in expectation, if it goes on with best responses.
     """
 
     value: float

@@ -1,4 +1,4 @@
-"""How long a stage took, with the time before it was stopped or killed."""
+"""Time of a stage, including earlier runs that were stopped or killed."""
 
 import threading
 import time
@@ -10,44 +10,44 @@ from pcs_racing.base.files import write_atomically
 
 __all__ = ["seconds_counted"]
 
-BEAT = 20.0  # s: what is lost at most when the process is killed
+BEAT = 20.0  # s: longest time that is lost when the process is killed
 
 
 @contextmanager
 def seconds_counted(file: Path) -> Iterator[Callable[[], float]]:
-    """Count seconds, beginning with those that a file holds from a run that was stopped.
+    """Measure the time of a stage, starting at the seconds in a file of a stopped run.
 
     Parameters
     ----------
     file : Path
-        Kept up to date on the way; removed when the work is done.
+        Updated regularly; removed when the work is done.
 
     Yields
     ------
     callable
-        Tells the seconds so far.
+        Returns the seconds so far.
     """
     before, began, done = _read(file), time.monotonic(), threading.Event()
 
     def spent() -> float:
         return before + time.monotonic() - began
 
-    def note() -> None:
+    def write() -> None:
         text = f"{spent():.1f}\n".encode()
         write_atomically(file, lambda out: out.write(text))
 
-    def keep_noting() -> None:
+    def write_regularly() -> None:
         while not done.wait(BEAT):
-            note()
+            write()
 
-    thread = threading.Thread(target=keep_noting, daemon=True)
+    thread = threading.Thread(target=write_regularly, daemon=True)
     thread.start()
     try:
         yield spent
     except BaseException:
         done.set()
         thread.join()
-        note()
+        write()
         raise
     done.set()
     thread.join()
@@ -55,9 +55,9 @@ def seconds_counted(file: Path) -> Iterator[Callable[[], float]]:
 
 
 def _read(file: Path) -> float:
-    """Return the seconds in a file; 0 where there are none, or none that can be."""
+    """Return the seconds in a file; 0 if there are none or they are impossible."""
     try:
-        found = float(file.read_text(encoding="utf-8"))
+        seconds = float(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return 0.0
-    return found if 0.0 <= found < 1e9 else 0.0
+    return seconds if 0.0 <= seconds < 1e9 else 0.0

@@ -1,4 +1,4 @@
-"""What a study depends on, as data."""
+"""Declared settings of a study."""
 
 import os
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ from pcs_racing_agents.synthesis.config import load_archive_config
 __all__ = ["BEST_BLIND", "StudyConfig", "load_study_config"]
 
 BEST_BLIND = ("best-fixed", "best-schedule")
-"""Agents that never look at the race, found on training races: the best policy to walk to, the best plan of moves."""
+"""Agents without observations, fitted on training races: the best fixed policy, the best open-loop sequence."""
 
 
 @dataclass(frozen=True)
 class StudyConfig(Settings):
-    """Everything that decides the results of a study."""
+    """Settings of a study; they determine its results."""
 
     race: str = setting("paper", text(), "Rules: a preset's name or a YAML file.")
     epsilon: float | tuple[float, ...] = setting(0.5, EPSILON_RULE, "Length of a move, in normalised coordinates.")
@@ -105,16 +105,16 @@ class StudyConfig(Settings):
             raise ConfigError(f"ppo is {self.ppo!r}; these are no settings of level duel")
         missing = [name for name in BEST_BLIND if name not in self.arms]
         if len(missing) == 1:
-            there = next(name for name in BEST_BLIND if name in self.arms)
+            present = next(name for name in BEST_BLIND if name in self.arms)
             raise ConfigError(
-                f"arms hold {there!r} but not {missing[0]!r}; name both or neither: the adaptivity gain is over the "
+                f"arms hold {present!r} but not {missing[0]!r}; name both or neither: the adaptivity gain is over the "
                 "one that won more training races"
             )
         if self.best not in self.arms:
             raise ConfigError(f"best is {self.best!r}; it must be one of the arms, {', '.join(self.arms)}")
         if 0 < self.pairs * len(self.circuits) < 3:
             raise ConfigError(
-                f"pairs is {self.pairs}; networks need at least 3 trees: to learn, to stop by, to judge by"
+                f"pairs is {self.pairs}; networks need at least 3 trees: for training, validation and test"
             )
 
     @property
@@ -155,6 +155,6 @@ def load_study_config(source: str | Path | StudyConfig | None = None, **changes:
     ConfigError
         If a key is unknown or a value impossible.
     UnknownNameError
-        If a name stands for nothing.
+        If a name is unknown.
     """
     return load_settings("study", StudyConfig(), source, shipped_configs("study"), **changes)

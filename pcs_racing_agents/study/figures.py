@@ -1,4 +1,4 @@
-"""The pictures of a study's report."""
+"""Pictures of a study's report."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +15,7 @@ from pcs_racing_agents.pictures.style import (
     short,
     tidy,
 )
-from pcs_racing_agents.study.report_inputs import Place
+from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import StudyTable, TableRow
 from pcs_racing_agents.tournament.pictures import payoffs_picture, ratings_picture
 
@@ -38,22 +38,22 @@ def scores_picture(table: StudyTable) -> Any:
     figure, panels = _grid(table)
     names = table.arms
     for row, axes in panels:
-        places = {arm: -names.index(arm) for arm in names}
+        heights = {arm: -names.index(arm) for arm in names}
         base = row.arms[0]
         axes.axvline(base.score, color="#a5afbb", lw=0.9)
         for arm in row.arms:
             colour = _arm_colour(table, arm.arm)
-            axes.plot([arm.low, arm.high], [places[arm.arm]] * 2, color=colour, lw=2.0, solid_capstyle="butt")
-            axes.plot(arm.score, places[arm.arm], "o", color=colour, ms=5.5)
+            axes.plot([arm.low, arm.high], [heights[arm.arm]] * 2, color=colour, lw=2.0, solid_capstyle="butt")
+            axes.plot(arm.score, heights[arm.arm], "o", color=colour, ms=5.5)
         if row.paper is not None:
-            # The paper's agents are our base and its own game-theoretic agent, where that raced.
-            shown = [(row.paper.non_gt, places[base.arm])]
-            if "cfr-argmax" in places:
-                shown.append((row.paper.gt, places["cfr-argmax"]))
-            for value, place in shown:
-                axes.plot(value, place, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4)
-    told = "; diamonds: the paper's win rates" if _has_paper(table) else ""
-    _finish(figure, panels, names, f"score: races won, ties half; lines: 95 % intervals{told}")
+            # The paper has two agents: the base, and its game-theoretic agent, which is our cfr-argmax.
+            diamonds = [(row.paper.non_gt, heights[base.arm])]
+            if "cfr-argmax" in heights:
+                diamonds.append((row.paper.gt, heights["cfr-argmax"]))
+            for value, height in diamonds:
+                axes.plot(value, height, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4)
+    note = "; diamonds: the paper's win rates" if _has_paper(table) else ""
+    _finish(figure, panels, names, f"score: races won, ties half; lines: 95 % intervals{note}")
     return figure
 
 
@@ -64,25 +64,25 @@ def differences_picture(table: StudyTable) -> Any:
     names = [arm for arm in table.arms if arm != table.base]
     for row, axes in panels:
         axes.axvline(0.0, color=INK, lw=0.8)
-        for one in row.differences:
-            _interval(axes, one, -names.index(one.arm), _arm_colour(table, one.arm))
+        for difference in row.differences:
+            _interval(axes, difference, -names.index(difference.arm), _arm_colour(table, difference.arm))
         if row.paper is not None and "cfr-argmax" in names:
-            place = -names.index("cfr-argmax")
-            axes.plot(row.paper.difference, place, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4)
-    told = f"difference of score from {short(table.base)}, 95 % intervals"
-    told += "; hollow: p (Holm) not below 0.05" + ("; diamonds: the paper's" if _has_paper(table) else "")
-    _finish(figure, panels, names, told)
+            height = -names.index("cfr-argmax")
+            axes.plot(row.paper.difference, height, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4)
+    label = f"difference of score from {short(table.base)}, 95 % intervals"
+    label += "; hollow: p (Holm) not below 0.05" + ("; diamonds: the paper's" if _has_paper(table) else "")
+    _finish(figure, panels, names, label)
     return figure
 
 
 @picture
 def adaptivity_picture(table: StudyTable) -> Any:
-    """Draw what looking at the race adds: the best agent minus the best one that never looks, row by row.
+    """Draw the adaptivity gain of each row: the best agent minus the best one without observations.
 
     Raises
     ------
     InputError
-        If the table knows no such difference.
+        If the table has no such differences.
     """
     rows = [(row, row.gain) for row in table.rows if row.gain is not None]
     if not rows:
@@ -116,30 +116,33 @@ def adaptivity_picture(table: StudyTable) -> Any:
 
 
 @picture
-def exploitability_picture(places: Sequence[Place], *, unit: str = "utility") -> Any:
-    """Draw scores against what the agents lose to an opponent that knows them.
+def exploitability_picture(points: Sequence[ScoreAndLoss], *, unit: str = "utility") -> Any:
+    """Draw the agents' scores over their exploitability.
 
     Raises
     ------
     InputError
         If there is no agent.
     """
-    if not places:
+    if not points:
         raise InputError("there is no agent whose score and exploitability are known")
     figure = new_figure(7.2, 4.4)
     axes = figure.subplots()
-    for i, place in enumerate(places):
+    for i, point in enumerate(points):
         colour = COLOURS[i % len(COLOURS)]
         axes.errorbar(
-            place.loss, place.score, place.score_error, place.loss_error, "o", color=colour, ms=6, elinewidth=1.0
+            point.loss, point.score, point.score_error, point.loss_error, "o", color=colour, ms=6, elinewidth=1.0
         )
     axes.margins(x=0.16, y=0.12)
     axes.set_xlabel(f"lost to an opponent that knows it, {unit} (half the NashConv); right: easier to exploit")
     axes.set_ylabel("score in races")
     tidy(axes)
-    points = [(place.loss, place.score) for place in places]
+    positions = [(point.loss, point.score) for point in points]
     place_labels(
-        axes, points, [short(place.name) for place in places], [COLOURS[i % len(COLOURS)] for i in range(len(places))]
+        axes,
+        positions,
+        [short(point.name) for point in points],
+        [COLOURS[i % len(COLOURS)] for i in range(len(points))],
     )
     return figure
 
@@ -164,13 +167,13 @@ def _grid(table: StudyTable) -> tuple[Any, list[tuple[TableRow, Any]]]:
     return figure, panels
 
 
-def _finish(figure: Any, panels: list[tuple[TableRow, Any]], names: Sequence[str], told: str) -> None:
+def _finish(figure: Any, panels: list[tuple[TableRow, Any]], names: Sequence[str], label: str) -> None:
     for _, axes in panels:
         axes.set_yticks([-i for i in range(len(names))], [short(name) for name in names])
         axes.set_ylim(-len(names) + 0.4, 0.6)
         axes.locator_params(axis="x", nbins=5)
         tidy(axes, "x")
-    figure.supxlabel(told, fontsize=8.5, color=SOFT)
+    figure.supxlabel(label, fontsize=8.5, color=SOFT)
 
 
 def _has_paper(table: StudyTable) -> bool:
@@ -178,14 +181,21 @@ def _has_paper(table: StudyTable) -> bool:
 
 
 def _arm_colour(table: StudyTable, arm: str) -> str:
-    """Grey for the base, blue for all others but the best, which is to be found at a glance."""
+    """Return grey for the base, orange for the best agent, and blue for the others."""
     return "#6b7480" if arm == table.base else COLOURS[1] if arm == table.best else COLOURS[0]
 
 
-def _interval(axes: Any, one: Any, place: float, colour: str) -> None:
-    """Draw a difference with its interval; hollow where it may be nothing."""
-    result = one.result
-    axes.plot([result.low, result.high], [place] * 2, color=colour, lw=2.0, solid_capstyle="butt")
+def _interval(axes: Any, difference: Any, height: float, colour: str) -> None:
+    """Draw a difference with its interval; hollow if it is not significant."""
+    result = difference.result
+    axes.plot([result.low, result.high], [height] * 2, color=colour, lw=2.0, solid_capstyle="butt")
     axes.plot(
-        result.difference, place, "o", ms=6, mec=colour, mew=1.4, mfc=colour if one.p_holm < 0.05 else "white", zorder=3
+        result.difference,
+        height,
+        "o",
+        ms=6,
+        mec=colour,
+        mew=1.4,
+        mfc=colour if difference.p_holm < 0.05 else "white",
+        zorder=3,
     )

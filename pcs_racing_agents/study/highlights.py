@@ -1,4 +1,4 @@
-"""Races of a study that are worth watching: a win by switching, a loss, a crash; chosen by rule, not by taste."""
+"""Example races of a study: a win by switching, a loss and a crash, selected by a rule."""
 
 from importlib.util import find_spec
 from typing import NamedTuple
@@ -12,19 +12,19 @@ from pcs_racing_agents.explain.words import story
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.pairings import Pairing
 
-__all__ = ["KINDS", "TellingRace", "Watched", "telling_races", "watch_race"]
+__all__ = ["KINDS", "Highlight", "Watched", "select_highlights", "watch_race"]
 
 KINDS = ("win", "loss", "crash")
 
 
 class Watched(NamedTuple):
-    """A race to be watched in a report.
+    """A race with explanation and replay for a report.
 
     Attributes
     ----------
     title : str
     text : str
-        What happened, in words; may be empty.
+        The explanation; may be empty.
     replay : Replay
     picture : bytes
         The moves, as :func:`pcs_racing_agents.explain.pictures.explanation_picture` draws them, SVG; may be empty.
@@ -36,13 +36,12 @@ class Watched(NamedTuple):
     picture: bytes = b""
 
 
-class TellingRace(NamedTuple):
-    """A race that tells something of an agent.
+class Highlight(NamedTuple):
+    """An example race of an agent.
 
     Attributes
     ----------
     title : str
-        What the race is.
     race : int
         Its number in the pairing.
     """
@@ -51,61 +50,63 @@ class TellingRace(NamedTuple):
     race: int
 
 
-def telling_races(ours: RaceTable, theirs: RaceTable) -> dict[str, TellingRace]:
-    """Pick a win by switching, a loss, and a crash from the races of an agent and of the one that never switches.
+def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highlight]:
+    """Select a win by switching, a loss, and a crash of an agent.
 
-    A win or a loss is rather one where keeping the policy brings the contrary in the same race; a crash is the agent's
-    fault, and rather one after its first move. Where there are several such races, it is the one with the median lead:
-    typical of its kind, not the most spectacular.
+    Preferred are a win that the agent without moves loses in the same race, a loss that it wins, and a crash by the
+    agent's fault after its first move. Of several such races the one with the median lead is selected, which is typical
+    of its kind.
 
     Parameters
     ----------
-    ours, theirs : RaceTable
+    races, baseline : RaceTable
         The same races, driven by the agent and by the one that never switches.
 
     Returns
     -------
-    dict of str to TellingRace
-        By its kind, one of ``KINDS``; what did not occur is left out.
+    dict of str to Highlight
+        By kind, in ``KINDS``; a kind that did not occur is absent.
     """
-    clean, switched = ~ours.crashed, ours.switches[:, 0] > 0
-    won, lost, fault = clean & (ours.winner == 0), clean & (ours.winner == 1), ours.fault[:, 0] > 0
-    ego, keeps = ours[0].ego, f"{theirs[0].ego} starts alike and"
-    wanted = (
+    clean, switched = ~races.crashed, races.switches[:, 0] > 0
+    won, lost, fault = clean & (races.winner == 0), clean & (races.winner == 1), races.fault[:, 0] > 0
+    ego, comparison = races[0].ego, f"{baseline[0].ego} starts alike and"
+    criteria = (
         {
-            f"A win by switching; {keeps} loses": won & switched & (theirs.winner == 1),
+            f"A win by switching; {comparison} loses": won & switched & (baseline.winner == 1),
             "A win, policies being switched": won & switched,
         },
-        {f"A loss; {keeps} wins": lost & (theirs.winner == 0), "A loss": lost},
+        {f"A loss; {comparison} wins": lost & (baseline.winner == 0), "A loss": lost},
         {
-            f"A crash that {ego} is to blame for": fault & (ours.moves.codes[:, 0, 0] >= 0),
+            f"A crash that {ego} is to blame for": fault & (races.moves.codes[:, 0, 0] >= 0),
             f"A crash before the first move that {ego} is to blame for": fault,
         },
     )
-    found = {}
-    for kind, choices in zip(KINDS, wanted, strict=True):
-        for title, chosen in choices.items():
-            races = np.flatnonzero(chosen)
-            if len(races):
-                found[kind] = TellingRace(title, _median(races, ours.lead))
+    highlights = {}
+    for kind, choices in zip(KINDS, criteria, strict=True):
+        for title, mask in choices.items():
+            numbers = np.flatnonzero(mask)
+            if len(numbers):
+                highlights[kind] = Highlight(title, _median(numbers, races.lead))
                 break
-    return found
+    return highlights
 
 
 def watch_race(pairing: Pairing, race: int, title: str, *, candidates: bool = False) -> Watched:
-    """Drive a race again, for the report.
+    """Repeat a race for the report.
 
     Parameters
     ----------
     pairing : Pairing
-        Its ego is an agent that moves.
+        Its ego makes moves.
     race : int
         Number of the race in it.
     title : str
     candidates : bool
-        Whether to keep the paths that the planners chose from: about a megabyte.
+        Whether to keep the candidate paths of the planners: about a megabyte.
     """
-    explanation = explain_match(pairing.game, pairing.ego, pairing.opponent, **pairing.one(race), candidates=candidates)
+    explanation = explain_match(
+        pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race), candidates=candidates
+    )
     picture = b""
     if find_spec("matplotlib") is not None:
         from pcs_racing_agents.explain.pictures import explanation_picture

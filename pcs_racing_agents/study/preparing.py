@@ -1,4 +1,4 @@
-"""The stages before the races: the archive, the trees, and everybody who learns from something."""
+"""The stages before the races: archive, game trees, and the training of all agents."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -45,7 +45,7 @@ PPO_SEEDS = 2**31  # torch takes no larger ones
 
 
 def make_the_archive(study: Study) -> None:
-    """Search for policies as the configuration's synthesis says; nothing to do where an archive is given."""
+    """Make the archive by the configuration's synthesis; nothing to do if it names an existing one."""
     if study.config.synthesis is None:
         return
     from pcs_racing_agents.synthesis.archive_run import make_archive
@@ -56,19 +56,19 @@ def make_the_archive(study: Study) -> None:
 
 
 def play_trees(study: Study) -> None:
-    """Play game trees on every circuit that is learned on."""
+    """Play game trees on every training circuit."""
     if study.config.pairs > 0:
         play_on_circuits(study, "trees", study.config.pairs, TREE_SEED)
 
 
 def play_on_circuits(study: Study, stage: str, pairs: int, seed: int) -> dict[str, StoredTrees]:
-    """Play game trees on every circuit that is learned on, those of all circuits side by side.
+    """Play game trees on every training circuit, in parallel.
 
     Parameters
     ----------
     study : Study
     stage : str
-        Whose folder gets a folder for each circuit.
+        Stage whose folder gets a folder for each circuit.
     pairs : int
         Trees on each circuit.
     seed : int
@@ -102,7 +102,7 @@ def stored_trees(study: Study) -> list[StoredTrees]:
 
 
 def train_networks(study: Study) -> None:
-    """Train a network for every target, side by side where there are processes; all have the same trees held out."""
+    """Train a network for every target, in parallel if there are processes; all have the same validation trees."""
     from pcs_racing_agents.networks.from_trees import trees_identity
     from pcs_racing_agents.networks.training import write_epochs
 
@@ -120,18 +120,18 @@ def train_networks(study: Study) -> None:
         about={"tracks": ", ".join(config.circuits)},
         progress=study.progress if elsewhere is None else None,
     )
-    told = None if elsewhere is None else study.progress("networks")
+    progress = None if elsewhere is None else study.progress("networks")
     tasks = numbered_tasks(training, settings)
     for done, (i, trained) in enumerate(run_tasks(tasks, elsewhere, "networks"), start=1):
         save_network(trained.network, study.network(missing[i]))
         write_epochs(trained.result, study.network(missing[i]) / "learning_curves.csv")
-        if told is not None:
-            told(done, len(missing), missing[i])
+        if progress is not None:
+            progress(done, len(missing), missing[i])
 
 
 @dataclass(frozen=True, eq=False)
 class _Training:
-    """What trains one network on a study's trees, here or in another process.
+    """A function that trains a network on a study's trees, here or in another process.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class _Training:
         Their starting policies.
     identity : GameIdentity
     about : dict
-        What the networks are to know of their training.
+        Facts about the training for the networks' manifests.
     progress : callable, optional
         Makes a progress function for epochs.
     """
@@ -168,7 +168,7 @@ class _Training:
 
 
 def choose_blind(study: Study) -> None:
-    """Choose the best schedule of moves and the best policy to walk to, on training races."""
+    """Fit the best open-loop sequence of moves and the best fixed policy on training races."""
     from pcs_racing_agents.tournament.fitting import TrainingRaces, fit_best_fixed, fit_best_schedule
 
     config = study.config
@@ -195,7 +195,7 @@ def choose_blind(study: Study) -> None:
 
 
 def learn_responses(study: Study) -> None:
-    """Learn the answers to the pool of opponents."""
+    """Learn the responses to the pool of opponents."""
     config = study.config
     games = [study.game(name) for name in config.circuits]
     pool = [study.agent(name) for name in config.response_pool]
@@ -217,9 +217,9 @@ def learn_responses(study: Study) -> None:
 
 
 def train_ppo_baseline(study: Study) -> None:
-    """Train PPO on the game that is studied; nothing to do without settings for it.
+    """Train PPO on the study's game; nothing to do without settings for it.
 
-    Circuits, archive and rules are those of the study; the settings say all the rest.
+    Circuits, archive and rules are those of the study; everything else is in the settings.
     """
     config = study.config
     if config.ppo is None:

@@ -1,4 +1,4 @@
-"""The stages in which the agents race, and are judged on trees."""
+"""The stages with races of the agents and with their exploitability on game trees."""
 
 import csv
 import io
@@ -55,13 +55,13 @@ class StudyRaces(NamedTuple):
 
 
 def race_tables(study: Study) -> None:
-    """Drive the races of every table, all of them side by side."""
+    """Simulate the races of all tables, in parallel."""
     for _ in table_races(study):
         pass
 
 
 def table_races(study: Study) -> Iterator[StudyRaces]:
-    """Return the races of all tables; those that were driven are read, the others driven before the first is there."""
+    """Yield the races of all tables; stored races are read, the others simulated before the first is returned."""
     config = study.config
     games, agents = cache(study.game), cache(study.agent)
     tables, pairings = [], []
@@ -80,14 +80,14 @@ def table_races(study: Study) -> Iterator[StudyRaces]:
                 )
             )
     with open_job(study.folder / "races" / "job", "races", {"archive": study.archive.content_hash}) as job:
-        told = study.progress("races of the tables")
-        played = play_pairings(pairings, name="tables", job=job, executor=study.executor, progress=told)
+        progress = study.progress("races of the tables")
+        played = play_pairings(pairings, name="tables", job=job, executor=study.executor, progress=progress)
         for table, pairing, matches in zip(tables, pairings, played, strict=True):
             yield StudyRaces(table, pairing, pairing.table(matches))
 
 
 def race_rivals(study: Study) -> None:
-    """Let the rivals race all against all, for the ratings."""
+    """Play the tournament of the rivals, for the ratings."""
     if not study.config.rivals:
         return
     config = study.config
@@ -106,7 +106,7 @@ def race_rivals(study: Study) -> None:
 
 
 def _mix_rivals(study: Study) -> None:
-    """Find how often to draw each of the rivals that are agents: the meta-strategy of PSRO, on training races."""
+    """Fit the meta-strategy of PSRO over those rivals that are agents, on training races."""
     config = study.config
     members = [agent for agent in map(study.agent, config.rivals) if isinstance(agent, Agent)]
     if len(members) < 2:
@@ -126,7 +126,7 @@ def _mix_rivals(study: Study) -> None:
 
 
 def judge_on_trees(study: Study) -> None:
-    """Write what each agent of the table loses on trees that no network was trained on."""
+    """Write the exploitability of each agent of the tables on trees that no network was trained on."""
     config = study.config
     if config.pairs == 0 or not stored_trees(study):
         return
@@ -149,66 +149,67 @@ def judge_on_trees(study: Study) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Judge:
-    """What judges agents on a circuit's trees, one at a time; it travels to other processes together with the game.
+    """A function that evaluates agents on one tree of a circuit; it is sent to other processes with the game.
 
     Attributes
     ----------
     game : RaceGame
     in_trees : tuple of Agent
-        Those whose moves the trees know.
-    certain : tuple of Agent
-        Others that draw nothing.
+        Agents that make only moves of the trees.
+    deterministic : tuple of Agent
+        Other agents, which make the same move for the same observation with probability 1.
     """
 
     game: RaceGame
     in_trees: tuple[Agent, ...]
-    certain: tuple[Agent, ...]
+    deterministic: tuple[Agent, ...]
 
     @classmethod
     def of(cls, game: RaceGame, agents: Sequence[Agent], trees: StoredTrees) -> "_Judge":
-        """Look at what agents do in some trees."""
+        """Sort agents by their moves in some trees."""
         in_trees = tuple(agent for agent in agents if _in_trees(agent, trees))
         others = (agent for agent in agents if agent not in in_trees)
-        return cls(replace(game, threads=1), in_trees, tuple(agent for agent in others if _certain(agent, trees)))
+        deterministic = tuple(agent for agent in others if _is_deterministic(agent, trees))
+        return cls(replace(game, threads=1), in_trees, deterministic)
 
     def __call__(self, tree: RaceTree) -> dict[str, tuple[str, ...]]:
-        """Return what each agent loses on a tree."""
+        """Return the losses of each agent on a tree."""
         plays = {agent.name: _play(agent) for agent in self.in_trees}
         scores = {name: tuple(f"{x:.6g}" for x in row[0]) for name, row in score_trees(plays, [tree]).items()}
-        return scores | {agent.name: self._by_replies(agent, tree) for agent in self.certain}
+        return scores | {agent.name: self._against_responses(agent, tree) for agent in self.deterministic}
 
-    def _by_replies(self, agent: Agent, tree: RaceTree) -> tuple[str, ...]:
-        """Judge an agent that stays where it is, at the root of a tree; what only the tree could tell is left open."""
+    def _against_responses(self, agent: Agent, tree: RaceTree) -> tuple[str, ...]:
+        """Return the losses of an agent that makes the move "stay"; those that need the tree's solution are empty."""
         start = Starts(np.array([tree.start_s]), np.array([tree.side]))
-        found = [
+        utilities = [
             best_response_utility(self.game, agent, policies=tree.policies, start=start, seeds=tree.seeds, car=car)
             for car in range(2)
         ]
-        # The value of the game is what one role wins and the other loses: it is not in the mean of both.
-        lost, random = -0.5 * (found[0].best + found[1].best), 0.5 * (found[0].random + found[1].random)
+        # The value of the game cancels in the mean over both roles, since the game is zero-sum.
+        lost, random = -0.5 * sum(u.best for u in utilities), 0.5 * sum(u.random for u in utilities)
         values = {"lost_to_best_response": lost, "against_random": random}
         return tuple(f"{values[name]:.6g}" if name in values else "" for name in TreeScore._fields)
 
 
 def _play(agent: Agent) -> Play:
-    """Chances of the moves that the trees know: all but "stay"."""
+    """Return the probabilities of the moves in the trees: all but "stay"."""
     return lambda observations: agent.probabilities(observations)[:, :-1]
 
 
 def _in_trees(agent: Agent, trees: StoredTrees) -> bool:
-    """Whether an agent makes only moves that the trees know."""
+    """Return whether an agent makes only moves of the trees."""
     play = _play(agent)
-    return all(np.allclose(play(seen).sum(axis=1), 1.0) for seen in _seen_in(trees))
+    return all(np.allclose(play(observations).sum(axis=1), 1.0) for observations in _observations_in(trees))
 
 
-def _certain(agent: Agent, trees: StoredTrees) -> bool:
-    """Whether an agent draws nothing."""
-    return all(np.allclose(agent.probabilities(seen).max(axis=1), 1.0) for seen in _seen_in(trees))
+def _is_deterministic(agent: Agent, trees: StoredTrees) -> bool:
+    """Return whether an agent's moves have probability 1."""
+    return all(np.allclose(agent.probabilities(o).max(axis=1), 1.0) for o in _observations_in(trees))
 
 
-def _seen_in(trees: StoredTrees) -> Iterator[NDArray[np.float32]]:
-    """All observations in trees, level by level."""
+def _observations_in(trees: StoredTrees) -> Iterator[NDArray[np.float32]]:
+    """Yield all observations in trees, level by level."""
     for tree in trees:
         for k in range(tree.game_tree().depth):
-            seen = tree.observations(k)
-            yield seen.reshape(-1, seen.shape[-1])
+            observations = tree.observations(k)
+            yield observations.reshape(-1, observations.shape[-1])

@@ -1,4 +1,4 @@
-"""The report of a study: one page that holds everything, tables, pictures and races to watch, and loads nothing."""
+"""The report of a study: a single page with tables, pictures and replays, which loads nothing else."""
 
 import base64
 import os
@@ -18,7 +18,7 @@ from pcs_racing_agents.explain.situations import Situations, situations_text
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.text_table import is_number
 from pcs_racing_agents.study.highlights import Watched
-from pcs_racing_agents.study.report_inputs import TreeLoss, mean_losses, mean_scores, places_of
+from pcs_racing_agents.study.report_inputs import TreeLoss, mean_losses, mean_scores, scores_and_losses
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
@@ -27,14 +27,14 @@ __all__ = ["Picture", "ReportContent", "Sheet", "report_page", "write_page"]
 
 
 class Sheet(NamedTuple):
-    """A table of any kind.
+    """A table with a title.
 
     Attributes
     ----------
     title : str
     head : tuple of str
     rows : tuple of tuple of str
-        As many cells as the head; what begins like a number stands to the right.
+        As many cells as the head; numbers are aligned to the right.
     note : str
     """
 
@@ -45,7 +45,7 @@ class Sheet(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A picture that was drawn elsewhere.
+    """A finished picture.
 
     Attributes
     ----------
@@ -62,15 +62,15 @@ class Picture(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ReportContent:
-    """What a report tells; whatever is left out is not in it.
+    """Content of a report; everything but the title is optional.
 
     Attributes
     ----------
     title : str
     about : str
-        What was studied, in a few sentences.
+        Subject of the study, in a few sentences.
     findings : sequence of str
-        What came out, a sentence each.
+        Results, a sentence each.
     table : StudyTable, optional
     archive : PolicyArchive, optional
         Drawn with the moves of one policy, of length ``epsilon``.
@@ -78,17 +78,16 @@ class ReportContent:
     curves : mapping of str to sequence of Curve
         Loss by epoch of every network, by its name.
     reward_curves : mapping of str to sequence of Curve
-        What agents of reinforcement learning reached by step (in millions): a panel for each figure.
+        Learning curves of reinforcement learning by step (in millions): a panel for each figure.
     losses : sequence of TreeLoss
-        What agents lose on trees that no network has seen.
+        Losses of agents on trees that no network was trained on.
     loss_unit : str
-        What that is counted in.
+        Unit of the losses.
     judged : StudyTable, optional
-        The table whose scores stand beside what the agents lose on trees; by default ``table``.
+        The table whose scores are shown with the losses; by default ``table``.
     rivals : RoundRobin, optional
-        Races of all against all.
     situations : sequence of Situations
-        Which move in which situation, agent by agent.
+        Moves by situation, for each agent.
     ablations : sequence of Sheet
     sheets : sequence of Sheet
         Other tables.
@@ -97,7 +96,7 @@ class ReportContent:
     races : sequence of Watched
     settings, versions, seeds : mapping
     seconds : mapping of str to float
-        How long each stage took, s.
+        Time of each stage, s.
     """
 
     title: str
@@ -137,7 +136,7 @@ def write_page(content: ReportContent, path: str | os.PathLike[str]) -> Path:
 
 
 def report_page(content: ReportContent) -> str:
-    """Return the report as HTML: ``report.html`` filled in, in which all text is escaped."""
+    """Return the report as HTML from the template ``report.html``; all text is escaped."""
     environment = Environment(
         loader=PackageLoader("pcs_racing_agents.study", ""),
         autoescape=True,
@@ -159,7 +158,7 @@ def report_page(content: ReportContent) -> str:
         situations_text=situations_text,
         losses=list(_mean_losses(content)),
         loss_cells=_loss_cells,
-        places=places_of(content.judged or content.table, content.losses),
+        scores_and_losses=scores_and_losses(content.judged or content.table, content.losses),
         ratings=list(_ratings(content)),
     )
 
@@ -175,7 +174,7 @@ def _draw(name: str, *arguments: Any, **options: Any) -> bytes:
 
 
 def _data(picture: bytes) -> str:
-    """Return a picture (SVG or PNG) as an address that holds it."""
+    """Return a picture (SVG or PNG) as a data URL."""
     kind = "png" if picture.startswith(b"\x89PNG") else "svg+xml"
     return f"data:image/{kind};base64,{base64.b64encode(picture).decode('ascii')}"
 
@@ -192,12 +191,12 @@ def _loss_cells(loss: TreeLoss) -> tuple[str, ...]:
 
 
 def _mean_losses(content: ReportContent) -> Iterator[tuple[str, ...]]:
-    """What each agent loses on trees, beside its score in races and its rating."""
+    """Yield each agent's losses on trees, with its score in races and its rating."""
     scores = mean_scores(content.judged or content.table)
     for agent, loss in mean_losses(content.losses).items():
         rating = np.nan if content.rivals is None else content.rivals.rating(agent)[0]
-        known = (f"{scores[agent]:.3f}" if agent in scores else "", "" if np.isnan(rating) else f"{rating:+.0f}")
-        yield agent, *known, str(loss.trees), *_loss_cells(loss)
+        columns = (f"{scores[agent]:.3f}" if agent in scores else "", "" if np.isnan(rating) else f"{rating:+.0f}")
+        yield agent, *columns, str(loss.trees), *_loss_cells(loss)
 
 
 def _ratings(content: ReportContent) -> Iterator[tuple[str, ...]]:
@@ -208,8 +207,8 @@ def _ratings(content: ReportContent) -> Iterator[tuple[str, ...]]:
         name = rivals.ratings.names[i]
         rating, low, high = rivals.rating(name)
         shares = [
-            "" if each is None else f"{each[rivals.names.index(name)]:.2f}"
-            for each in (rivals.equilibrium, rivals.alpha_rank)
+            "" if probabilities is None else f"{probabilities[rivals.names.index(name)]:.2f}"
+            for probabilities in (rivals.equilibrium, rivals.alpha_rank)
         ]
         interval = "" if np.isnan(low) else f"[{low:+.0f}, {high:+.0f}]"
         counts = (str(rivals.ratings.races[i]), str(rivals.ratings.left_out[i]))

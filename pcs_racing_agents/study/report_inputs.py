@@ -1,4 +1,4 @@
-"""What the stages of a study left behind, as the report wants it."""
+"""Readers of the stages' results for the report."""
 
 import platform
 from collections.abc import Sequence
@@ -16,21 +16,21 @@ from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study.table import StudyTable
 
 __all__ = [
-    "Place",
+    "ScoreAndLoss",
     "TreeLoss",
     "mean_losses",
     "mean_scores",
-    "places_of",
     "read_curves",
     "read_losses",
+    "scores_and_losses",
     "software",
 ]
 
 Floats = NDArray[np.float64]
 
 
-class Place(NamedTuple):
-    """Where an agent stands between strong and safe.
+class ScoreAndLoss(NamedTuple):
+    """Score and exploitability of an agent.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Place(NamedTuple):
     score, score_error : float
         Mean score and its standard error (0 where it is not known).
     loss, loss_error : float
-        What it loses to an opponent that knows it, and the standard error.
+        Its loss to a best response, and the standard error.
     """
 
     name: str
@@ -49,15 +49,15 @@ class Place(NamedTuple):
 
 
 class TreeLoss(NamedTuple):
-    """What an agent loses on the held-out trees of a circuit.
+    """Losses of an agent on the held-out trees of a circuit.
 
     Attributes
     ----------
     track, agent : str
     trees : int
     columns : tuple of (mean, standard error)
-        Lost to its best response, lost to the equilibrium, and what it gets from random moves; the errors are NaN for
-        a single tree, and so is what was not found out.
+        Lost to a best response, lost to the equilibrium, and the utility against random moves; the errors are NaN for
+        a single tree, and so are unknown values.
     """
 
     track: str
@@ -71,18 +71,18 @@ LOSSES = ("lost_to_best_response", "lost_to_equilibrium", "against_random")
 
 
 def read_losses(path: str | Path) -> list[TreeLoss]:
-    """Read what the stage "exploitability" wrote: a line for each circuit, agent and tree.
+    """Read the results of the stage "exploitability": a line for each circuit, agent and tree.
 
     Raises
     ------
     InputError
         If the file can't be read or lacks a column.
     """
-    found: dict[tuple[str, str], list[list[float]]] = {}
+    groups: dict[tuple[str, str], list[list[float]]] = {}
     for row in _rows(path, ("track", "agent", *LOSSES)):
-        found.setdefault((row["track"], row["agent"]), []).append([_number(row[name], path) for name in LOSSES])
+        groups.setdefault((row["track"], row["agent"]), []).append([_number(row[name], path) for name in LOSSES])
     losses = []
-    for (track, agent), rows in found.items():
+    for (track, agent), rows in groups.items():
         values = np.array(rows)
         errors = values.std(axis=0, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.full(3, np.nan)
         columns = tuple(zip(values.mean(axis=0).tolist(), errors.tolist(), strict=True))
@@ -108,15 +108,15 @@ def read_curves(path: str | Path, *columns: str, x: str = "epoch") -> list[Curve
 
 
 def mean_losses(losses: Sequence[TreeLoss]) -> dict[str, TreeLoss]:
-    """Return what each agent loses, mean over circuits with equal weight; errors are those of the mean."""
-    found = {}
+    """Return the losses of each agent, means over circuits with equal weight; errors are those of the mean."""
+    means = {}
     for agent in dict.fromkeys(loss.agent for loss in losses):
         own = [loss for loss in losses if loss.agent == agent]
         values = np.array([loss.columns for loss in own], np.float64)  # circuits, columns, (mean, error)
         errors = np.sqrt((values[:, :, 1] ** 2).sum(axis=0)) / len(own)
         columns = tuple(zip(values[:, :, 0].mean(axis=0).tolist(), errors.tolist(), strict=True))
-        found[agent] = TreeLoss(", ".join(loss.track for loss in own), agent, sum(loss.trees for loss in own), columns)
-    return found
+        means[agent] = TreeLoss(", ".join(loss.track for loss in own), agent, sum(loss.trees for loss in own), columns)
+    return means
 
 
 def mean_scores(table: StudyTable | None) -> dict[str, float]:
@@ -127,30 +127,30 @@ def mean_scores(table: StudyTable | None) -> dict[str, float]:
     return {arm: float(np.mean([row[arm] for row in rows])) for arm in table.arms if all(arm in row for row in rows)}
 
 
-def places_of(table: StudyTable | None, losses: Sequence[TreeLoss]) -> list[Place]:
-    """Return where agents stand whose score and whose exploitability are known, means over rows and circuits."""
+def scores_and_losses(table: StudyTable | None, losses: Sequence[TreeLoss]) -> list[ScoreAndLoss]:
+    """Return score and exploitability of the agents with both, means over rows and circuits."""
     scores = mean_scores(table)
     return [
-        Place(agent, scores[agent], 0.0, loss.columns[0][0], float(np.nan_to_num(loss.columns[0][1])))
+        ScoreAndLoss(agent, scores[agent], 0.0, loss.columns[0][0], float(np.nan_to_num(loss.columns[0][1])))
         for agent, loss in mean_losses(losses).items()
         if agent in scores
     ]
 
 
 def software() -> dict[str, str]:
-    """Return versions of what the results depend on, and the machine."""
-    found = {"pcs-racing": package_version(), "Python": platform.python_version()}
+    """Return the versions of the libraries that the results depend on, and the machine."""
+    versions = {"pcs-racing": package_version(), "Python": platform.python_version()}
     for library in ("numpy", "numba", "torch", "cma", "moocore", "scipy", "matplotlib"):
         try:
-            found[library] = version(library)
+            versions[library] = version(library)
         except PackageNotFoundError:
             continue
-    return {**found, "machine": f"{platform.system()} {platform.machine()}"}
+    return {**versions, "machine": f"{platform.system()} {platform.machine()}"}
 
 
-def _rows(path: str | Path, wanted: Sequence[str]) -> list[dict[str, str]]:
+def _rows(path: str | Path, columns: Sequence[str]) -> list[dict[str, str]]:
     table = read_csv(path)
-    missing = [name for name in wanted if name not in table.columns]
+    missing = [name for name in columns if name not in table.columns]
     if missing:
         raise InputError(f"{path} has no column {missing[0]!r}")
     return table.rows()

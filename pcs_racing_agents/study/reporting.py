@@ -14,12 +14,12 @@ from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.race_files import read_results, write_results
 from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.study.config import BEST_BLIND
-from pcs_racing_agents.study.highlights import KINDS, TellingRace, telling_races, watch_race
-from pcs_racing_agents.study.moves_made import moves_in_situations
+from pcs_racing_agents.study.highlights import KINDS, Highlight, select_highlights, watch_race
 from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
 from pcs_racing_agents.study.racing import HELD_OUT_SEED, MIXING_SEED, RIVAL_SEED, TABLE_SEED, StudyRaces, table_races
 from pcs_racing_agents.study.report import ReportContent, Sheet, Watched, write_page
 from pcs_racing_agents.study.report_inputs import TreeLoss, read_curves, read_losses, software
+from pcs_racing_agents.study.situations import moves_in_situations
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import StudyTable, make_table
 from pcs_racing_agents.study.table_text import difference_text, overview_rows, table_markdown, table_text, write_table
@@ -36,35 +36,35 @@ def write_report(study: Study, seconds: Mapping[str, float]) -> None:
     ----------
     study : Study
     seconds : mapping of str to float
-        How long each stage took.
+        Time of each stage.
     """
-    played = list(table_races(study))
+    study_races = list(table_races(study))
     folder = study.folder
-    write_results((row for found in played for row in found.races), folder / "results.csv")
-    main = study_table(study, played, "main")
+    write_results((row for races in study_races for row in races.races), folder / "results.csv")
+    main = study_table(study, study_races, "main")
     write_table(main, folder / "table.csv")
     _write(folder / "table.md", table_markdown(main))
     _write(folder / "table.txt", table_text(main))
-    write_page(_content(study, played, main, seconds), folder / "report.html")
+    write_page(_content(study, study_races, main, seconds), folder / "report.html")
 
 
-def study_table(study: Study, played: Sequence[StudyRaces], name: str) -> StudyTable:
+def study_table(study: Study, study_races: Sequence[StudyRaces], name: str) -> StudyTable:
     """Compare the arms of one of the study's tables."""
-    races = concatenate_races(found.races for found in played if found.table == name)
+    races = concatenate_races(cell.races for cell in study_races if cell.table == name)
     config, blind = study.config, best_blind(study)
     learned_on = {study.track(circuit).name for circuit in config.circuits}
     table = make_table(races, base=config.arms[0], best=config.best, blind=blind, seen=learned_on)
     if config.game.race.name == "paper":
         return table
-    # In another race than the paper's there is nothing to put the paper's figures beside.
+    # With other rules than the paper's its figures can't be compared.
     return replace(table, rows=tuple(replace(row, paper=None) for row in table.rows))
 
 
 def best_blind(study: Study) -> str | None:
-    """Return the arm that never looks at the race and won most on training races; None without such arms.
+    """Return the arm without observations that won most training races; None without such arms.
 
-    It is the better of the best policy to walk to and the best plan of moves. Constant moves count as plans: the plan
-    that was found is at least as good on those races as any of them, since the search begins with the best of them.
+    It is the better of the best fixed policy and the best open-loop sequence. That sequence is at least as good on
+    those races as any constant move, since its search begins with the best of these.
     """
     if not set(BEST_BLIND) <= set(study.config.arms):
         return None
@@ -73,19 +73,19 @@ def best_blind(study: Study) -> str | None:
 
 
 def _content(
-    study: Study, played: Sequence[StudyRaces], main: StudyTable, seconds: Mapping[str, float]
+    study: Study, study_races: Sequence[StudyRaces], main: StudyTable, seconds: Mapping[str, float]
 ) -> ReportContent:
     config = study.config
     sheets, judged = [], main
     if config.further_lines:
-        further = judged = study_table(study, played, "further")
+        further = judged = study_table(study, study_races, "further")
         head, *rows = overview_rows(further, difference_text)
         note = f"{config.further_lines * config.egos * config.variants * 2} races of each agent in each row."
         sheets.append(Sheet("More opponents, circuits and agents", head, tuple(rows), note))
     return ReportContent(
         title=f"Study: {config.race} race, archive {study.archive.name}",
         about=(
-            f"{sum(len(found.races) for found in played):,} races of {config.game.horizon:g} s. A move goes "
+            f"{sum(len(cell.races) for cell in study_races):,} races of {config.game.horizon:g} s. A move goes "
             f"{config.epsilon:g} of the archive's range on an axis, every {config.game.step_seconds:g} s."
         ),
         findings=list(_findings(main)),
@@ -98,9 +98,9 @@ def _content(
         loss_unit="m of lead" if config.game.utility == "lead" else "utility (a win 1, a loss -1)",
         judged=judged,
         rivals=_rivals(study),
-        situations=moves_in_situations(study, played),
+        situations=moves_in_situations(study, study_races),
         sheets=sheets,
-        races=list(_watched(study, played)),
+        races=list(_watched(study, study_races)),
         settings=plain_settings(config),
         versions=software(),
         seeds=_seeds(study),
@@ -109,13 +109,13 @@ def _content(
 
 
 def _findings(table: StudyTable) -> Iterator[str]:
-    """What the main table says, in sentences."""
+    """Yield the results of the main table as sentences."""
     for arm in (arm for arm in table.arms if arm != table.base):
-        found = [one.result for row in table.rows for one in row.differences if one.arm == arm]
-        above = sum(result.low > 0.0 for result in found)
+        results = [difference.result for row in table.rows for difference in row.differences if difference.arm == arm]
+        above = sum(result.low > 0.0 for result in results)
         yield (
-            f"{arm} gains {min(r.difference for r in found):+.3f} to {max(r.difference for r in found):+.3f} over "
-            f"{table.base} in {len(found)} rows; the 95 % interval is above 0 in {above}."
+            f"{arm} gains {min(r.difference for r in results):+.3f} to {max(r.difference for r in results):+.3f} over "
+            f"{table.base} in {len(results)} rows; the 95 % interval is above 0 in {above}."
         )
     gains = [row.gain.result for row in table.rows if row.gain is not None]
     if gains:
@@ -136,7 +136,7 @@ REWARDS = {"worth": "worth of a race", "won": "races won", "at_fault": "crashes 
 
 
 def _reward_curves(study: Study) -> dict[str, list[Curve]]:
-    """How PPO learned, where the study trained it: a panel for each figure, a line for each seed."""
+    """Return the learning curves of PPO, if the study trained it: a panel for each figure, a line for each seed."""
     file = study.network("ppo") / "curve.csv"
     if not file.is_file():
         return {}
@@ -160,7 +160,7 @@ def _losses(study: Study) -> list[TreeLoss]:
 
 
 def _rivals(study: Study) -> RoundRobin | None:
-    """Ratings and payoffs of the races all against all."""
+    """Return the summary of the rivals' tournament."""
     file = study.folder / "rivals.csv"
     if not file.is_file():
         return None
@@ -168,29 +168,29 @@ def _rivals(study: Study) -> RoundRobin | None:
 
 
 def _seeds(study: Study) -> dict[str, int]:
-    """Where the random numbers of each stage begin."""
+    """Return the seed of each stage."""
     config = study.config
-    found = {"study": config.seed}
+    seeds = {"study": config.seed}
     if config.pairs:
-        found |= {"trees": config.seed + TREE_SEED, "trees held out": config.seed + HELD_OUT_SEED}
-    found["training races"] = config.seed + FITTING_SEED
+        seeds |= {"trees": config.seed + TREE_SEED, "trees held out": config.seed + HELD_OUT_SEED}
+    seeds["training races"] = config.seed + FITTING_SEED
     if config.responses:
-        found["answers"] = config.seed + RESPONSE_SEED
-    found["races of the table"] = config.seed + TABLE_SEED
+        seeds["answers"] = config.seed + RESPONSE_SEED
+    seeds["races of the table"] = config.seed + TABLE_SEED
     if config.rivals:
-        found |= {"all against all": config.seed + RIVAL_SEED, "their mixture": config.seed + MIXING_SEED}
-    return found
+        seeds |= {"all against all": config.seed + RIVAL_SEED, "their mixture": config.seed + MIXING_SEED}
+    return seeds
 
 
-def _watched(study: Study, played: Sequence[StudyRaces]) -> Iterator[Watched]:
-    """A win by switching, a loss and a crash of our best agent, each from the first row of the table that has one."""
-    raced = {(f.pairing.game.track.name, *f.pairing.names): f for f in played if f.table == "main"}
-    first: dict[str, tuple[Pairing, TellingRace]] = {}
-    for (track, ego, opponent), ours in raced.items():
+def _watched(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[Watched]:
+    """Yield a win by switching, a loss and a crash of the best agent, each from the first row that has one."""
+    raced = {(f.pairing.game.track.name, *f.pairing.names): f for f in study_races if f.table == "main"}
+    first: dict[str, tuple[Pairing, Highlight]] = {}
+    for (track, ego, opponent), races in raced.items():
         if ego == study.config.best:
-            theirs = raced[track, study.config.arms[0], opponent]
-            for kind, found in telling_races(ours.races, theirs.races).items():
-                first.setdefault(kind, (ours.pairing, found))
+            baseline = raced[track, study.config.arms[0], opponent]
+            for kind, highlight in select_highlights(races.races, baseline.races).items():
+                first.setdefault(kind, (races.pairing, highlight))
     for pairing, (title, race) in (first[kind] for kind in KINDS if kind in first):
         yield watch_race(pairing, race, title)
 

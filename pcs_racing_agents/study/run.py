@@ -1,7 +1,7 @@
-"""Running a study: one stage after the other, each in a folder of its own, and what is done is not done again.
+"""Running a study: its stages in order, each in its own folder; finished stages are skipped.
 
-A stage that was finished left a file ``done.yaml``; a stage that was stopped goes on where its job was left. The
-results are functions of the study's configuration alone.
+A finished stage leaves a file ``done.yaml``; a stopped stage resumes its job. The results are functions of the study's
+configuration alone.
 """
 
 from collections.abc import Sequence
@@ -30,17 +30,17 @@ def run_study(
     executor: Executor | None = None,
     quiet: bool = False,
 ) -> Study:
-    """Run a study, or what is left of it.
+    """Run a study, or the rest of a stopped one.
 
     Parameters
     ----------
     config : StudyConfig
     folder : str or Path
-        New, empty, or left by the same study.
+        New, empty, or of the same study.
     only : sequence of str, optional
-        Names of stages to run; each needs what some earlier ones left. All by default.
+        Names of stages to run; each needs the results of some earlier ones. All by default.
     executor : Executor, optional
-        Where its jobs run (:func:`pcs_racing_agents.jobs.jobs.make_executor`). It does not change the results.
+        Runs the jobs (:func:`pcs_racing_agents.jobs.jobs.make_executor`). It does not change the results.
     quiet : bool
         Show no progress.
 
@@ -49,22 +49,22 @@ def run_study(
     UnknownNameError
         If there is no such stage.
     InputError
-        If the folder holds something else, or a stage is not done that another one needs.
+        If the folder holds something else, or a stage needs another one that is not done.
     ModuleNotFoundError
-        If a library is missing that one of the stages needs; nothing is begun then.
+        If one of the stages needs a library that is missing; nothing is started then.
     """
-    left = stages_to_run(config, folder, only)
+    remaining = stages_to_run(config, folder, only)
     study = Study(config, Path(folder), executor, quiet)
     for name in config.every_track:
-        study.track(name)  # an unknown circuit is an error now, not in an hour
+        study.track(name)  # an unknown circuit is an error before any long work
     with claim_folder(study.folder, "study", plain_settings(config)):
-        for stage in left:
+        for stage in remaining:
             _run_stage(study, stage)
     return study
 
 
 def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] | None = None) -> list[Stage]:
-    """Return the stages that are still to be run, in order, after checking that what they need is installed.
+    """Return the stages that are still to be run, in order, after a check of the libraries that they need.
 
     Parameters
     ----------
@@ -82,14 +82,14 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
     for name in only or ():
         if name not in names:
             raise UnknownNameError(f"stage {name!r} is unknown; a study has {', '.join(names)}")
-    left = [
+    remaining = [
         stage
         for stage in STAGES
         if (only is None or stage.name in only) and (stage.always or not _done(Path(folder), stage.name))
     ]
-    for stage in left:
+    for stage in remaining:
         stage.check_libraries(config)
-    return left
+    return remaining
 
 
 def _done(folder: Path, stage: str) -> bool:

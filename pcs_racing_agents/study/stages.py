@@ -1,4 +1,4 @@
-"""The stages of a study: what each of them needs and does. Adding one is an entry here."""
+"""The list of the stages of a study; a new stage is an entry here."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,11 +15,11 @@ from pcs_racing_agents.synthesis.config import load_archive_config
 __all__ = ["DONE", "STAGES", "Stage", "stage_seconds"]
 
 DONE = "done.yaml"
-"""File of a stage's folder that says that it is done."""
+"""File in the folder of a finished stage."""
 
 
 def _nothing(config: StudyConfig) -> None:
-    """Need no library but those of the package."""
+    """Check nothing: the stage needs no optional library."""
 
 
 def _synthesis(config: StudyConfig) -> None:
@@ -56,13 +56,13 @@ class Stage(NamedTuple):
     needs : tuple of str
         Stages that must be done before.
     does : str
-        What it does, in a sentence.
+        Its work, in a few words.
     run : callable
-        ``run(study)`` does it; what an earlier call has done is not done again.
+        ``run(study)`` does the work, and skips what an earlier call has done.
     check_libraries : callable
-        ``check_libraries(config)`` raises ModuleNotFoundError if a library is missing that it needs.
+        ``check_libraries(config)`` raises ModuleNotFoundError if it needs a library that is missing.
     always : bool
-        Whether it runs again where it is done: it costs seconds and shows what is there.
+        Whether it runs again after it is done.
     """
 
     name: str
@@ -97,7 +97,7 @@ STAGES = (
 
 
 def stage_seconds(study: Study) -> dict[str, float]:
-    """Return how long each stage that is done took, s; with the time before it was stopped, if it was.
+    """Return the time of each finished stage, s, including earlier runs that were stopped.
 
     Raises
     ------
@@ -109,8 +109,8 @@ def stage_seconds(study: Study) -> dict[str, float]:
         file = study.folder / stage.name / DONE
         if file.is_file():
             note = parse_yaml(file, file.read_bytes())
-            found = note.get("seconds") if isinstance(note, dict) else None
-            if isinstance(found, bool) or not isinstance(found, int | float) or not 0.0 <= found < 1e9:
-                raise InputError(f"{file} is damaged: seconds are {found!r:.80}; delete it, and the stage runs again")
-            seconds[stage.name] = float(found)
+            value = note.get("seconds") if isinstance(note, dict) else None
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < 1e9:
+                raise InputError(f"{file} is damaged: seconds are {value!r:.80}; delete it, and the stage runs again")
+            seconds[stage.name] = float(value)
     return seconds

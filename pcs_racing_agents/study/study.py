@@ -1,4 +1,4 @@
-"""A study and its folder: what its stages work with."""
+"""A study and its folder: the context of its stages."""
 
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -27,19 +27,19 @@ NETWORK_AGENTS = {
     "nash": "nash",
     "ppo": "ppo",
 }
-"""What the networks of the zoo's agents are trained to say."""
+"""Targets of the networks of the zoo's agents."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study and where it stands.
+    """A study with its configuration and folder.
 
     Attributes
     ----------
     config : StudyConfig
     folder : Path
     executor : Executor, optional
-        Where its jobs run.
+        Runs the jobs.
     quiet : bool
         Show no progress.
     """
@@ -64,7 +64,7 @@ class Study:
         return make_game(self.track(track), self.archive, self.config.game)
 
     def tree_game(self, track: str) -> RaceGame:
-        """Return the game on a circuit as trees are played: without "stay", which makes them six times as large."""
+        """Return the game of the trees on a circuit: without "stay", which would make them six times as large."""
         return make_game(self.track(track), self.archive, self.config.game, stay=False)
 
     def track(self, name: str) -> Track:
@@ -76,10 +76,10 @@ class Study:
         return self.folder / "networks" / kind
 
     def agent(self, name: str) -> Competitor:
-        """Return an agent or driver by name: with the networks and choices of this study, where it has them.
+        """Return an agent or driver by name, with the networks and fits of this study where it has them.
 
-        Besides the names of the zoo there are those of the configuration's ``responses``: the answer that was learned,
-        made without a margin.
+        In addition to the names of the zoo there are those of the configuration's ``responses``: learned responses
+        without a margin.
         """
         seed = self.config.seed
         if name in self.config.responses:
@@ -97,5 +97,5 @@ class Study:
         return build(name, self.setting, seed=seed, **options)
 
     def progress(self, unit: str) -> Progress | None:
-        """Return a line on stderr that is kept up to date."""
+        """Return a progress function that updates a line on stderr; None if the study is quiet."""
         return None if self.quiet else show_progress(unit)

@@ -1,7 +1,7 @@
-"""The table of a study: what each agent scores against each kind of opponent, beside the figures of the paper.
+"""The table of a study: each agent's score against each kind of opponent, with the figures of the paper.
 
-A row is a circuit and a kind of opponent; an arm is an agent that raced the very races of the others in its row. What
-the columns mean, and which of the intervals to quote, is told in ``docs/statistics.md``.
+A row is a circuit and a kind of opponent; an arm is an agent in a row, and all arms of a row drove the same races.
+``docs/statistics.md`` explains the columns and the intervals.
 """
 
 from collections.abc import Collection, Iterator
@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 FEWEST_LINES = 5
-"""With fewer shared start lines an interval that knows of them has too few degrees of freedom to say anything."""
+"""Least number of shared start lines for intervals that are clustered by them: with fewer, df are too few."""
 
 
 class PaperRow(NamedTuple):
@@ -41,10 +41,10 @@ class PaperRow(NamedTuple):
     non_gt, gt : float
         Win rate of the agent that never switches, and of the game-theoretic one.
     non_gt_sd, gt_sd : float
-        What stands behind the paper's plus-minus signs.
+        The figures after the paper's plus-minus signs.
     difference : float
     p : float
-        Of the paired t-test.
+        p-value of the paired t-test.
     """
 
     non_gt: float
@@ -56,7 +56,7 @@ class PaperRow(NamedTuple):
 
 
 PAPER_OPPONENTS = {"never-switch": "Non-GT", "random-policy": "Random", "lane-switcher": "Unseen"}
-"""Opponents of the zoo that stand for those of the paper's table."""
+"""The paper's opponents, by name in the zoo."""
 
 PAPER_TABLE: dict[tuple[str, bool], PaperRow] = {
     ("Non-GT", True): PaperRow(0.515, 0.251, 0.569, 0.213, 0.054, 0.0142),
@@ -70,7 +70,7 @@ PAPER_TABLE: dict[tuple[str, bool], PaperRow] = {
 
 
 class ArmResult(NamedTuple):
-    """How one agent did in a row.
+    """Results of one agent in a row.
 
     Attributes
     ----------
@@ -80,9 +80,9 @@ class ArmResult(NamedTuple):
     low, high : float
         Interval of the score that is robust to the clusters of the races.
     sd : float
-        Standard deviation of the score over the ego's start policies: what the paper's plus-minus is taken to be.
+        Standard deviation of the score over the ego's start policies, as we read the paper's plus-minus.
     crash, own_crash : float
-        Shares of races that ended in a crash, and in one that the agent is to blame for.
+        Shares of races that ended in a crash, and in a crash by the agent's fault.
     """
 
     arm: str
@@ -103,9 +103,9 @@ class Difference:
     ----------
     arm, base : str
     result : Comparison
-        The one to quote: its interval knows of egos, opponents and, where pairs shared them, start lines.
+        The result to quote; clustered by egos, opponents and, if pairs shared them, start lines.
     two_way : Comparison
-        The same with egos and opponents alone: it takes the start lines as given.
+        The same, clustered by egos and opponents only: it takes the start lines as given.
     p_holm : float
         ``result.p_clustered``, adjusted over the rows of the table in which this arm stands (Holm 1979).
     """
@@ -125,18 +125,17 @@ class TableRow:
     ----------
     track, opponent : str
     seen : bool
-        Whether somebody learned on this circuit.
+        Whether agents were trained on this circuit.
     paper : PaperRow, optional
         The row of the paper's table that it corresponds to.
     lines : int
-        Different start lines.
+        Number of different start lines.
     lines_drawn : bool
-        Whether the intervals stand for other start lines, too; else they take these as given, or every pair had its
-        own.
+        Whether the intervals are clustered by start line; else every pair had its own, or there are too few.
     arms : tuple of ArmResult
         The base first.
     differences : tuple of Difference
-        Of every other arm from the base.
+        Differences of the other arms from the base.
     gain : Difference, optional
         The adaptivity gain: the best agent minus the blind one that was best in training.
     """
@@ -153,7 +152,7 @@ class TableRow:
 
     @property
     def name(self) -> str:
-        """What it is called in a sentence."""
+        """Circuit and opponent as text."""
         return f"{self.track} ({'seen' if self.seen else 'unseen'}) against {self.opponent}"
 
 
@@ -165,7 +164,7 @@ class StudyTable:
     ----------
     rows : tuple of TableRow
     base : str
-        The agent that others are compared with: the paper's non-GT one.
+        The agent that the others are compared with: the paper's non-GT one.
     best, blind : str, optional
         The agents that the adaptivity gain is the difference of.
     """
@@ -198,11 +197,11 @@ def make_table(
     base : str, optional
         The arm to compare with; by default the first.
     best : str, optional
-        The agent whose adaptivity gain is asked for. It must have been named before the races.
+        The agent of the adaptivity gain. It must be chosen before the races.
     blind : str, optional
-        The best arm that never looks at the race, chosen on training races.
+        The best arm without observations, chosen on training races.
     seen : collection of str
-        Circuits that somebody learned on.
+        Circuits that agents were trained on.
 
     Raises
     ------
@@ -224,11 +223,11 @@ def make_table(
         raise InputError("there are no races; a table needs some")
     arms = list(dict.fromkeys(arm for *_, arm in pairs))
     base = arms[0] if base is None else base
-    for what, name in (("base", base), ("best", best), ("blind", blind)):
+    for role, name in (("base", base), ("best", best), ("blind", blind)):
         if name is not None and name not in arms:
-            raise InputError(f"{what} is {name!r}, which did not race; the arms are {', '.join(arms)}")
+            raise InputError(f"{role} is {name!r}, which did not race; the arms are {', '.join(arms)}")
     if best == blind:
-        blind = None  # it does not look at the race itself: there is no such gain
+        blind = None  # the best agent is itself blind: there is no such gain
     rows = [
         _row(track, opponent, pairs, [base, *(arm for arm in arms if arm != base)], best, blind, track in seen)
         for track, opponent in dict.fromkeys((track, opponent) for track, opponent, _ in pairs)
@@ -245,12 +244,12 @@ def _row(
     blind: str | None,
     seen: bool,
 ) -> TableRow:
-    where = f"{track} against {opponent}"
+    label = f"{track} against {opponent}"
     raced = {arm: pairs[track, opponent, arm] for arm in arms if (track, opponent, arm) in pairs}
     if arms[0] not in raced:
-        raise InputError(f"{where}: {arms[0]!r} did not race; there is nothing to compare with")
+        raise InputError(f"{label}: {arms[0]!r} did not race; there is nothing to compare with")
     first = raced[arms[0]]
-    scores = {arm: _scores(first, races, f"{where}, {arm}") for arm, races in raced.items()}
+    scores = {arm: _scores(first, races, f"{label}, {arm}") for arm, races in raced.items()}
     egos, opponents = first.variants.T.astype(np.int64)
     lines = np.unique(first.start_s, return_inverse=True)[1].astype(np.int64)
     labels = (egos, opponents)
@@ -264,10 +263,10 @@ def _row(
     results = []
     for arm, races in raced.items():
         mean = clustered_mean(scores[arm], *clusters)
-        each = np.bincount(_codes(egos), scores[arm]) / np.bincount(_codes(egos))
+        by_ego = np.bincount(_codes(egos), scores[arm]) / np.bincount(_codes(egos))
         low, high = max(mean.low, 0.0), min(mean.high, 1.0)
         shares = float(races.crashed.mean()), float((races.fault[:, 0] > 0).mean())
-        results.append(ArmResult(arm, len(races), mean.mean, low, high, float(each.std(ddof=1)), *shares))
+        results.append(ArmResult(arm, len(races), mean.mean, low, high, float(by_ego.std(ddof=1)), *shares))
     gain = difference(best, blind) if best in scores and blind in scores else None
     return TableRow(
         track=track,
@@ -282,19 +281,19 @@ def _row(
     )
 
 
-def _scores(first: RaceTable, races: RaceTable, where: str) -> Floats:
+def _scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
     """Return the scores of an arm in the order of the base's races."""
     columns = [(table.variants, table.start_s, table.side) for table in (first, races)]
-    if all(np.array_equal(one, other) for one, other in zip(*columns, strict=True)):
+    if all(np.array_equal(column, other_column) for column, other_column in zip(*columns, strict=True)):
         return races.score
     try:
         return races.score[match_units(_units(first), _units(races))]
     except InputError as error:
-        raise InputError(f"{where}: {error}") from None
+        raise InputError(f"{label}: {error}") from None
 
 
 def _units(races: RaceTable) -> list[tuple[int, int, float, int]]:
-    """What makes a race the same race for two agents: variants, start line, side."""
+    """Return the identity of each race, equal for all arms: variants, start line, side."""
     columns = (*races.variants.T, races.start_s.round(4), races.side)
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
@@ -310,19 +309,22 @@ def _codes(labels: Labels) -> NDArray[np.intp]:
 
 
 def _adjusted(rows: list[TableRow]) -> list[TableRow]:
-    """Put in the p-values that hold for all rows together, for each arm by itself."""
+    """Return the rows with p-values that are adjusted over all rows, for each arm separately."""
 
-    def adjust(found: list[Difference]) -> Iterator[Difference]:
-        p_values = holm([one.result.p_clustered for one in found]).tolist() if found else []
-        return iter([replace(one, p_holm=p) for one, p in zip(found, p_values, strict=True)])
+    def adjust(differences: list[Difference]) -> Iterator[Difference]:
+        p_values = holm([difference.result.p_clustered for difference in differences]).tolist() if differences else []
+        return iter([replace(difference, p_holm=p) for difference, p in zip(differences, p_values, strict=True)])
 
-    every = [one for row in rows for one in row.differences]
-    by_arm = {arm: adjust([one for one in every if one.arm == arm]) for arm in dict.fromkeys(one.arm for one in every)}
+    differences: dict[str, list[Difference]] = {}
+    for row in rows:
+        for difference in row.differences:
+            differences.setdefault(difference.arm, []).append(difference)
+    by_arm = {arm: adjust(of_arm) for arm, of_arm in differences.items()}
     gains = adjust([row.gain for row in rows if row.gain is not None])
     return [
         replace(
             row,
-            differences=tuple(next(by_arm[one.arm]) for one in row.differences),
+            differences=tuple(next(by_arm[difference.arm]) for difference in row.differences),
             gain=None if row.gain is None else next(gains),
         )
         for row in rows

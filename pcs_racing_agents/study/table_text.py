@@ -1,4 +1,4 @@
-"""The table of a study for people (plain text, Markdown) and for programs (CSV)."""
+"""The table of a study as plain text, Markdown and CSV."""
 
 import csv
 import io
@@ -36,13 +36,13 @@ def p_text(p: float) -> str:
     return f"{p:.3f}" if p >= 0.01 else f"{p:.1e}" if p >= 1e-99 else "< 1e-99"
 
 
-def difference_text(found: Difference) -> str:
+def difference_text(difference: Difference) -> str:
     """Return a difference with its interval."""
-    return f"{found.result.difference:+.3f} [{found.result.low:+.3f}, {found.result.high:+.3f}]"
+    return f"{difference.result.difference:+.3f} [{difference.result.low:+.3f}, {difference.result.high:+.3f}]"
 
 
 def paper_text(row: TableRow) -> str:
-    """Return what the paper says about a row; empty where it says nothing."""
+    """Return the paper's figures for a row; empty if there are none."""
     if row.paper is None:
         return ""
     paper = row.paper
@@ -57,17 +57,17 @@ def overview_rows(table: StudyTable, show: Callable[[Difference], str] = differe
     others = [arm for arm in table.arms if arm != table.base]
     gain = [] if table.best is None or table.blind is None else [f"{table.best} - {table.blind}"]
     papers = any(row.paper is not None for row in table.rows)
-    told = ["paper: GT"] if papers else []
-    lines: list[tuple[str, ...]] = [("circuit", "opponent", *told, table.base, *others, *gain)]
+    paper_column = ["paper: GT"] if papers else []
+    lines: list[tuple[str, ...]] = [("circuit", "opponent", *paper_column, table.base, *others, *gain)]
     for row in table.rows:
-        found = {one.arm: show(one) for one in row.differences}
+        cells = {difference.arm: show(difference) for difference in row.differences}
         lines.append(
             (
                 f"{row.track} ({'seen' if row.seen else 'unseen'})",
                 row.opponent,
                 *(["" if row.paper is None else f"{row.paper.difference:+.3f}"] if papers else []),
                 f"{row.arms[0].score:.3f}",
-                *(found.get(arm, "") for arm in others),
+                *(cells.get(arm, "") for arm in others),
                 *(["" if row.gain is None else show(row.gain)] if gain else []),
             )
         )
@@ -76,39 +76,39 @@ def overview_rows(table: StudyTable, show: Callable[[Difference], str] = differe
 
 def detail_rows(row: TableRow) -> Iterator[tuple[str, ...]]:
     """Return the lines of one row in the columns :data:`DETAILS`: one for each agent, then the adaptivity gain."""
-    found = {one.arm: one for one in row.differences}
+    differences = {difference.arm: difference for difference in row.differences}
     for arm in row.arms:
         shares = (f"{arm.score:.3f}", f"{arm.sd:.3f}", f"{arm.crash:.1%}", f"{arm.own_crash:.1%}")
-        yield arm.arm, *shares, *(_columns(found[arm.arm]) if arm.arm in found else ("",) * 5)
+        yield arm.arm, *shares, *(_columns(differences[arm.arm]) if arm.arm in differences else ("",) * 5)
     if row.gain is not None:
         yield f"{row.gain.arm} minus {row.gain.base}", *("",) * 4, *_columns(row.gain)
 
 
 def notes(table: StudyTable) -> list[str]:
-    """Return the sentences that say what the columns are."""
+    """Return the sentences that explain the columns."""
     races = sorted({arm.races for row in table.rows for arm in row.arms})
-    some = f"{races[0]}" if len(races) == 1 else f"{races[0]} to {races[-1]}"
-    known = {row.lines_drawn for row in table.rows}
-    kinds = "egos, opponents and start lines" if known == {True} else "egos and opponents"
-    found = [
-        f"Each agent drove {some} races in each row, the same ones as the other agents of the row. Score: races won, a "
-        "tie counting half. Sd: standard deviation over the ego's start policies. Own fault: crashes that the agent is "
-        "also to blame for.",
+    count = f"{races[0]}" if len(races) == 1 else f"{races[0]} to {races[-1]}"
+    lines_drawn = {row.lines_drawn for row in table.rows}
+    kinds = "egos, opponents and start lines" if lines_drawn == {True} else "egos and opponents"
+    sentences = [
+        f"Each agent drove {count} races in each row, the same ones as the other agents of the row. Score: races won, "
+        "a tie counting half. Sd: standard deviation over the ego's start policies. Own fault: crashes that the agent "
+        "is also to blame for.",
         f"Differences are from {table.base}, with a 95 % interval and a p-value that are robust to "
         f"clusters of {kinds}. Holm: the p-value adjusted over the rows. Paired t: the paper's test over the ego's "
         "start policies, which takes the opponents as given.",
     ]
-    if known != {True}:
-        found.append(
+    if lines_drawn != {True}:
+        sentences.append(
             "Where the intervals leave out the start lines, each pair had its own, or there were too few to say how "
             "much they matter: then the result is about these lines."
         )
     if table.best is not None and table.blind is not None:
-        found.append(
+        sentences.append(
             f"Adaptivity gain: {table.best} minus {table.blind}, the best of the agents that never look at the race; "
             "that one was chosen on training races."
         )
-    return found
+    return sentences
 
 
 def table_text(table: StudyTable) -> str:
@@ -151,34 +151,34 @@ def write_table(table: StudyTable, path: str | os.PathLike[str]) -> Path:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
     for row in table.rows:
-        for one in row.differences:
-            writer.writerow(_csv_row("difference", row, one))
+        for difference in row.differences:
+            writer.writerow(_csv_row("difference", row, difference))
         if row.gain is not None:
             writer.writerow(_csv_row("adaptivity gain", row, row.gain))
     write_atomically(Path(path), lambda file: file.write(text.getvalue().encode("utf-8")))
     return Path(path)
 
 
-def _csv_row(kind: str, row: TableRow, one: Difference) -> list[object]:
-    arm = next(arm for arm in row.arms if arm.arm == one.arm)
-    result, two_way, paper = one.result, one.two_way, row.paper
+def _csv_row(kind: str, row: TableRow, difference: Difference) -> list[object]:
+    arm = next(arm for arm in row.arms if arm.arm == difference.arm)
+    result, two_way, paper = difference.result, difference.two_way, row.paper
     numbers = (
         result.mean_a, result.mean_b, arm.sd, arm.crash, arm.own_crash, result.difference, result.low, result.high,
-        result.p_clustered, one.p_holm, two_way.low, two_way.high, two_way.p_clustered, result.p_paired_t,
+        result.p_clustered, difference.p_holm, two_way.low, two_way.high, two_way.p_clustered, result.p_paired_t,
         result.cohen_d,
     )  # fmt: skip
-    told = ("",) * 4 if paper is None else (paper.non_gt, paper.gt, paper.difference, paper.p)
+    paper_cells = ("",) * 4 if paper is None else (paper.non_gt, paper.gt, paper.difference, paper.p)
     counts = (result.units, result.egos, result.opponents, row.lines)
-    names = (kind, row.track, int(row.seen), row.opponent, one.arm, one.base)
-    return [*names, *counts, *(f"{value:.6g}" for value in numbers), *told]
+    names = (kind, row.track, int(row.seen), row.opponent, difference.arm, difference.base)
+    return [*names, *counts, *(f"{value:.6g}" for value in numbers), *paper_cells]
 
 
-def _starred(one: Difference) -> str:
-    return f"{one.result.difference:+.3f}{'*' if one.p_holm < 0.05 else ' '}"
+def _starred(difference: Difference) -> str:
+    return f"{difference.result.difference:+.3f}{'*' if difference.p_holm < 0.05 else ' '}"
 
 
-def _columns(one: Difference) -> tuple[str, ...]:
-    result = one.result
+def _columns(difference: Difference) -> tuple[str, ...]:
+    result = difference.result
     interval = f"[{result.low:+.3f}, {result.high:+.3f}]"
-    p_values = (p_text(result.p_clustered), p_text(one.p_holm), p_text(result.p_paired_t))
+    p_values = (p_text(result.p_clustered), p_text(difference.p_holm), p_text(result.p_paired_t))
     return (f"{result.difference:+.3f}", interval, *p_values)

@@ -1,8 +1,7 @@
-"""The best response to an agent without a game tree: it is played against every sequence of moves.
+"""The exact best response to an agent, without a game tree: the agent plays against every sequence of moves.
 
-A deterministic agent leaves a single race for each sequence of moves of its opponent, so the best response is
-found exactly from a few hundred pieces of driving. This is how agents are judged that make the move "stay", which game
-trees leave out.
+Against a deterministic agent each sequence of moves of the opponent gives a single race, so a few hundred simulated
+steps are enough. It evaluates agents that make the move "stay", which game trees leave out.
 """
 
 from typing import NamedTuple
@@ -23,14 +22,14 @@ Indices = NDArray[np.int64]
 
 
 class ResponseUtility(NamedTuple):
-    """Utility of an agent against the opponent that responds best, and against random moves.
+    """Utility of an agent against a best response, and against random moves; means over the seeds.
 
     Attributes
     ----------
     best : float
-        Utility of the agent if the opponent knows it and responds best, mean over the seeds.
+        Utility of the agent against a best response.
     random : float
-        What it gets if the opponent draws every move, all with the same chance.
+        Utility against an opponent that draws all moves uniformly.
     """
 
     best: float
@@ -40,20 +39,20 @@ class ResponseUtility(NamedTuple):
 def best_response_utility(
     game: RaceGame, agent: Competitor, *, policies: ArrayLike, start: Starts, seeds: ArrayLike, car: int = 0
 ) -> ResponseUtility:
-    """Play an agent against every sequence of moves of its opponent.
+    """Return the utility of an agent against a best response, from races against every sequence of moves.
 
-    The opponent responds best to what it sees: the moves that both have made. It knows the agent, but not the seed of
-    the noise; the agent sees what it always sees.
+    The opponent observes the moves that both have made. It knows the agent, but not the seed of the noise. The agent
+    has its ordinary observations.
 
     Parameters
     ----------
     game : RaceGame
-        The opponent has its moves; the agent may stay as well.
+        The opponent has its moves; the agent also has "stay".
     agent : Competitor
-        An agent or model that makes moves; what it draws, it draws in the same way whenever it sees the same, so a
-        mixed strategy is judged as if the opponent knew its draws.
+        An agent or model that makes moves. It draws the same move for the same observation, so a mixed strategy is
+        evaluated as if the opponent knew its draws.
     policies : array_like of int, shape (2,)
-        That both cars start with.
+        Start policies of both cars.
     start : Starts
         Of one game.
     seeds : array_like of int, shape (S,)
@@ -64,7 +63,7 @@ def best_response_utility(
     Raises
     ------
     InputError
-        If it is a driver, which makes no moves, or something does not fit the game.
+        If the agent is a driver, which makes no moves, or does not fit the game.
     """
     if isinstance(agent, Driver):
         raise InputError(f"{agent.name!r} is a driver and makes no moves; only agents can be judged by responses")
@@ -74,8 +73,8 @@ def best_response_utility(
     arena = game_between(game, agent, agent)
     keys = np.atleast_1d(np.asarray(seeds, np.uint64))
     state = arena.reset(keys, policies=np.asarray(policies), starts=start.take(np.zeros(len(keys), np.int64)))
-    seen = np.zeros(len(keys), np.int64)  # what the opponent has seen: a number for each history of both cars' moves
-    levels: list[tuple[Indices, Indices]] = []  # of each game: what was seen before its last move, and that move
+    information = np.zeros(len(keys), np.int64)  # the opponent's information set: one for each history of both's moves
+    levels: list[tuple[Indices, Indices]] = []  # of each game: the information set before its last move, and that move
     parents: list[Indices] = []
     for _ in range(arena.config.moves):
         own = moves_of(agent, arena, state, car)
@@ -83,23 +82,23 @@ def best_response_utility(
         responses = np.tile(np.arange(options), state.games)
         actions = np.zeros((len(games), 2), np.int64)
         actions[:, car], actions[:, 1 - car] = own[games], responses
-        levels.append((seen[games], responses))
+        levels.append((information[games], responses))
         parents.append(games)
         state = arena.step(take_games(state, games), actions)
-        history = (seen[games] * len(arena.move_names) + actions[:, car]) * options + responses
-        seen = np.unique(history, return_inverse=True)[1].astype(np.int64)
-    worth = arena.utility(state)[:, car].astype(np.float64)
-    return ResponseUtility(best=_smallest(worth, levels, parents), random=float(worth.mean()))
+        history = (information[games] * len(arena.move_names) + actions[:, car]) * options + responses
+        information = np.unique(history, return_inverse=True)[1].astype(np.int64)
+    utility = arena.utility(state)[:, car].astype(np.float64)
+    return ResponseUtility(best=_least_utility(utility, levels, parents), random=float(utility.mean()))
 
 
-def _smallest(worth: Floats, levels: list[tuple[Indices, Indices]], parents: list[Indices]) -> float:
-    """Return what an opponent leaves that makes it small, knowing what it has seen, mean over the seeds."""
-    for (seen, response), parent in zip(reversed(levels), reversed(parents), strict=True):
+def _least_utility(utility: Floats, levels: list[tuple[Indices, Indices]], parents: list[Indices]) -> float:
+    """Return the mean utility if the opponent minimises it in each information set, by backward induction."""
+    for (information, response), parent in zip(reversed(levels), reversed(parents), strict=True):
         options = int(response.max()) + 1
-        sums = np.zeros((int(seen.max()) + 1, options))
-        np.add.at(sums, (seen, response), worth)
-        chosen = sums.argmin(axis=1)[seen] == response
-        above = np.zeros(int(parent.max()) + 1)
-        above[parent[chosen]] = worth[chosen]
-        worth = above
-    return float(worth.mean())
+        sums = np.zeros((int(information.max()) + 1, options))
+        np.add.at(sums, (information, response), utility)
+        best = sums.argmin(axis=1)[information] == response
+        parent_utility = np.zeros(int(parent.max()) + 1)
+        parent_utility[parent[best]] = utility[best]
+        utility = parent_utility
+    return float(utility.mean())

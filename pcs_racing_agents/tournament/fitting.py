@@ -1,8 +1,8 @@
-"""The best that can be done without looking at the race, and the best mixture of agents: chosen on training races.
+"""Fits on training races: the best open-loop sequence, the best fixed policy, and the equilibrium mixture of agents.
 
-Every candidate drives the same training races (common random numbers), so that the choice is between candidates and
-not between their luck. What is found is a :class:`pcs_racing_agents.agents.fits.Fit`, a small file that the agents
-"best-schedule", "best-fixed" and "psro" follow.
+Every candidate drives the same training races (common random numbers), which reduces the noise of their differences.
+A result is a :class:`pcs_racing_agents.agents.fits.Fit`, a small file for the agents "best-schedule", "best-fixed" and
+"psro".
 """
 
 from collections.abc import Callable, Sequence
@@ -33,12 +33,12 @@ OBJECTIVES: dict[str, Callable[[Matches], NDArray[np.float64]]] = {
     "score": lambda matches: matches.score,
     "utility": lambda matches: matches.utility,
 }
-"""What is made as large as possible: races won (a tie counting half), or the game's utility."""
+"""Objectives to maximise: races won (a tie counts half), or the game's utility."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingRaces:
-    """What candidates are tried on.
+    """The races in which candidates are compared.
 
     Attributes
     ----------
@@ -68,21 +68,21 @@ class TrainingRaces:
         object.__setattr__(self, "tracks", tuple(self.tracks))
         object.__setattr__(self, "opponents", tuple(self.opponents))
 
-    def facts(self, found: float, tried: int) -> dict[str, str | int | float]:
-        """What a fit says of how it was found."""
+    def facts(self, reached: float, candidates: int) -> dict[str, str | int | float]:
+        """Return how a fit was selected, for its file."""
         return {
             "tracks": ", ".join(track.name for track in self.tracks),
             "opponents": ", ".join(map(name_of, self.opponents)),
             "races": self.races * len(self.tracks) * len(self.opponents),
-            "candidates": tried,
+            "candidates": candidates,
             "seed": self.seed,
             "objective": self.objective,
-            "reached": round(found, 4),
+            "reached": round(reached, 4),
         }
 
 
 class Work(NamedTuple):
-    """Where training races are driven.
+    """Options of :func:`play_pairings`: where training races are simulated.
 
     Attributes
     ----------
@@ -97,17 +97,17 @@ class Work(NamedTuple):
 
 
 def evaluate(training: TrainingRaces, candidates: Sequence[Agent], work: Work, name: str) -> NDArray[np.float64]:
-    """Mean objective of each candidate over the training races, shape (len(candidates),)."""
+    """Return the mean objective of each candidate over the training races, shape (len(candidates),)."""
     setting = training.setting
-    same: list[Pairing] = []
+    common: list[Pairing] = []
     for track in training.tracks:
         schedule = draw_schedule(track, setting.config.race_rules, training.races, training.seed)
         game = RaceGame(track, setting.archive, setting.config)
         for k, opponent in enumerate(training.opponents):
-            # Other start policies against every opponent; the same for all candidates.
-            rolled = schedule._replace(lots=np.roll(schedule.lots, 2 * k, axis=0))
-            same.append(schedule_pairing(game, candidates[0], opponent, rolled, training.seed))
-    pairings = [replace(pairing, ego=candidate) for candidate in candidates for pairing in same]
+            # Different start policies against each opponent, the same for all candidates.
+            rolled = schedule._replace(draws=np.roll(schedule.draws, 2 * k, axis=0))
+            common.append(schedule_pairing(game, candidates[0], opponent, rolled, training.seed))
+    pairings = [replace(pairing, ego=candidate) for candidate in candidates for pairing in common]
     played = play_pairings(pairings, name=name, **work._asdict())
     means = np.array([OBJECTIVES[training.objective](matches).mean() for matches in played])
     return means.reshape(len(candidates), -1).mean(axis=1)
@@ -121,16 +121,16 @@ def fit_best_schedule(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Fit:
-    """Find the sequence of moves that does best if it is made whatever happens.
+    """Find the open-loop sequence of moves with the highest mean objective.
 
     Parameters
     ----------
     training : TrainingRaces
     method : {"ascent", "all"}
-        "all" tries every sequence: M to the power of the number of moves, 625 for 5 moves and 4 steps. "ascent" begins
-        with the best constant move, then changes one step at a time for the better, until no single change helps.
+        "all" evaluates every sequence: M to the power of the number of moves, 625 for 5 moves and 4 steps. "ascent"
+        begins with the best constant sequence and takes the best change of one step, until none is an improvement.
     job, executor, progress
-        Where the races are driven; with a job, races that were driven before are not driven again.
+        As for :func:`play_pairings`.
 
     Returns
     -------
@@ -139,37 +139,37 @@ def fit_best_schedule(
     Raises
     ------
     InputError
-        If the method is unknown, or "all" would try more than 10,000 sequences.
+        If the method is unknown, or "all" would evaluate more than 10,000 sequences.
     """
     setting, work = training.setting, Work(job, executor, progress)
     count, steps = len(setting.moves), setting.config.moves
-    known: dict[tuple[int, ...], float] = {}
+    scores: dict[tuple[int, ...], float] = {}
 
-    def try_out(sequences: Sequence[tuple[int, ...]]) -> None:
-        new = [sequence for sequence in dict.fromkeys(sequences) if sequence not in known]
+    def evaluate_new(sequences: Sequence[tuple[int, ...]]) -> None:
+        new = [sequence for sequence in dict.fromkeys(sequences) if sequence not in scores]
         plans = [best_schedule(setting, moves=[setting.moves[i] for i in sequence]) for sequence in new]
         if plans:
-            values = evaluate(training, plans, work, f"schedule-{len(known)}")
-            known.update(zip(new, values.tolist(), strict=True))
+            values = evaluate(training, plans, work, f"schedule-{len(scores)}")
+            scores.update(zip(new, values.tolist(), strict=True))
 
     def best() -> tuple[int, ...]:
-        return max(known, key=lambda sequence: (known[sequence], [-i for i in sequence]))
+        return max(scores, key=lambda sequence: (scores[sequence], [-i for i in sequence]))
 
     if method == "all":
         if count**steps > 10_000:
             raise InputError(f"method 'all' would try {count**steps} sequences; take 'ascent'")
-        try_out(list(product(range(count), repeat=steps)))
+        evaluate_new(list(product(range(count), repeat=steps)))
     elif method == "ascent":
-        try_out([(move,) * steps for move in range(count)])
-        found: tuple[int, ...] | None = None
-        while found != best():
-            found = best()
-            try_out([(*found[:k], move, *found[k + 1 :]) for k in range(steps) for move in range(count)])
+        evaluate_new([(move,) * steps for move in range(count)])
+        current: tuple[int, ...] | None = None
+        while current != best():
+            current = best()
+            evaluate_new([(*current[:k], move, *current[k + 1 :]) for k in range(steps) for move in range(count)])
     else:
         raise InputError(f"method is {method!r}; it must be 'ascent' or 'all'")
-    chosen = best()
-    facts = {"method": method, **training.facts(known[chosen], len(known))}
-    return make_fit("best-schedule", [setting.moves[i] for i in chosen], setting, facts)
+    best_sequence = best()
+    facts = {"method": method, **training.facts(scores[best_sequence], len(scores))}
+    return make_fit("best-schedule", [setting.moves[i] for i in best_sequence], setting, facts)
 
 
 def fit_best_fixed(
@@ -180,13 +180,13 @@ def fit_best_fixed(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Fit:
-    """Find the policy that it pays most to walk to and to keep.
+    """Find the target policy with the highest mean objective, for an agent that goes there and keeps it.
 
     Parameters
     ----------
     training : TrainingRaces
     targets : sequence of int, optional
-        Policies to try; all of the archive by default.
+        Candidates; all policies of the archive by default.
     job, executor, progress
         As for :func:`fit_best_schedule`.
 
@@ -196,11 +196,11 @@ def fit_best_fixed(
         If the archive has no such policy.
     """
     setting = training.setting
-    tried = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
-    walkers = [best_fixed(setting, target=target) for target in tried]
+    candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
+    walkers = [best_fixed(setting, target=target) for target in candidates]
     values = evaluate(training, walkers, Work(job, executor, progress), "fixed")
-    best = int(np.argmax(values))
-    return make_fit("best-fixed", tried[best], setting, training.facts(float(values[best]), len(tried)))
+    index = int(np.argmax(values))
+    return make_fit("best-fixed", candidates[index], setting, training.facts(float(values[index]), len(candidates)))
 
 
 def fit_psro(
@@ -211,16 +211,16 @@ def fit_psro(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Fit:
-    """Find how often to draw each agent: an exact equilibrium of the game in which both players choose an agent.
+    """Find the equilibrium probabilities of agents, in the zero-sum game in which both players choose an agent.
 
-    The payoff of one agent to another is its mean objective minus the other's, over the same races from both seats
-    (empirical game of PSRO, Lanctot et al. 2017). Best responses to a mixture may be added to the members, and the
-    mixture found again.
+    The payoff of one agent against another is its mean objective minus the other's, over the same races from both
+    sides of the grid (empirical game of PSRO, Lanctot et al. 2017). A best response to the mixture can be added to the
+    members, and the fit repeated.
 
     Parameters
     ----------
     training : TrainingRaces
-        Its opponents play no role.
+        Its opponents are not used.
     members : sequence of Agent
         At least two.
     job, executor, progress
@@ -238,13 +238,13 @@ def fit_psro(
         raise InputError(f"members are {', '.join(names) or 'nobody'}; psro needs at least two, with different names")
     setting = training.setting
     pairs = list(combinations(range(len(members)), 2))
-    drawn = []
+    games_and_schedules = []
     for track in training.tracks:
         schedule = draw_schedule(track, setting.config.race_rules, training.races, training.seed)
-        drawn.append((RaceGame(track, setting.archive, setting.config), schedule))
+        games_and_schedules.append((RaceGame(track, setting.archive, setting.config), schedule))
     pairings = [
         schedule_pairing(game, members[i], members[j], schedule, training.seed)
-        for (i, j), (game, schedule) in product(pairs, drawn)
+        for (i, j), (game, schedule) in product(pairs, games_and_schedules)
     ]
     played = play_pairings(pairings, name="psro", job=job, executor=executor, progress=progress)
     excess = [_excess(matches, training.objective) for matches in played]
@@ -259,7 +259,7 @@ def fit_psro(
 
 
 def _excess(matches: Matches, objective: str) -> float:
-    """By how much the ego outdid the opponent: utilities add up to 0; scores add up to 1 less what nobody was paid."""
+    """Return the ego's mean objective minus the opponent's."""
     if objective == "utility":
-        return float(matches.utility.mean())
+        return float(matches.utility.mean())  # of a zero-sum game
     return float(np.mean(1.0 * (matches.winner == 0) - 1.0 * (matches.winner == 1)))

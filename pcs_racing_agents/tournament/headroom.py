@@ -1,12 +1,11 @@
-"""How much of a game a race holds: what knowing the opponent would be worth, and what its payoff matrix is made of.
+"""Headroom: the value of knowing the opponent's policy, and the transitive and cyclic parts of a payoff matrix.
 
-If one policy is best against every opponent, no choice between policies can win races, however clever. *Headroom* is
-what an agent would gain that knew its opponent's policy before the start and replied best, over the best policy that
-never looks. It is a property of a pool of policies and of the rules under which they race.
+If one policy is best against every opponent, adaptation can't win races. *Headroom* is the gain of a best response to
+a known policy of the opponent over the best fixed policy. It is a property of a pool of policies and of the rules.
 
 Payoffs are races won minus one half: the score of policy i against policy j in a set of races, 0 between equals. They
-come in *folds*, disjoint sets of races with different start lines and noise, so that what is chosen on some races is
-judged on others: a maximum over noisy numbers flatters itself.
+come in *folds*, disjoint sets of races with different start lines and noise, so that a policy that is selected on some
+races is evaluated on others: the maximum of noisy numbers is biased.
 """
 
 from dataclasses import dataclass
@@ -26,21 +25,21 @@ _NOISE_LEVEL = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Headroom:
-    """What knowing the opponent is worth in a pool of policies, in races won.
+    """The value of knowing the opponent's policy in a pool of policies, in races won.
 
     Attributes
     ----------
     value : float
-        Mean over opponents j of ``P[best reply to j, j] - P[best fixed policy, j]``. Best reply and best fixed policy
-        are chosen on all folds but one and judged on that one, in turn.
+        Mean over opponents j of ``P[best response to j, j] - P[best fixed policy, j]``. Best response and best fixed
+        policy are selected on all folds but one and evaluated on that one, in turn.
     low : float
-        The same, minus the best fixed policy of the judging races themselves: a bound from below.
+        The same, minus the best fixed policy of the evaluation races themselves: a lower bound.
     opponents_error : float
-        Standard error over opponents: how far ``value`` would move with other opponents of the same kind.
+        Standard error over opponents of the same kind.
     pool_error : float
-        Standard error over draws of the pool: the jackknife that leaves one policy out, as reply and as opponent.
+        Standard error over draws of the pool: the jackknife that leaves one policy out, as response and as opponent.
     gains : ndarray, shape (N,)
-        What knowing each opponent is worth; their mean is ``value``.
+        Value of knowing each opponent; their mean is ``value``.
     best_fixed : int
         Policy with the highest mean payoff over all folds.
     """
@@ -55,17 +54,17 @@ class Headroom:
 
 @dataclass(frozen=True, eq=False)
 class CyclicPlane:
-    """A plane of the cyclic part of a payoff matrix: rock, paper and scissors lie around its origin.
+    """A plane of the cyclic part of a payoff matrix, in which rock, paper and scissors lie around the origin.
 
     Attributes
     ----------
     strength : float
         Singular value of the plane.
     noise : float
-        Largest singular value that noise alone reaches in 95 of 100 draws.
+        95 % quantile of the largest singular value of noise alone.
     points : ndarray, shape (N, 2)
-        The policies in the plane. Of two policies at right angles the one that lies clockwise of the other beats it;
-        the payoff that the plane adds is ``x_i y_j - y_i x_j``.
+        The policies in the plane. Its contribution to the payoff is ``x_i y_j - y_i x_j``: of two policies at right
+        angles, the one that lies clockwise of the other beats it.
     """
 
     strength: float
@@ -110,15 +109,15 @@ def ratings(payoffs: ArrayLike) -> Floats:
 
 
 def cyclic_part(payoffs: ArrayLike) -> Floats:
-    """Return what ratings leave unexplained, shape (N, N): the mean payoff matrix minus differences of ratings."""
+    """Return the mean payoff matrix minus the differences of ratings, shape (N, N)."""
     return _cyclic(_checked(payoffs).mean(axis=0))
 
 
 def transitive_share(payoffs: ArrayLike) -> float:
-    """Return the share of the payoffs' variance that ratings explain, free of noise.
+    """Return the share of the payoffs' variance that ratings explain, without the variance of the noise.
 
-    Products of two folds are used instead of squares: their noises are independent, so that it averages out. The
-    estimate may lie a little outside 0..1; it is NaN where no payoff differs from zero beyond noise.
+    Products of two folds replace squares: their noises are independent and average out. The estimate can be slightly
+    outside 0..1; it is NaN if no payoff differs from zero beyond noise.
     """
     folds = _checked(payoffs)
     transitive = folds - _cyclic(folds)
@@ -133,14 +132,14 @@ def transitive_share(payoffs: ArrayLike) -> float:
 def cyclic_planes(payoffs: ArrayLike, seed: int = 0) -> list[CyclicPlane]:
     """Return the planes of the cyclic part, the strongest first.
 
-    The edge of noise comes from the folds themselves: with signs that add up to zero, drawn anew for each pair, what
-    the two policies are like cancels out and noise of the same size remains.
+    The noise level is estimated from the folds: with random signs that sum to zero for each pair, the payoffs of the
+    two policies cancel and noise of the same size remains.
 
     Parameters
     ----------
     payoffs : array_like, shape (F, N, N)
-        As for :func:`headroom`; F must be even, so that as many folds are added as subtracted. With few folds the edge
-        is itself noisy: of 200 pools without a cycle 14 % pass it with 4 folds, 7 % with 16.
+        As for :func:`headroom`; F must be even, so that as many folds are added as subtracted. With few folds the
+        noise level is itself noisy: of 200 pools without a cycle 14 % exceed it with 4 folds, 7 % with 16.
     seed : int
         Of the order of the signs.
 
@@ -182,17 +181,17 @@ def _cyclic(matrix: Floats) -> Floats:
 
 
 def _cross_fitted(folds: Floats) -> tuple[float, float, Floats]:
-    """Headroom, its lower bound, and what knowing each opponent is worth."""
+    """Return the headroom, its lower bound, and the value of knowing each opponent."""
     total = folds.sum(axis=0)
     opponents = np.arange(folds.shape[1])
     gains, lows = [], []
     for judged in folds:
-        others = total - judged
-        replies = judged[others.argmax(axis=0), opponents]
-        gains.append(replies - judged[others.sum(axis=1).argmax()])
-        lows.append(float(replies.mean() - judged.mean(axis=1).max()))
-    each = np.mean(gains, axis=0)
-    return float(each.mean()), float(np.mean(lows)), each
+        training = total - judged
+        responses = judged[training.argmax(axis=0), opponents]
+        gains.append(responses - judged[training.sum(axis=1).argmax()])
+        lows.append(float(responses.mean() - judged.mean(axis=1).max()))
+    mean_gains = np.mean(gains, axis=0)
+    return float(mean_gains.mean()), float(np.mean(lows)), mean_gains
 
 
 def _noise_edge(folds: Floats, rng: np.random.Generator) -> float:
@@ -209,7 +208,7 @@ def _noise_edge(folds: Floats, rng: np.random.Generator) -> float:
 
 
 def _turned(points: Floats) -> Floats:
-    """Turn a plane so that the policy farthest out lies on the first axis: a plane has no direction of its own."""
+    """Rotate a plane so that the farthest policy lies on the first axis, since its orientation is arbitrary."""
     far = points[np.square(points).sum(axis=1).argmax()]
     length = float(np.hypot(*far))
     if length == 0.0:

@@ -1,8 +1,7 @@
-"""Match play: two competitors, many games at once, from given starts.
+"""Match play: batches of games between two competitors, from given starts.
 
-This is the one place where agents and drivers are let loose on each other; tournaments, the cells of a study and the
-search for the best plan all play through :func:`play_games`. What comes of a game depends on the game alone: not on
-the batch that it is played in, on the number of threads, or on what was played before.
+Tournaments, studies and fits all play through :func:`play_games`. The result of a game does not depend on the batch
+that it is played in, on the number of threads, or on earlier games.
 """
 
 from dataclasses import replace
@@ -36,16 +35,16 @@ CARS = ("ego", "opponent")
 
 
 class Matches(NamedTuple):
-    """What came of a batch of B games of m moves; the ego drove car 0.
+    """Results of a batch of B games of m moves; the ego drove car 0.
 
     Attributes
     ----------
     lead : ndarray, shape (B,)
         Progress of the ego minus that of the opponent at the end, m.
     winner : ndarray, shape (B,), int8
-        0 for the ego, 1 for the opponent, -1 for a tie and for a crash that pays nobody.
+        0 for the ego, 1 for the opponent, -1 for a tie and for a crash without a winner.
     utility : ndarray, shape (B,)
-        What the game paid to the ego.
+        Utility of the ego.
     crash : ndarray, shape (B, 2), int8
         0 none, 1 into a wall, 2 with the other car.
     fault : ndarray, shape (B, 2), int8
@@ -60,8 +59,8 @@ class Matches(NamedTuple):
         Moves made; -1 for a driver and after a crash.
     noise : ndarray, shape (B,), uint64
         Key of the noise, with which :func:`pcs_racing_agents.tournament.watching.record_match` drives a game again.
-    seen : ndarray, shape (B, 2, D), float32
-        What both saw at the end: everything that they saw on the way.
+    observations : ndarray, shape (B, 2, D), float32
+        Last observations of both cars; they include the earlier ones.
     """
 
     lead: NDArray[np.float64]
@@ -74,7 +73,7 @@ class Matches(NamedTuple):
     policy: NDArray[np.int64]
     moves: NDArray[np.int64]
     noise: NDArray[np.uint64]
-    seen: NDArray[np.float32]
+    observations: NDArray[np.float32]
 
     @property
     def tie(self) -> NDArray[np.bool_]:
@@ -83,7 +82,7 @@ class Matches(NamedTuple):
 
     @property
     def score(self) -> NDArray[np.float64]:
-        """Score of the ego, shape (B,): 1 for a win, a half for a tie, else 0 (a crash that pays nobody included)."""
+        """Score of the ego, shape (B,): 1 for a win, a half for a tie, else 0 (also for a crash without a winner)."""
         return (self.winner == 0) + 0.5 * self.tie
 
 
@@ -114,12 +113,12 @@ def game_between(game: RaceGame, ego: Competitor, opponent: Competitor) -> RaceG
 
 
 def check_competitor(game: RaceGame, competitor: Competitor) -> None:
-    """Check that a competitor can take part in a game, as far as can be seen beforehand.
+    """Check that a competitor fits a game, as far as possible before it is played.
 
     Raises
     ------
     InputError
-        If an agent is made for another archive or other rules, or a model sees or moves otherwise.
+        If an agent is made for another archive or other rules, or a model for other observations or moves.
     """
     if isinstance(competitor, Agent):
         competitor.setting.check_fits(game, competitor.name)
@@ -152,8 +151,7 @@ def play_games(
     Parameters
     ----------
     game : RaceGame
-        Track, archive and rules. The move "stay" is added if the rules do not offer it; who does not know it just never
-        makes it.
+        Track, archive and rules. The move "stay" is added if the rules do not offer it.
     ego, opponent : Agent, Driver, Policy, or object with ``predict`` or ``decide``
         Who drives car 0 and car 1.
     policies : array_like of int, shape (B, 2)
@@ -170,63 +168,64 @@ def play_games(
     Raises
     ------
     InputError
-        If a competitor does not fit the game, a variant does not exist, the numbers do not agree, or somebody makes a
-        move that there is not.
+        If a competitor does not fit the game, a variant or a move does not exist, or lengths differ.
     """
     cars = (as_competitor(ego), as_competitor(opponent))
     arena = game_between(game, *cars)
     keys = np.asarray(seeds)
-    chosen = np.asarray(policies)
-    if chosen.shape != (len(starts), 2) or chosen.dtype.kind not in "iu" or keys.shape != (len(starts),):
+    variants = np.asarray(policies)
+    if variants.shape != (len(starts), 2) or variants.dtype.kind not in "iu" or keys.shape != (len(starts),):
         raise InputError(
-            f"there are {len(starts)} starts, policies of shape {chosen.shape} and seeds of shape {keys.shape}; they "
+            f"there are {len(starts)} starts, policies of shape {variants.shape} and seeds of shape {keys.shape}; they "
             f"must be whole numbers of shape ({len(starts)}, 2) and ({len(starts)},)"
         )
-    for car, who in enumerate(cars):
-        count = variant_count(arena, who)
-        wrong = np.flatnonzero((chosen[:, car] < 0) | (chosen[:, car] >= count))
+    for car, competitor in enumerate(cars):
+        count = variant_count(arena, competitor)
+        wrong = np.flatnonzero((variants[:, car] < 0) | (variants[:, car] >= count))
         if len(wrong):
             raise InputError(
-                f"game {wrong[0]}: the {CARS[car]}'s variant is {chosen[wrong[0], car]}; {name_of(who)!r} has variants "
-                f"0 to {count - 1}"
+                f"game {wrong[0]}: the {CARS[car]}'s variant is {variants[wrong[0], car]}; {name_of(competitor)!r} has "
+                f"variants 0 to {count - 1}"
             )
     parts = []
     for first in range(0, max(len(starts), 1), BATCH):
         rows = np.arange(first, min(first + BATCH, len(starts)))
-        parts.append(_play(arena, cars, chosen[rows].astype(np.int64), starts.take(rows), keys[rows]))
+        parts.append(_play(arena, cars, variants[rows].astype(np.int64), starts.take(rows), keys[rows]))
     return join_matches(parts)
 
 
 def _play(
     arena: RaceGame,
     cars: tuple[Competitor, Competitor],
-    chosen: NDArray[np.int64],
+    variants: NDArray[np.int64],
     starts: Starts,
     keys: NDArray[Any],
 ) -> Matches:
     steps = arena.config.moves
     drivers = [
-        [who.policies[i] for i in chosen[:, car]] if isinstance(who, Driver) else None for car, who in enumerate(cars)
+        [competitor.policies[i] for i in variants[:, car]] if isinstance(competitor, Driver) else None
+        for car, competitor in enumerate(cars)
     ]
-    acts = np.array([driver is None for driver in drivers])
-    first = np.where(acts, chosen, -1)
+    makes_moves = np.array([driver is None for driver in drivers])
+    first = np.where(makes_moves, variants, -1)
     state = arena.reset(keys, policies=first, starts=starts, egos=drivers[0], opponents=drivers[1])
-    policy = np.full((len(chosen), 2, steps + 1), -1, np.int64)
-    moves = np.full((len(chosen), 2, steps), -1, np.int64)
+    policy = np.full((len(variants), 2, steps + 1), -1, np.int64)
+    moves = np.full((len(variants), 2, steps), -1, np.int64)
     policy[:, :, 0] = first
     memories: list[Any] = [None, None]
     for step in range(steps):
-        going = np.flatnonzero(~arena.done(state))
-        if len(going) == 0:
+        running = np.flatnonzero(~arena.done(state))
+        if len(running) == 0:
             break
-        seen = arena.observation(state)
-        actions = np.zeros((len(chosen), 2), np.int64)
-        for car, who in enumerate(cars):
-            if acts[car]:
-                actions[:, car], memories[car] = _ask(who, arena, state, seen[:, car], car, memories[car])
-                moves[going, car, step] = actions[going, car]
+        observations = arena.observation(state)
+        actions = np.zeros((len(variants), 2), np.int64)
+        for car, competitor in enumerate(cars):
+            if makes_moves[car]:
+                observation = observations[:, car]
+                actions[:, car], memories[car] = _ask_moves(competitor, arena, state, observation, car, memories[car])
+                moves[running, car, step] = actions[running, car]
         state = arena.step(state, actions)
-        policy[going, :, step + 1] = state.policy[going]
+        policy[running, :, step + 1] = state.policy[running]
     race = state.race
     return Matches(
         lead=race.lead,
@@ -239,17 +238,17 @@ def _play(
         policy=policy,
         moves=moves,
         noise=race.seed,
-        seen=arena.observation(state),
+        observations=arena.observation(state),
     )
 
 
-def moves_of(who: Competitor, game: RaceGame, state: GameState, car: int) -> NDArray[np.int64]:
-    """Ask for the moves of one car in a batch of B games, shape (B,); 0 in games that are over, and for drivers.
+def moves_of(competitor: Competitor, game: RaceGame, state: GameState, car: int) -> NDArray[np.int64]:
+    """Return the moves of one car in a batch of B games, shape (B,); 0 in games that are over, and for drivers.
 
     Parameters
     ----------
-    who : Competitor
-        A model that wants to remember is asked as at the beginning of a game.
+    competitor : Competitor
+        A recurrent model gets no memory, as at the beginning of a game.
     game : RaceGame
     state : GameState
     car : int
@@ -257,44 +256,44 @@ def moves_of(who: Competitor, game: RaceGame, state: GameState, car: int) -> NDA
     Raises
     ------
     InputError
-        If the answer is not one move for each game.
+        If the competitor does not return a move for each game.
     """
-    return _ask(who, game, state, game.observation(state)[:, car], car, None)[0]
+    return _ask_moves(competitor, game, state, game.observation(state)[:, car], car, None)[0]
 
 
-def _ask(
-    who: Competitor, game: RaceGame, state: GameState, seen: NDArray[np.float32], car: int, memory: Any
+def _ask_moves(
+    competitor: Competitor, game: RaceGame, state: GameState, observation: NDArray[np.float32], car: int, memory: Any
 ) -> tuple[NDArray[np.int64], Any]:
-    """Moves of one car in all games, and what it wants to be handed the next time."""
-    going = ~game.done(state)
+    """Return the moves of one car in all games, and the memory of a recurrent model for the next step."""
+    running = ~game.done(state)
     actions = np.zeros(state.games, np.int64)
-    if isinstance(who, Driver):
+    if isinstance(competitor, Driver):
         return actions, memory
-    answer: Any
-    if isinstance(who, Decider):
-        rows = np.flatnonzero(going)
-        answer = np.asarray(who.decide(game, take_games(state, rows), car))
+    moves: Any
+    if isinstance(competitor, Decider):
+        rows = np.flatnonzero(running)
+        moves = np.asarray(competitor.decide(game, take_games(state, rows), car))
     else:
-        # Games that are over are asked about, too: whoever remembers keeps one memory for each game of the batch.
+        # Games that are over stay in the batch: a recurrent model keeps one memory for each game of it.
         rows = np.arange(state.games)
-        answer, memory = who.predict(seen, memory, np.full(state.games, memory is None), True)
-        answer = np.asarray(answer)
-    if answer.shape != rows.shape or answer.dtype.kind not in "iu":
+        moves, memory = competitor.predict(observation, memory, np.full(state.games, memory is None), True)
+        moves = np.asarray(moves)
+    if moves.shape != rows.shape or moves.dtype.kind not in "iu":
         raise InputError(
-            f"agent {name_of(who)!r} returned moves of shape {answer.shape} and type {answer.dtype} for {len(rows)} "
-            "games; they must be whole numbers, one for each"
+            f"agent {name_of(competitor)!r} returned moves of shape {moves.shape} and type {moves.dtype} for "
+            f"{len(rows)} games; they must be whole numbers, one for each"
         )
-    wrong = np.flatnonzero((answer < 0) | (answer >= len(game.move_names)))
+    wrong = np.flatnonzero((moves < 0) | (moves >= len(game.move_names)))
     if len(wrong):
         raise InputError(
-            f"agent {name_of(who)!r} made move {answer[wrong[0]]} in game {rows[wrong[0]]}; there are moves 0 to "
+            f"agent {name_of(competitor)!r} made move {moves[wrong[0]]} in game {rows[wrong[0]]}; there are moves 0 to "
             f"{len(game.move_names) - 1} ({', '.join(game.move_names)})"
         )
-    actions[rows] = answer
-    actions[~going] = 0
+    actions[rows] = moves
+    actions[~running] = 0
     return actions, memory
 
 
-def name_of(who: Any) -> str:
-    """Return the name of a competitor; of a model without one that of its class."""
-    return str(getattr(who, "name", type(who).__name__))
+def name_of(competitor: Any) -> str:
+    """Return the name of a competitor; for a model without a name, that of its class."""
+    return str(getattr(competitor, "name", type(competitor).__name__))

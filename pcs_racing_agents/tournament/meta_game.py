@@ -1,7 +1,7 @@
-"""The tournament as a game: each player sends an agent, and the payoff matrix says what comes of it.
+"""The meta-game of a tournament: each player chooses an agent, and the score matrix gives the payoffs.
 
-A rating is one number and so can't see cycles (a beats b, b beats c, c beats a). The equilibrium of this game, and the
-agents that evolution would settle on (alpha-rank), can.
+A rating is one number and can't represent cycles (a beats b, b beats c, c beats a). The equilibrium of this game and
+alpha-rank can.
 """
 
 from typing import NamedTuple
@@ -24,13 +24,13 @@ class Equilibrium(NamedTuple):
     Attributes
     ----------
     value : float
-        What the row player gets.
+        Payoff of the row player.
     row : ndarray, shape (R,)
         Probabilities of the row player.
     column : ndarray, shape (C,)
         Probabilities of the column player.
     exploitability : float
-        What best replies to both would gain together: 0 but for rounding.
+        Sum of both players' gains from a best response: 0 up to rounding.
     """
 
     value: float
@@ -40,12 +40,12 @@ class Equilibrium(NamedTuple):
 
 
 def excess(scores: ArrayLike) -> Floats:
-    """Return by how much each agent outscores each other one, a zero-sum game: half of ``scores - scores.T``.
+    """Return the zero-sum payoffs of a score matrix: half of ``scores - scores.T``.
 
     Parameters
     ----------
     scores : array_like, shape (N, N)
-        Score of the row's agent against the column's. The diagonal may be NaN: an agent does not outscore itself.
+        Score of the row's agent against the column's. The diagonal is not used.
 
     Raises
     ------
@@ -59,13 +59,13 @@ def excess(scores: ArrayLike) -> Floats:
 def zero_sum_equilibrium(payoffs: ArrayLike) -> Equilibrium:
     """Solve a matrix game exactly (:func:`pcs_racing_agents.solvers.solve_matrix_games`).
 
-    Where several equilibria exist, for instance because two agents are alike, it is one of them; the value is the same
-    for all.
+    If several equilibria exist, for instance because two agents are equal, it is one of them; the value is the same for
+    all.
 
     Parameters
     ----------
     payoffs : array_like, shape (R, C)
-        Payoff to the row player, who makes it large; the column player makes it small.
+        Payoff of the row player, who maximises it; the column player minimises it.
 
     Returns
     -------
@@ -80,12 +80,12 @@ def zero_sum_equilibrium(payoffs: ArrayLike) -> Equilibrium:
     return Equilibrium(float(solution.values[0]), solution.rows[0], solution.columns[0], float(solution.gaps[0]))
 
 
-def alpha_rank(scores: ArrayLike, *, epsilon: float = 0.001, alike: float = 0.0) -> Floats:
-    """Return how much of the time evolution spends at each agent (alpha-rank, Omidshafiei et al. 2019), by OpenSpiel.
+def alpha_rank(scores: ArrayLike, *, epsilon: float = 0.001, tolerance: float = 0.0) -> Floats:
+    """Return the stationary distribution over agents of alpha-rank (Omidshafiei et al. 2019), by OpenSpiel.
 
-    A population of one agent is taken over by another one that beats it, or, with a chance of ``epsilon``, that it
-    beats (the limit of strong selection). Only who beats whom counts, not by how much: pairs that the data can't tell
-    apart should count as alike.
+    A population of one agent changes to another one that beats it, or, with probability ``epsilon``, to one that it
+    beats (the limit of strong selection). Only the sign of a difference in score counts, so differences within the
+    noise should count as none.
 
     Parameters
     ----------
@@ -93,8 +93,8 @@ def alpha_rank(scores: ArrayLike, *, epsilon: float = 0.001, alike: float = 0.0)
         Score of the row's agent against the column's, N at least 2; the diagonal is not used.
     epsilon : float
         From 1e-6 to 0.5.
-    alike : float
-        Two agents are alike if neither outscores the other by more than this.
+    tolerance : float
+        Differences in score up to this one count as none.
 
     Returns
     -------
@@ -113,12 +113,12 @@ def alpha_rank(scores: ArrayLike, *, epsilon: float = 0.001, alike: float = 0.0)
         raise InputError("there is 1 agent; a ranking needs at least 2")
     if not 1e-6 <= epsilon <= 0.5:
         raise InputError(f"epsilon is {epsilon!r}; it must be from 1e-6 to 0.5")
-    if not 0.0 <= alike < np.inf:
-        raise InputError(f"alike is {alike!r}; it must be a difference in score, 0 or more")
+    if not 0.0 <= tolerance < np.inf:
+        raise InputError(f"tolerance is {tolerance!r}; it must be a difference in score, 0 or more")
     require("pyspiel", "networkx", extra="games")
     from open_spiel.python.egt import alpharank
 
-    decided = np.where(np.abs(gain) > alike, gain, 0.0)
+    decided = np.where(np.abs(gain) > tolerance, gain, 0.0)
     return np.asarray(alpharank.compute([decided], use_inf_alpha=True, inf_alpha_eps=epsilon)[2], dtype=np.float64)
 
 

@@ -1,12 +1,11 @@
-"""Pairings: races of two competitors on one circuit, drawn beforehand so that any of them can be driven again.
+"""Pairings: sets of races of two competitors on one circuit, drawn in advance so that any race can be repeated.
 
-Every set of races is one: of a tournament, of a study's table, for training, or out of a folder of results. There are
-two ways to draw them:
+Tournaments, the tables of studies, training races and folders of results consist of pairings. There are two designs:
 
 - scheduled (:func:`schedule_pairing`): race ``k`` has the same start line, side and noise for every pair on a circuit;
 - crossed (:func:`cross_pairing`): start policies of the ego times variants of the opponent, start lines and sides,
-  20 x 20 x 5 x 2 = 4,000 games in the paper. Everything but the ego's decisions is the same for all egos against an
-  opponent: start policies, opponents, lines, sides and noise.
+  20 x 20 x 5 x 2 = 4,000 games in the paper. For all egos against an opponent everything but the ego's decisions is
+  the same: start policies, variants of the opponent, lines, sides and noise.
 """
 
 from collections.abc import Sequence
@@ -30,7 +29,7 @@ from pcs_racing_agents.tournament.schedule import Schedule
 
 __all__ = ["Pairing", "cross_pairing", "schedule_pairing"]
 
-LINE_SETS = 8  # a circuit has so many times the start lines that a pair of variants meets on
+LINE_SETS = 8  # start lines on a circuit, as a multiple of those of one pair of variants
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +49,7 @@ class Pairing:
     noise : ndarray, shape (N,), uint64
         Keys of the races' noise.
     seed : int
-        What all of this was drawn with.
+        Seed of the draws of all of this.
     """
 
     game: RaceGame
@@ -71,11 +70,13 @@ class Pairing:
 
     def take(self, rows: ArrayLike) -> "Pairing":
         """Return some of the races, by their numbers."""
-        chosen = np.asarray(rows)
-        return replace(self, variants=self.variants[chosen], starts=self.starts.take(chosen), noise=self.noise[chosen])
+        indices = np.asarray(rows)
+        return replace(
+            self, variants=self.variants[indices], starts=self.starts.take(indices), noise=self.noise[indices]
+        )
 
-    def one(self, race: int) -> dict[str, Any]:
-        """Return what tells a race from the others: keywords of functions that drive a single game.
+    def race_arguments(self, race: int) -> dict[str, Any]:
+        """Return the variants, start and seed of a race: keyword arguments of functions that simulate a single game.
 
         Raises
         ------
@@ -87,13 +88,13 @@ class Pairing:
         return {"policies": self.variants[race], "start": self.starts.take([race]), "seed": int(self.noise[race])}
 
     def play(self) -> Matches:
-        """Drive the races."""
+        """Simulate the races."""
         return play_games(
             self.game, self.ego, self.opponent, policies=self.variants, starts=self.starts, seeds=self.noise
         )
 
     def table(self, matches: Matches) -> RaceTable:
-        """Return what came of the races, in their order."""
+        """Return the results of the races as a table, in their order."""
         count, config = len(self), self.game.config
         return RaceTable(
             preset=Categorical.constant(config.race.name, count),
@@ -116,7 +117,7 @@ class Pairing:
 
 
 def schedule_pairing(game: RaceGame, ego: Competitor, opponent: Competitor, schedule: Schedule, seed: int) -> Pairing:
-    """Return the races of a schedule for two competitors; ``seed`` is what it was drawn with."""
+    """Return the races of a schedule for two competitors; ``seed`` is that of the schedule."""
     variants = schedule.variants(variant_count(game, ego), variant_count(game, opponent))
     return Pairing(game, ego, opponent, variants, schedule.starts, schedule.seeds, seed)
 
@@ -131,21 +132,21 @@ def cross_pairing(
     lines: int = 5,
     seed: int = 0,
 ) -> Pairing:
-    """Draw races in which every ego variant meets every opponent variant, on several lines, from both sides.
+    """Draw races of every ego variant against every opponent variant, on several lines, from both sides.
 
     Parameters
     ----------
     game : RaceGame
         Circuit, archive and rules.
     ego, opponent : Agent, Driver, Policy, or object with ``predict`` or ``decide``
-        "never-switch" is the paper's non-GT agent, "random-policy" its random one, "lane-switcher" its unseen one. Only
-        how many variants they have plays a role for what is drawn: all agents drive the same races.
+        "never-switch" is the paper's non-GT agent, "random-policy" its random one, "lane-switcher" its unseen one. The
+        draws depend on the numbers of their variants only: all agents drive the same races.
     egos, opponents : int or sequence of int
-        How many variants, drawn without repetition (all of them, where there are no more); or which.
+        Number of variants, drawn without repetition (all of them, if there are no more), or a list of variants.
     lines : int
         Start lines of each pair of variants, 1 to 1000; drawn from eight times as many.
     seed : int
-        The same for pairings that are to be compared.
+        Must be equal for pairings that are compared.
 
     Raises
     ------
@@ -161,28 +162,29 @@ def cross_pairing(
     first = _variants("egos", egos, variant_count(arena, cars[0]), seed, 3)
     second = _variants("opponents", opponents, variant_count(arena, cars[1]), seed, 4)
     rules = replace(arena.setup.config, start_lines=lines * LINE_SETS)
-    where = start_lines(arena.track, rules, np.random.SeedSequence(seed, spawn_key=(0,)))
+    positions = start_lines(arena.track, rules, np.random.SeedSequence(seed, spawn_key=(0,)))
     grid = np.meshgrid(first, second, np.arange(lines), np.arange(2), indexing="ij")
     a, b, own_line, side = (axis.reshape(-1).astype(np.int64) for axis in grid)
     pairs = len(first) * len(second)
-    # Were the lines the same for all pairs, their luck would not average out, however many pairs there are.
+    # If the lines were the same for all pairs, their effect would not average out, however many pairs there are.
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5,)))
     rounds = [generator.permutation(lines * LINE_SETS) for _ in range(-(-pairs // LINE_SETS))]
     line = np.concatenate(rounds)[np.repeat(np.arange(pairs), 2 * lines) * lines + own_line]
     return Pairing(
-        game, *cars, np.stack([a, b], axis=1), Starts(where[line], side), race_seeds(seed, len(line)), int(seed)
+        game, *cars, np.stack([a, b], axis=1), Starts(positions[line], side), race_seeds(seed, len(line)), int(seed)
     )
 
 
-def _variants(what: str, wanted: int | Sequence[int], available: int, seed: int, stream: int) -> NDArray[np.int64]:
-    if isinstance(wanted, int | np.integer) and not isinstance(wanted, bool):
-        if wanted < 1:
-            raise InputError(f"{what} is {wanted}; a pairing needs at least one variant")
+def _variants(noun: str, requested: int | Sequence[int], available: int, seed: int, stream: int) -> NDArray[np.int64]:
+    if isinstance(requested, int | np.integer) and not isinstance(requested, bool):
+        if requested < 1:
+            raise InputError(f"{noun} is {requested}; a pairing needs at least one variant")
         generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))
-        return np.sort(generator.permutation(available)[: int(wanted)])
-    chosen = np.asarray(wanted)
-    if chosen.ndim != 1 or len(chosen) == 0 or chosen.dtype.kind not in "iu" or len(set(chosen.tolist())) < len(chosen):
-        raise InputError(f"{what} is {wanted!r}; it must be a number of variants, or a list of different ones")
-    if chosen.min() < 0 or chosen.max() >= available:
-        raise InputError(f"{what} are {wanted!r}; there are variants 0 to {available - 1}")
-    return chosen.astype(np.int64)
+        return np.sort(generator.permutation(available)[: int(requested)])
+    indices = np.asarray(requested)
+    repeated = len(np.unique(indices)) < indices.size
+    if indices.ndim != 1 or len(indices) == 0 or indices.dtype.kind not in "iu" or repeated:
+        raise InputError(f"{noun} is {requested!r}; it must be a number of variants, or a list of different ones")
+    if indices.min() < 0 or indices.max() >= available:
+        raise InputError(f"{noun} are {requested!r}; there are variants 0 to {available - 1}")
+    return indices.astype(np.int64)

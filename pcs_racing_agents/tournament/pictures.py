@@ -1,4 +1,4 @@
-"""The pictures of a tournament: who scores how much against whom, and the ratings."""
+"""Pictures of a tournament: the score matrix and the ratings."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +15,7 @@ __all__ = ["payoffs_picture", "ratings_picture"]
 
 @picture
 def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
-    """Draw who scores how much against whom; purple above one half, orange below.
+    """Draw the score matrix as a heat map; purple above one half, orange below.
 
     Parameters
     ----------
@@ -32,14 +32,14 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
     matrix = np.asarray(payoffs, np.float64)
     if matrix.shape != (len(names), len(names)) or len(names) == 0:
         raise InputError(f"payoffs have shape {matrix.shape}; {len(names)} agents need ({len(names)}, {len(names)})")
-    shown = [short(name) for name in names]
+    labels = [short(name) for name in names]
     size = 0.58 * len(names)
     figure = new_figure(size + 2.0, size + 1.4)
     axes = figure.subplots()
     image = axes.imshow(matrix, cmap="PuOr", vmin=-0.15, vmax=1.15)
-    axes.set_xticks(range(len(names)), shown, rotation=40, ha="left", rotation_mode="anchor")
+    axes.set_xticks(range(len(names)), labels, rotation=40, ha="left", rotation_mode="anchor")
     axes.xaxis.tick_top()
-    axes.set_yticks(range(len(names)), shown)
+    axes.set_yticks(range(len(names)), labels)
     for (i, j), value in np.ndenumerate(matrix):
         if not np.isnan(value):
             dark = image.cmap(image.norm(value))[:3] @ np.array([0.299, 0.587, 0.114]) < 0.5
@@ -58,11 +58,11 @@ def ratings_picture(ratings: Ratings) -> Any:
     figure = new_figure(7.2, 0.9 + 0.3 * len(order))
     axes = figure.subplots()
     axes.axvline(0.0, color=EDGE, lw=1.0)
-    for place, i in enumerate(order):
+    for rank, i in enumerate(order):
         if np.isfinite(ratings.low[i]):
-            axes.plot([low[i], high[i]], [-place] * 2, color=COLOURS[0], lw=2.0, solid_capstyle="butt")
-        axes.plot(ratings.elo[i], -place, "o", color=COLOURS[0], ms=6)
-    axes.set_yticks([-place for place in range(len(order))], [short(ratings.names[i]) for i in order])
+            axes.plot([low[i], high[i]], [-rank] * 2, color=COLOURS[0], lw=2.0, solid_capstyle="butt")
+        axes.plot(ratings.elo[i], -rank, "o", color=COLOURS[0], ms=6)
+    axes.set_yticks([-rank for rank in range(len(order))], [short(ratings.names[i]) for i in order])
     axes.set_ylim(-len(order) + 0.4, 0.6)
     axes.set_xlabel("rating (Bradley-Terry; 400 are odds of ten to one; mean 0)")
     tidy(axes, "x")

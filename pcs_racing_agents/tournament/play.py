@@ -1,4 +1,4 @@
-"""All against all: every pair of competitors drives the same races, each of them from both seats of the grid."""
+"""Tournaments: every pair of competitors drives the same races, each start from both sides of the grid."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
@@ -43,7 +43,7 @@ Rules = GameConfig | RaceConfig | str | Path
 
 @dataclass(frozen=True, eq=False)
 class TournamentPlan:
-    """What a tournament is, before a race has been driven; everything in it has been checked.
+    """A tournament that has been checked and whose races have been drawn, but not simulated.
 
     Attributes
     ----------
@@ -73,16 +73,16 @@ class TournamentPlan:
     @cached_property
     def pairings(self) -> tuple[Pairing, ...]:
         """The races: every pair on the first track, then every pair on the next one."""
-        found = []
+        pairings = []
         for track, schedule in zip(self.tracks, self.schedules, strict=True):
             game = RaceGame(track, self.setting.archive, self.setting.config)
             for ego, opponent in combinations(self.competitors, 2):
-                found.append(schedule_pairing(game, ego, opponent, schedule, self.seed))
-        return tuple(found)
+                pairings.append(schedule_pairing(game, ego, opponent, schedule, self.seed))
+        return tuple(pairings)
 
     @property
     def config(self) -> RaceConfig:
-        """The rules of the race, as long as the game."""
+        """Rules of the race, with the duration of the game."""
         return self.setting.config.race_rules
 
 
@@ -101,7 +101,7 @@ class Tournament:
 
 
 def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
-    """Return the rules of a game as long as a race: its duration is cut into a step for each move and one more.
+    """Return the rules of a game with the duration of a race, which is divided into a step more than there are moves.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
     Raises
     ------
     InputError
-        If a value is impossible, or the duration can't be cut into such steps.
+        If a value is impossible, or the duration can't be divided into such steps.
     """
     if isinstance(race, GameConfig):
         return load_game_config(race, **settings)
@@ -138,22 +138,22 @@ def plan_tournament(
     races_per_pair: int = 20,
     seed: int = 0,
 ) -> TournamentPlan:
-    """Check everything that a tournament needs, and draw its races; see :func:`play_tournament`."""
+    """Check the arguments of a tournament, and draw its races; see :func:`play_tournament`."""
     circuits = [tracks] if isinstance(tracks, Track) else list(tracks)
     _check_distinct("tracks", [track.name for track in circuits], 1)
     setting = make_setting(archive, game_rules(race))
     if isinstance(entrants, Mapping):
-        given = [as_competitor(_made(one, setting, seed), name) for name, one in entrants.items()]
+        competitors = [as_competitor(_resolve(entrant, setting, seed), name) for name, entrant in entrants.items()]
     else:
-        given = [as_competitor(_made(one, setting, seed)) for one in entrants]
-    _check_distinct("competitors", [name_of(one) for one in given], 2)
+        competitors = [as_competitor(_resolve(entrant, setting, seed)) for entrant in entrants]
+    _check_distinct("competitors", [name_of(entrant) for entrant in competitors], 2)
     rules = setting.config.race_rules
     schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
-    plan = TournamentPlan(tuple(given), tuple(circuits), setting, schedules, races_per_pair, seed)
+    plan = TournamentPlan(tuple(competitors), tuple(circuits), setting, schedules, races_per_pair, seed)
     for track in circuits:
         game = RaceGame(track, setting.archive, setting.config)
-        for one in given:
-            game_between(game, one, one)  # who does not fit is an error before any race is driven
+        for entrant in competitors:
+            game_between(game, entrant, entrant)  # raises before any race is simulated
     return plan
 
 
@@ -179,20 +179,20 @@ def play_tournament(
     tracks : Track or sequence of Track
     entrants : sequence, or mapping by name
         At least two agents, drivers, policies, names (:func:`pcs_racing_agents.agents.make`), or models with
-        ``predict``. Their names tell them apart.
+        ``predict``; with different names.
     race : GameConfig, RaceConfig, str or path
         The rules. Those of a race alone make a game of the same duration (:func:`game_rules`); its ``start_lines`` is
         not used, since every two races draw a line of their own.
     archive : PolicyArchive, str or path
-        Where agents find their policies.
+        Policies of the agents.
     races_per_pair : int
         Races of each pair on each track; even, from 2 to 2000.
     seed : int
-        Root of start lines, start policies and noise, and of the draws of agents that are given by name.
+        Seed of start lines, start policies and noise, and of the draws of agents that are given by name.
     job : Job, optional
-        Where results are kept, so that a tournament that was stopped goes on: opened with :func:`tournament_settings`.
+        Stores results, so that a stopped tournament can be resumed; opened with :func:`tournament_settings`.
     executor : Executor, optional
-        Where the races are driven; by default here, on all cores. It does not change the result.
+        Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, what)``, counting races; :func:`pcs_racing_agents.jobs.jobs.show_progress`
         prints a line.
@@ -225,7 +225,7 @@ def play_plan(
 
 
 def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
-    """Return all that the results of a tournament depend on, for :func:`pcs_racing_agents.jobs.jobs.open_job`."""
+    """Return everything that a tournament depends on, for :func:`pcs_racing_agents.jobs.jobs.open_job`."""
     setting = plan.setting
     return {
         "seed": plan.seed,
@@ -234,34 +234,34 @@ def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
         "archive": setting.archive.name,
         "archive_sha256": setting.archive.content_hash,
         "tracks": {track.name: track.content_hash for track in plan.tracks},
-        "agents": {name: competitor_hash(one) for name, one in zip(plan.names, plan.competitors, strict=True)},
+        "agents": {name_of(competitor): competitor_hash(competitor) for competitor in plan.competitors},
     }
 
 
 def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True) -> Recording:
-    """Drive a race of a tournament again, and record it.
+    """Repeat a race of a tournament, and record it.
 
     Raises
     ------
     InputError
-        If the race is none of this tournament.
+        If the race is not part of this tournament.
     """
     for pairing in tournament.plan.pairings:
         if (pairing.game.track.name, *pairing.names) == (row.track, row.ego, row.opponent):
             return record_match(
-                pairing.game, pairing.ego, pairing.opponent, **pairing.one(row.race), candidates=candidates
+                pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(row.race), candidates=candidates
             )
     raise InputError(f"race {row.race} of {row.ego!r} against {row.opponent!r} on {row.track!r} was not raced here")
 
 
-def _made(given: Entrant, setting: Setting, seed: int) -> Any:
-    return parse_agent(given, setting, seed=seed) if isinstance(given, str) else given
+def _resolve(entrant: Entrant, setting: Setting, seed: int) -> Any:
+    return parse_agent(entrant, setting, seed=seed) if isinstance(entrant, str) else entrant
 
 
-def _check_distinct(what: str, names: list[str], least: int) -> None:
+def _check_distinct(noun: str, names: list[str], least: int) -> None:
     if len(names) < least:
-        there = f"there are {len(names)} {what}" if len(names) != 1 else f"there is 1 {what[:-1]}"
-        raise InputError(f"{there}; a tournament needs at least {least}")
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise InputError(f"{what} must have different names; there is more than one {', '.join(sorted(twice))}")
+        count = f"there are {len(names)} {noun}" if len(names) != 1 else f"there is 1 {noun[:-1]}"
+        raise InputError(f"{count}; a tournament needs at least {least}")
+    repeated = {name for name in names if names.count(name) > 1}
+    if repeated:
+        raise InputError(f"{noun} must have different names; there is more than one {', '.join(sorted(repeated))}")

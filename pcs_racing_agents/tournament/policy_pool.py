@@ -1,7 +1,6 @@
-"""Races between all pairs of a pool of policies, and the payoffs that they give.
+"""Payoffs of all pairs of a pool of policies, each fixed for a whole race.
 
-The policies are fixed for the whole race: this is the game of choosing a policy before the start, of which
-:mod:`pcs_racing_agents.tournament.headroom` says how much it is worth.
+This is the game of choosing a policy before the start; :mod:`pcs_racing_agents.tournament.headroom` analyses it.
 """
 
 from concurrent.futures import Executor
@@ -86,9 +85,9 @@ def pool_payoffs(
     ----------
     pool : PolicyPool
     job : Job, optional
-        Keeps what is done, so that a run that was stopped goes on; without it nothing is kept.
+        Stores results, so that a stopped run can be resumed.
     executor : Executor, optional
-        Where the races are driven; by default here, on all cores. It has no influence on the result.
+        Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, what)``, counting blocks of pairs.
 

@@ -1,11 +1,11 @@
-"""Ratings: one number for each agent from who beat whom (Bradley-Terry, with ties as Davidson added them).
+"""Ratings of agents from the results of their races: the Bradley-Terry model, with the ties of Davidson.
 
 Agent i beats j, loses to it or ties with it in proportion to ``exp(r_i)``, ``exp(r_j)`` and
-``tie * exp((r_i + r_j) / 2)`` (Bradley and Terry 1952; Davidson 1970). A race that paid nobody says nothing about who
-is faster: it is counted and left out. So a rating does not punish an agent for such crashes; the score beside it does.
+``tie * exp((r_i + r_j) / 2)`` (Bradley and Terry 1952; Davidson 1970). A race without a winner that is no tie (a crash
+that pays neither car) is left out, and counted. So such crashes do not lower a rating; they lower the score.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +25,7 @@ ELO = 400.0 / np.log(10.0)
 
 @dataclass(frozen=True, eq=False)
 class Ratings:
-    """How strong each agent is.
+    """Estimated strengths of N agents.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Ratings:
     races : ndarray of int, shape (N,)
         Races that counted.
     left_out : ndarray of int, shape (N,)
-        Races that paid nobody.
+        Races that paid neither agent.
     """
 
     names: tuple[str, ...]
@@ -61,8 +61,8 @@ class Ratings:
         """Return natural log-odds on the scale of chess ratings."""
         return ELO * np.asarray(strength, np.float64)
 
-    def chances(self, first: str, second: str) -> tuple[float, float, float]:
-        """Return the chances that the first of two agents wins, ties and loses.
+    def probabilities(self, first: str, second: str) -> tuple[float, float, float]:
+        """Return the probabilities that the first of two agents wins, ties and loses.
 
         Raises
         ------
@@ -83,7 +83,7 @@ def rate(
     second: Sequence[str],
     result: ArrayLike,
     *,
-    nobody: ArrayLike | None = None,
+    unpaid: ArrayLike | None = None,
     unit: ArrayLike | None = None,
     rng: np.random.Generator | None = None,
     replicates: int = 500,
@@ -92,9 +92,9 @@ def rate(
 ) -> Ratings:
     """Fit the strengths of agents to their races.
 
-    The fit is the mode under a weak normal prior on each strength: without it an agent that won every race would have
-    no finite rating. The intervals come from drawing units again with replacement: give races from the same start line
-    the same unit where all pairs raced from the same lines.
+    The fit is the mode of the posterior under a weak normal prior on each strength: without it an agent that won every
+    race would have no finite rating. The intervals are those of a bootstrap over units: give races from the same start
+    line the same unit if all pairs raced from the same lines.
 
     Parameters
     ----------
@@ -102,12 +102,12 @@ def rate(
         Names of the two agents of each race.
     result : array_like, shape (R,)
         1 the first won, -1 the second won, 0 a tie.
-    nobody : array_like of bool, shape (R,), optional
-        Races that paid nobody (a crash under the crash rule ``nobody``); their ``result`` does not count.
+    unpaid : array_like of bool, shape (R,), optional
+        Races that paid neither agent (a crash under the crash rule ``nobody``); their ``result`` does not count.
     unit : array_like, shape (R,), optional
-        Labels of what is drawn again for the intervals; each race by itself if left out.
+        Labels of the units of the bootstrap; by default each race is one.
     rng : numpy.random.Generator, optional
-        Without it there are no intervals.
+        Generator of the bootstrap; without it there are no intervals.
     replicates : int
         Bootstrap replicates, at least 100.
     level : float
@@ -136,40 +136,33 @@ def rate(
         raise InputError("there are no races; ratings need at least one")
     names, pairs = np.unique(np.array([list(first), list(second)], dtype=np.str_), return_inverse=True)
     number = len(names)
-    one, other = pairs.reshape(2, -1)
-    outcome = _per_race("result", result, len(one), float)
-    void = np.zeros(len(one), bool) if nobody is None else _per_race("nobody", nobody, len(one), bool)
-    _check_races(names, one, other, outcome, void)
-    counted = np.flatnonzero(~void)
-    winner = np.where(outcome > 0.0, one, other)[counted]
-    loser = np.where(outcome > 0.0, other, one)[counted]
+    first_agent, second_agent = pairs.reshape(2, -1)
+    outcome = _per_race("result", result, len(first_agent), float)
+    races = len(first_agent)
+    uncounted = np.zeros(races, bool) if unpaid is None else _per_race("unpaid", unpaid, races, bool)
+    _check_races(names, first_agent, second_agent, outcome, uncounted)
+    counted = np.flatnonzero(~uncounted)
+    winner = np.where(outcome > 0.0, first_agent, second_agent)[counted]
+    loser = np.where(outcome > 0.0, second_agent, first_agent)[counted]
     tied = outcome[counted] == 0.0
-    # A race's place among all wins (N x N) followed by all ties (N x N).
-    place = winner * number + loser + tied * number**2
+    # A race's index in the table of wins (N x N) followed by that of ties (N x N).
+    cell = winner * number + loser + tied * number**2
     _check_connected(names, winner, loser)
 
     def fit(weights: Iterable[NDArray[Any]]) -> tuple[Floats, Floats]:
         size = 2 * number**2
-        counts = np.array([np.bincount(place, w, minlength=size) for w in weights])
+        counts = np.array([np.bincount(cell, w, minlength=size) for w in weights])
         wins, ties = counts.reshape(-1, 2, number, number).swapaxes(0, 1)
         return _fit(wins, ties + ties.swapaxes(1, 2), prior_sd, bool(tied.any()))
 
-    strength, tie = fit(np.ones((1, len(place))))
+    strength, tie = fit(np.ones((1, len(cell))))
     low = high = np.full(number, np.nan)
     if rng is not None:
-        labels = np.arange(len(one)) if unit is None else _per_race("unit", unit, len(one), None)
-        groups, codes = np.unique(labels[counted], return_inverse=True)
-        if len(groups) < 2:
-            raise InputError("all races have the same unit; intervals need at least 2 to draw from")
-        drawn = []
-        for begin in range(0, replicates, BATCH):
-            size = min(BATCH, replicates - begin)
-            often = rng.multinomial(len(groups), np.full(len(groups), 1.0 / len(groups)), size=size)
-            drawn.append(fit(row[codes] for row in often)[0])  # one row at a time: there may be many races
-        tails = [(1.0 - level) / 2.0, (1.0 + level) / 2.0]
-        low, high = np.quantile(np.concatenate(drawn), tails, axis=0)
-    both = np.concatenate([one, other])
-    out = np.concatenate([void, void])
+        units = np.arange(races) if unit is None else _per_race("unit", unit, races, None)
+        replicated = np.concatenate([fit(weights)[0] for weights in _bootstrap(units[counted], replicates, rng)])
+        low, high = np.quantile(replicated, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+    both = np.concatenate([first_agent, second_agent])
+    out = np.concatenate([uncounted, uncounted])
     return Ratings(
         names=tuple(str(name) for name in names),
         strength=strength[0],
@@ -179,6 +172,17 @@ def rate(
         races=np.bincount(both[~out], minlength=number),
         left_out=np.bincount(both[out], minlength=number),
     )
+
+
+def _bootstrap(units: NDArray[Any], replicates: int, rng: np.random.Generator) -> Iterator[Iterator[NDArray[np.int64]]]:
+    """Return the weights of the races in each replicate, in batches: how often the race's unit was drawn."""
+    labels, codes = np.unique(units, return_inverse=True)
+    if len(labels) < 2:
+        raise InputError("all races have the same unit; intervals need at least 2 to draw from")
+    for begin in range(0, replicates, BATCH):
+        size = min(BATCH, replicates - begin)
+        counts = rng.multinomial(len(labels), np.full(len(labels), 1.0 / len(labels)), size=size)
+        yield (row[codes] for row in counts)  # one row at a time: there may be many races
 
 
 def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[Floats, Floats]:
@@ -222,7 +226,7 @@ def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[
 
 
 def _chances(x: Floats, with_ties: bool) -> tuple[Floats, Floats]:
-    """Chance that the row's agent beats the column's, and that they tie, both (B, N, N)."""
+    """Return the probabilities that the row's agent beats the column's, and that they tie, both (B, N, N)."""
     half = 0.5 * (x[:, :-1, None] - x[:, None, :-1])
     tie = np.broadcast_to(x[:, -1, None, None], half.shape) if with_ties else np.full_like(half, -np.inf)
     top = np.maximum(np.abs(half), tie)
@@ -250,25 +254,26 @@ def _per_race(name: str, values: ArrayLike, races: int, kind: type | None) -> ND
 
 def _check_races(
     names: NDArray[np.str_],
-    one: NDArray[np.intp],
-    other: NDArray[np.intp],
+    first_agent: NDArray[np.intp],
+    second_agent: NDArray[np.intp],
     outcome: Floats,
-    void: NDArray[np.bool_],
+    uncounted: NDArray[np.bool_],
 ) -> None:
-    if (one == other).any():
-        raise InputError(f"{names[one[np.argmax(one == other)]]!s} races itself; that says nothing about its strength")
-    wrong = ~void & ~np.isin(outcome, (-1.0, 0.0, 1.0))
+    if (first_agent == second_agent).any():
+        name = names[first_agent[np.argmax(first_agent == second_agent)]]
+        raise InputError(f"{name!s} races itself; that says nothing about its strength")
+    wrong = ~uncounted & ~np.isin(outcome, (-1.0, 0.0, 1.0))
     if wrong.any():
         at = int(np.argmax(wrong))
         raise InputError(f"result[{at}] is {outcome[at]:g}; it must be 1, 0 or -1")
-    if void.all():
-        raise InputError(f"none of {len(void)} races was paid to anybody; ratings need at least one that was")
+    if uncounted.all():
+        raise InputError(f"none of {len(uncounted)} races was paid to anybody; ratings need at least one that was")
 
 
-def _check_connected(names: NDArray[np.str_], one: NDArray[np.intp], other: NDArray[np.intp]) -> None:
-    """Strengths of agents that never met, not even over others, can't be compared."""
+def _check_connected(names: NDArray[np.str_], winner: NDArray[np.intp], loser: NDArray[np.intp]) -> None:
+    """Raise InputError unless every two agents are connected by a chain of races; else they can't be compared."""
     group = np.arange(len(names))
-    for i, j in set(zip(one.tolist(), other.tolist(), strict=True)):
+    for i, j in set(zip(winner.tolist(), loser.tolist(), strict=True)):
         group[group == group[i]] = group[j]
     apart = group != group[0]
     if apart.any():

@@ -1,4 +1,4 @@
-"""Pairings driven as tasks (:mod:`pcs_racing_agents.jobs.jobs`): anywhere, resumable, with the same results."""
+"""Simulation of pairings as tasks (:mod:`pcs_racing_agents.jobs.jobs`): in parallel, resumable, reproducible."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -25,12 +25,12 @@ BLOCK = 400  # races of one task: one to two seconds of work
 
 
 class RaceBlock(NamedTuple):
-    """Races of a pairing that are driven together.
+    """The races of one task.
 
     Attributes
     ----------
     content_hash : str
-        Of all that their result depends on.
+        Hash of everything that their result depends on.
     pairing : int
         Number of the pairing.
     first, last : int
@@ -45,13 +45,13 @@ class RaceBlock(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RaceWorker:
-    """Drives blocks of races; it travels to other processes once, with the games and the competitors.
+    """A function that simulates blocks of races; it is sent to other processes once, with games and competitors.
 
     Attributes
     ----------
     pairings : sequence of Pairing
     observations : bool
-        Whether to keep what was observed.
+        Whether to return observations.
     """
 
     pairings: Sequence[Pairing]
@@ -59,13 +59,13 @@ class RaceWorker:
 
     def __call__(self, block: RaceBlock) -> dict[str, NDArray[Any]]:
         played = self.pairings[block.pairing].take(np.arange(block.first, block.last)).play()
-        return {key: value for key, value in played._asdict().items() if self.observations or key != "seen"}
+        return {key: value for key, value in played._asdict().items() if self.observations or key != "observations"}
 
 
 def play_pairing(
     pairing: Pairing, *, job: Job | None = None, executor: Executor | None = None, progress: Progress | None = None
 ) -> RaceTable:
-    """Drive the races of a pairing; options as for :func:`play_pairings`."""
+    """Simulate the races of a pairing; options as for :func:`play_pairings`."""
     name = "-".join((pairing.game.track.name, *pairing.names))
     (matches,) = play_pairings([pairing], name=name, job=job, executor=executor, progress=progress)
     return pairing.table(matches)
@@ -80,65 +80,63 @@ def play_pairings(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Matches]:
-    """Drive the races of several pairings side by side, and yield what came of them pairing by pairing.
+    """Simulate the races of several pairings in parallel, and yield the results pairing by pairing.
 
     Parameters
     ----------
     pairings : sequence of Pairing
     name : str
-        Of this part of the job's work.
+        Name of this part of the job's work.
     observations : bool
-        Whether to return what was observed; else ``seen`` has no columns.
+        Whether to return observations; else ``Matches.observations`` has no columns.
     job : Job, optional
-        Where results are kept: races that were driven before are not driven again. All of them are driven first and
-        then read from its chunks, so that memory does not grow with them.
+        Stores results; races with stored results are not simulated again. Results are then read from its chunks, so
+        that memory does not grow with the number of races.
     executor : Executor, optional
-        Where the races are driven; by default here, on all cores. It does not change the result.
+        Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, name)``, counting races.
     """
-    # Workers share the cores; alone in this thread a game takes all of them.
+    # With an executor its workers share the cores; without one a game uses all of them.
     games = {id(p.game): p.game if executor is None else replace(p.game, threads=1) for p in pairings}
     worker = RaceWorker([replace(p, game=games[id(p.game)]) for p in pairings], observations)
-    blocks = [
-        block for i, pairing in enumerate(pairings) for block in _blocks(i, pairing, observations, kept=job is not None)
-    ]
+    stored = job is not None
+    blocks = [block for i, p in enumerate(pairings) for block in _blocks(i, p, observations, hashed=stored)]
     total = sum(len(pairing) for pairing in pairings)
 
-    def tell(done: int, tasks: int, what: str) -> None:
+    def report(done: int, tasks: int, label: str) -> None:
         if progress is not None:
-            progress(round(total * done / tasks) if tasks else 0, total, what)
+            progress(round(total * done / tasks) if tasks else 0, total, label)
 
     results: dict[int, Arrays] = {}
-    kept = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"  # a name as jobs want it
+    chunk_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"  # a name as jobs want it
     if job is not None:
-        job.run(kept, worker, blocks, executor=executor, progress=tell, keep=False)
+        job.run(chunk_name, worker, blocks, executor=executor, progress=report, keep=False)
     else:
-        tell(0, len(blocks), name)
+        report(0, len(blocks), name)
         for index, arrays in run_tasks(numbered_tasks(worker, blocks), executor, name):
             results[index] = arrays
-            tell(len(results), len(blocks), name)
+            report(len(results), len(blocks), name)
     index = 0
     for pairing in pairings:
         parts = []
         for _ in range(0, len(pairing), BLOCK):
-            arrays = results.pop(index) if job is None else job.read(kept, index)
-            parts.append(Matches(**{"seen": np.zeros((len(arrays["lead"]), 2, 0), np.float32), **arrays}))
+            arrays = results.pop(index) if job is None else job.read(chunk_name, index)
+            parts.append(Matches(**{"observations": np.zeros((len(arrays["lead"]), 2, 0), np.float32), **arrays}))
             index += 1
         yield join_matches(parts)
 
 
-def _blocks(number: int, pairing: Pairing, observations: bool, *, kept: bool) -> Iterator[RaceBlock]:
+def _blocks(number: int, pairing: Pairing, observations: bool, *, hashed: bool) -> Iterator[RaceBlock]:
     game = pairing.game
-    who = [competitor_hash(car) if kept else "" for car in (pairing.ego, pairing.opponent)]
-    what = (
-        fingerprint(_track_hash(game.track), game.archive.content_hash, game.config, who, observations) if kept else ""
-    )
+    hashes = [competitor_hash(car) if hashed else "" for car in (pairing.ego, pairing.opponent)]
+    identity = (_track_hash(game.track), game.archive.content_hash, game.config, hashes, observations)
+    common = fingerprint(*identity) if hashed else ""
     for first in range(0, len(pairing), BLOCK):
         last = min(first + BLOCK, len(pairing))
         rows = slice(first, last)
-        drawn = (pairing.variants[rows], pairing.starts.s[rows], pairing.starts.side[rows], pairing.noise[rows])
-        yield RaceBlock(fingerprint(what, drawn) if kept else "", number, first, last)
+        draws = (pairing.variants[rows], pairing.starts.s[rows], pairing.starts.side[rows], pairing.noise[rows])
+        yield RaceBlock(fingerprint(common, draws) if hashed else "", number, first, last)
 
 
 def _track_hash(track: Track) -> str:

@@ -1,4 +1,4 @@
-"""Who starts where: races that are the same for all pairs, and fair to both seats."""
+"""Schedules: starts, variants and noise of races that are the same for all pairs, and fair to both sides."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -26,20 +26,20 @@ class Schedule(NamedTuple):
     ----------
     starts : Starts
         N of them; races 2j and 2j + 1 start on the same line, from either side.
-    lots : ndarray, shape (N, 2), uint64
-        What the variants of ego and opponent are chosen by. Races 2j and 2j + 1 swap them with the sides: whatever luck
-        lies in a seat of the grid, both competitors have it once.
+    draws : ndarray, shape (N, 2), uint64
+        Random numbers that select the variants of ego and opponent. Races 2j and 2j + 1 swap them with the sides, so
+        that the advantage of a side is equal for both competitors.
     seeds : ndarray, shape (N,), uint64
         Keys of the noise.
     """
 
     starts: Starts
-    lots: NDArray[np.uint64]
+    draws: NDArray[np.uint64]
     seeds: NDArray[np.uint64]
 
     def variants(self, ego: int, opponent: int) -> NDArray[np.int64]:
-        """Variants in each race, shape (N, 2), for competitors that have so many of them."""
-        return (self.lots % np.array([ego, opponent], np.uint64)).astype(np.int64)
+        """Return the variants in each race, shape (N, 2), from the numbers of variants of ego and opponent."""
+        return (self.draws % np.array([ego, opponent], np.uint64)).astype(np.int64)
 
 
 def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Schedule:
@@ -66,6 +66,6 @@ def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Sc
         )
     starts = draw_starts(track, replace(config, start_lines=races // 2), races, seed)
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
-    lots = generator.integers(2**63, size=(races // 2, 2), dtype=np.uint64)
-    both = np.stack([lots, lots[:, ::-1]], axis=1).reshape(races, 2)
-    return Schedule(starts, both, race_seeds(seed, races))
+    draws = generator.integers(2**63, size=(races // 2, 2), dtype=np.uint64)
+    swapped = np.stack([draws, draws[:, ::-1]], axis=1).reshape(races, 2)
+    return Schedule(starts, swapped, race_seeds(seed, races))

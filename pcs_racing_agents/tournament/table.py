@@ -42,12 +42,11 @@ class Standing(NamedTuple):
     win, tie, loss : float
         Races without a crash.
     own_crash, other_crash : float
-        Races that ended in a crash that this one is (also) to blame for, or the other alone.
+        Races that ended in a crash by its own fault (or of both), or by the other's fault alone.
     overtakes : float
-        Mean number of times that it passed the other car.
+        Mean number of its overtakes in a race.
     equilibrium, alpha_rank : float
-        How often it is sent in an equilibrium of choosing an agent, and the share of the time that evolution spends at
-        it (:class:`pcs_racing_agents.tournament.round_robin.RoundRobin`); NaN where that is not known.
+        Its probabilities in :class:`pcs_racing_agents.tournament.round_robin.RoundRobin`; NaN if unknown.
     """
 
     name: str
@@ -75,9 +74,9 @@ def standings(tournament: Tournament) -> list[Standing]:
     for k, name in enumerate(tournament.plan.names):
         own = drove == k  # (N, 2): the races in which it drove that car
 
-        def count(where: NDArray[np.bool_], own: NDArray[np.bool_] = own) -> int:
-            """In how many of its races something holds: of its own car, (N, 2), or of the race, (N, 1)."""
-            return int(np.count_nonzero(own & where))
+        def count(condition: NDArray[np.bool_], own: NDArray[np.bool_] = own) -> int:
+            """Count its races with a condition on its own car, (N, 2), or on the race, (N, 1)."""
+            return int(np.count_nonzero(own & condition))
 
         winner = races.winner[:, None] == np.arange(2)
         total, won, ties = int(np.count_nonzero(own)), count(winner), count(races.tie[:, None])
@@ -109,17 +108,17 @@ def standings(tournament: Tournament) -> list[Standing]:
 
 @lru_cache(maxsize=8)
 def sum_up(tournament: Tournament) -> RoundRobin:
-    """Return scores against each other, ratings, and what the game of choosing an agent says, in the plan's order."""
+    """Return the summary of a tournament's races, in the plan's order."""
     return round_robin(tournament.plan.names, tournament.races, seed=tournament.plan.seed)
 
 
 def payoff_matrix(tournament: Tournament) -> NDArray[np.float64]:
-    """Return each competitor's score against each other one, shape (N, N), in the order of the plan; else NaN."""
+    """Return each competitor's score against each other one, shape (N, N), in the plan's order; NaN on the diagonal."""
     return sum_up(tournament).scores
 
 
 def tournament_text(tournament: Tournament) -> str:
-    """Return the table and the payoff matrix for people."""
+    """Return the table and the payoff matrix as text."""
     table = standings(tournament)
     races = len(tournament.races)
     crashes, passed = int(tournament.races.crashed.sum()), int(tournament.races.overtakes.any(axis=1).sum())
@@ -129,11 +128,11 @@ def tournament_text(tournament: Tournament) -> str:
         f"{', '.join(track.name for track in plan.tracks)}; seed {plan.seed}\n"
         f"{1.0 - crashes / races:.0%} finished, {passed / races:.0%} with an overtake\n"
     )
-    known = [not all(np.isnan(getattr(s, name)) for s in table) for name in ("equilibrium", "alpha_rank")]
-    rows: list[tuple[str, ...]] = [(*COLUMNS, *compress(META, known))]
+    available = [not all(np.isnan(getattr(s, name)) for s in table) for name in ("equilibrium", "alpha_rank")]
+    rows: list[tuple[str, ...]] = [(*COLUMNS, *compress(META, available))]
     for s in table:
         shares = (f"{share:.1%}" for share in (s.win, s.tie, s.loss, s.own_crash, s.other_crash))
-        meta = compress((f"{s.equilibrium:.2f}", f"{s.alpha_rank:.2f}"), known)
+        meta = compress((f"{s.equilibrium:.2f}", f"{s.alpha_rank:.2f}"), available)
         rating = "-" if np.isnan(s.rating) else f"{s.rating:+.0f}"
         interval = "-" if np.isnan(s.rating_low) else f"[{s.rating_low:+.0f}, {s.rating_high:+.0f}]"
         rows.append((s.name, str(s.races), f"{s.score:.3f}", rating, interval, *shares, f"{s.overtakes:.2f}", *meta))
@@ -149,18 +148,18 @@ def tournament_text(tournament: Tournament) -> str:
         f"score: races won, a tie counting half; a crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10, "
         "start lines drawn again for the interval"
     )
-    if known[0]:
+    if available[0]:
         note += "\nequilibrium: how often to send whom, if the other side chooses as cleverly"
-    if known[1]:
+    if available[1]:
         note += (
             "\nalpha-rank: share of the time that evolution spends at it; scores against each other that differ by up "
-            f"to {sum_up(tournament).alike:.3f} count as alike"
+            f"to {sum_up(tournament).noise:.3f} count as alike"
         )
     return "\n".join([head, *aligned(rows, left=1), "", *aligned(matrix, left=1), "", note])
 
 
 def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
-    """Draw the payoff matrix; the ending of the path says the format.
+    """Draw the payoff matrix; the suffix of the path is the format.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A game again, to watch: the moves are made as before, and the race is recorded on the way."""
+"""Recording of single games for replays."""
 
 from typing import NamedTuple
 
@@ -18,17 +18,20 @@ __all__ = ["Recording", "record_match"]
 
 
 class Recording(NamedTuple):
-    """A game that was recorded.
+    """A recorded game.
 
     Attributes
     ----------
     replay : Replay
     match : Matches
-        What came of it; of one game.
+        Results of the one game.
+    game : RaceGame
+        The game as it was played, with the planners of both cars.
     """
 
     replay: Replay
     match: Matches
+    game: RaceGame
 
 
 def record_match(
@@ -53,25 +56,25 @@ def record_match(
     seed : int
         Key of its noise.
     candidates : bool
-        Whether to keep the paths that each planner chose from.
+        Whether to keep the candidate paths of each planner.
 
     Raises
     ------
     InputError
         As :func:`play_games`.
     """
-    chosen = np.asarray(policies)
-    if chosen.shape != (2,):
-        raise InputError(f"policies have shape {chosen.shape}; one game has two")
+    variants = np.asarray(policies)
+    if variants.shape != (2,):
+        raise InputError(f"policies have shape {variants.shape}; one game has two")
     cars = (as_competitor(ego), as_competitor(opponent))
-    match = play_games(game, *cars, policies=chosen[None], starts=start, seeds=np.array([seed], np.uint64))
+    match = play_games(game, *cars, policies=variants[None], starts=start, seeds=np.array([seed], np.uint64))
     arena = game_between(game, *cars)
     driven = int((match.policy[0] >= 0).any(axis=0).sum()) or 1
     theta = np.zeros((driven, 2, arena.setup.theta_size))
-    for car, who in enumerate(cars):
+    for car, competitor in enumerate(cars):
         for step in range(driven):
-            if isinstance(who, Driver):
-                parameters = who.policies[chosen[car]].parameters
+            if isinstance(competitor, Driver):
+                parameters = competitor.policies[variants[car]].parameters
             else:
                 parameters = arena.archive.parameters[match.policy[0, car, step]]
             theta[step, car, : len(parameters)] = parameters
@@ -84,4 +87,4 @@ def record_match(
         step_ticks=arena.config.step_ticks,
         candidates=candidates,
     )
-    return Recording(replay, match)
+    return Recording(replay, match, arena)

@@ -1,8 +1,8 @@
-"""Which races of a tournament to show: spread over agents and outcomes by rule, typical ones first.
+"""Selection of races of a tournament to show: spread over agents and outcomes, typical ones first.
 
-A race is told by what it was to one of its agents: a win by switching, a win, a loss, a crash of its own, one of the
-other's, a tie. Agents and outcomes take turns. Within one of these piles opponents and circuits take turns, and of each
-the race with the median lead comes first, then those at a quarter and three quarters, and so on.
+For one of its agents a race is a win by switching, another win, a loss, a crash by its own fault or the other's, or a
+tie. Agents and outcomes take turns. Within an agent and outcome, opponents and circuits take turns, and of each the
+race with the median lead comes first, then those at a quarter and three quarters, and so on.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,14 +26,14 @@ OUTCOMES = (
 
 
 class Pick(NamedTuple):
-    """A race that was chosen.
+    """A selected race.
 
     Attributes
     ----------
     race : int
         Line of the results, from 0.
     why : str
-        What it is an example of, such as ``"cfr-argmax: a win by switching"``.
+        Agent and outcome, such as ``"cfr-argmax: a win by switching"``.
     """
 
     race: int
@@ -41,7 +41,7 @@ class Pick(NamedTuple):
 
 
 def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
-    """Return what each race was to one of its cars: places in ``OUTCOMES``, shape (N,).
+    """Return the outcome of each race for one of its cars as an index in ``OUTCOMES``, shape (N,).
 
     Parameters
     ----------
@@ -58,56 +58,56 @@ def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
 
 
 def choose_races(races: RaceTable, count: int) -> list[Pick]:
-    """Choose races to show; the same ones every time.
+    """Select races to show, by a deterministic rule.
 
     Parameters
     ----------
     races : RaceTable
     count : int
-        How many; all, if there are not more.
+        Maximum number.
 
     Returns
     -------
     list of Pick
-        The most telling first.
+        In order of selection.
     """
     agents = range(len(races.agents.words))
-    told = np.array([outcomes(races, car) for car in range(2)])
+    by_car = np.array([outcomes(races, car) for car in range(2)])
     piles = [
-        (agent, outcome, _in_turns(races, agent, (told == outcome) & (agent == races.agents.codes.T)))
+        (agent, outcome, _in_turns(races, agent, (by_car == outcome) & (agent == races.agents.codes.T)))
         for outcome in range(len(OUTCOMES))
         for agent in agents
     ]
     picks: dict[int, Pick] = {}
     while piles and len(picks) < min(count, len(races)):
-        left = []
+        remaining = []
         for agent, outcome, pile in piles:
-            race = next((one for one in pile if one not in picks), None)
+            race = next((number for number in pile if number not in picks), None)
             if race is None:
                 continue
-            left.append((agent, outcome, pile))
+            remaining.append((agent, outcome, pile))
             picks[race] = Pick(race, f"{races.agents.words[agent]}: {OUTCOMES[outcome]}")
             if len(picks) >= count:
                 break
-        piles = left
+        piles = remaining
     return list(picks.values())
 
 
-def _in_turns(races: RaceTable, agent: int, chosen: NDArray[np.bool_]) -> Iterator[int]:
-    """Return races of a pile: circuits and opponents take turns, and of each the race with the median lead is first.
+def _in_turns(races: RaceTable, agent: int, mask: NDArray[np.bool_]) -> Iterator[int]:
+    """Yield an agent's races of one outcome: circuits and opponents take turns, each with its median lead first.
 
-    ``chosen`` has shape (2, N): the races of the pile, by the car that the agent drove in them.
+    ``mask`` has shape (2, N): the races, by the car that the agent drove in them.
     """
-    cars, numbers = np.nonzero(chosen)
+    cars, numbers = np.nonzero(mask)
     lead = np.where(cars == 0, races.lead[numbers], -races.lead[numbers])
     others = races.agents.codes[numbers, 1 - cars]
     tracks = races.track.codes[numbers]
     groups: list[Sequence[int]] = []
     for pair in sorted({*zip(tracks.tolist(), others.tolist(), strict=True)}, key=lambda pair: pair[::-1]):
-        mine = np.flatnonzero((tracks == pair[0]) & (others == pair[1]))
-        ordered = numbers[mine][np.argsort(lead[mine], kind="stable")]
-        groups.append([int(ordered[place]) for place in _from_the_middle(len(ordered))])
-    # Start each agent's turn with another group, lest all of them show their race against the same opponent.
+        rows = np.flatnonzero((tracks == pair[0]) & (others == pair[1]))
+        ordered = numbers[rows][np.argsort(lead[rows], kind="stable")]
+        groups.append([int(ordered[rank]) for rank in _from_the_middle(len(ordered))])
+    # Each agent starts with another group: else all of them would show their race against the same opponent.
     groups = groups[agent % len(groups) :] + groups[: agent % len(groups)] if groups else []
     for turn in range(max(map(len, groups), default=0)):
         for group in groups:

@@ -1,7 +1,7 @@
-"""Races driven again to be watched in the viewer: small replays, with the moves in Policy Characteristic Space.
+"""Replays of races for the viewer, with the moves in the Policy Characteristic Space.
 
-A replay of the viewer is one of :mod:`pcs_racing.race.replay` with less in it: what belongs to the circuit is stored
-once for all races, plans are kept every 0.2 s in centimetres, and what the page does not draw is left out.
+A replay of the viewer is a smaller form of one of :mod:`pcs_racing.race.replay`: data of the circuit is stored once for
+all races, plans are stored every 0.2 s in centimetres, and data that the page does not draw is left out.
 """
 
 from collections import OrderedDict
@@ -20,14 +20,13 @@ from pcs_racing_agents.agents.observing import opponent, step_count
 from pcs_racing_agents.explain.explain import mark_moves
 from pcs_racing_agents.explain.pcs_picture import in_units, plane
 from pcs_racing_agents.results.races import RaceRow
-from pcs_racing_agents.tournament.matches import game_between
 from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.watching import record_match
 from pcs_racing_agents.view.results_folder import ResultsFolder
 
 __all__ = ["PLACES", "DrivenRace", "RaceDriver", "circuit_values", "race_values", "space_values"]
 
-PLACES = 4000  # steps of the picture's width, in which places in it are told
+PLACES = 4000  # resolution of positions: steps across the picture
 PLAN_SKIP = 2  # every second plan is kept
 MOST_PAIRINGS = 64
 
@@ -35,7 +34,7 @@ Floats = NDArray[np.float64]
 
 
 class DrivenRace(NamedTuple):
-    """A race, ready for the page.
+    """A repeated race as data for the page.
 
     Attributes
     ----------
@@ -44,7 +43,7 @@ class DrivenRace(NamedTuple):
     circuit : str
         Name of its circuit.
     values : dict
-        Of the race: :func:`race_values`.
+        Data of the race: :func:`race_values`.
     """
 
     race: int
@@ -53,9 +52,7 @@ class DrivenRace(NamedTuple):
 
 
 class RaceDriver:
-    """Drives races of a results folder again, and keeps what belongs to all of them.
-
-    Not for several threads at once.
+    """Repeats races of a results folder, and stores the data that they share; not thread-safe.
 
     Parameters
     ----------
@@ -76,56 +73,53 @@ class RaceDriver:
         self._pairings: OrderedDict[tuple[str, str, str, int], Pairing] = OrderedDict()
 
     def drive(self, number: int) -> DrivenRace:
-        """Drive a line of the results again.
+        """Repeat the race of a line of the results.
 
         Raises
         ------
         InputError
-            If there is no such line, the archive, the circuit or an agent has changed since, or the race comes out
-            otherwise.
+            If there is no such line, the archive, the circuit or an agent has changed since, or the result differs.
         """
         row = self.results.row(number)
         pairing = self._pairing(row)
         if row.race >= len(pairing):
             raise InputError(f"race {number} is number {row.race} of its pair, which drove {len(pairing)}")
         _check_start(number, row, pairing)
-        recording = record_match(pairing.game, pairing.ego, pairing.opponent, **pairing.one(row.race), candidates=False)
-        match, arena = recording.match, game_between(pairing.game, pairing.ego, pairing.opponent)
-        found = f"{match.lead[0]:.4f}"
-        if found != f"{row.lead:.4f}":
-            raise InputError(
-                f"race {number} came out otherwise than in {self.results.folder}: a lead of {found} m instead of "
-                f"{row.lead:.4f} m; it was driven by another version"
-            )
+        recording = record_match(
+            pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(row.race), candidates=False
+        )
+        match, arena = recording.match, recording.game
+        self.results.check_lead(number, match.lead[0])
         step_seconds = arena.config.step_seconds
         replay = mark_moves(recording.replay, match, arena.move_names, step_seconds)
         if self.space is None:
             self.space = space_values(arena.archive, arena.move_names)
         self.circuits.setdefault(row.track, circuit_values(replay))
         axes = len(arena.archive.characteristics)
-        steps = range(step_count(match.seen[:, 0], axes))
-        # Steps that a crash left no time for are zeros in an observation; whether it was seen is its last number.
-        blocks = match.seen[0, :, :-1].reshape(2, len(steps), -1)
-        seen = np.array([[opponent(match.seen[:, car], axes, step)[0] for step in steps] for car in range(2)])
-        seen = np.where(blocks[..., -1:] > 0.5, seen.astype(np.float64), np.nan)
+        steps = range(step_count(match.observations[:, 0], axes))
+        # Steps after a crash are zeros in an observation; the last number of a step says whether it is over.
+        blocks = match.observations[0, :, :-1].reshape(2, len(steps), -1)
+        observations = (match.observations[:, car] for car in range(2))
+        estimates = np.array([[opponent(observation, axes, step)[0] for step in steps] for observation in observations])
+        estimates = np.where(blocks[..., -1:] > 0.5, estimates.astype(np.float64), np.nan)
         values = race_values(replay)
         values["space"] = {
             "step_seconds": step_seconds,
             "policies": match.policy[0].tolist(),
             "made": match.moves[0].tolist(),
-            "seen": _places(self.space, in_units(arena.archive, seen)[..., list(plane(arena.archive))]),
+            "seen": _places(self.space, in_units(arena.archive, estimates)[..., list(plane(arena.archive))]),
         }
         return DrivenRace(number, row.track, values)
 
     def drive_all(self, numbers: Sequence[int]) -> Iterator[DrivenRace]:
-        """Drive several lines, those of a pair together; they come in the order in which they are driven."""
+        """Repeat the races of several lines, those of a pair together, and yield them in that order."""
         rows = self.results.row
         order = sorted(numbers, key=lambda number: (_pair(rows(number)), number))
         for number in order:
             yield self.drive(number)
 
     def _pairing(self, row: RaceRow) -> Pairing:
-        """Return the races of a pair; the last few pairs are kept."""
+        """Return the races of a pair; the last few pairs are cached."""
         key = _pair(row)
         if key not in self._pairings:
             self._pairings[key] = self.results.pairing(row)
@@ -140,19 +134,19 @@ def _pair(row: RaceRow) -> tuple[str, str, str, int]:
 
 
 def _check_start(number: int, row: RaceRow, pairing: Pairing) -> None:
-    """Tell a line that has been changed from its race before that is driven."""
+    """Check that a line of the results describes the race, before it is simulated."""
     starts, variants = pairing.starts, pairing.variants[row.race].tolist()
     drawn = (f"{starts.s[row.race]:.4f}", int(starts.side[row.race]), *variants)
-    told = (f"{row.start_s:.4f}", row.side, row.ego_variant, row.opponent_variant)
-    if told != drawn:
+    recorded = (f"{row.start_s:.4f}", row.side, row.ego_variant, row.opponent_variant)
+    if recorded != drawn:
         raise InputError(
-            f"race {number} is not the one that its folder describes: its line tells of start {told[0]}, side "
-            f"{told[1]} and variants {told[2]} and {told[3]}, the folder of {', '.join(map(str, drawn))}"
+            f"race {number} is not the one that its folder describes: its line tells of start {recorded[0]}, side "
+            f"{recorded[1]} and variants {recorded[2]} and {recorded[3]}, the folder of {', '.join(map(str, drawn))}"
         )
 
 
 def race_values(replay: Replay) -> dict[str, Any]:
-    """Return what a replay holds besides its circuit, as plain values for the page's JSON.
+    """Return the data of a replay without its circuit, as plain values for the page's JSON.
 
     Together with :func:`circuit_values` it is a replay in the format of :mod:`pcs_racing.race.replay`.
     """
@@ -171,7 +165,7 @@ def race_values(replay: Replay) -> dict[str, Any]:
 
 
 def circuit_values(replay: Replay) -> dict[str, Any]:
-    """Return what a replay says about its circuit, as plain values for the page's JSON."""
+    """Return the data of a replay's circuit, as plain values for the page's JSON."""
     values = {"walls": pack_segments(replay.walls), "line": pack(replay.line, FINE, [0, 0])}
     if replay.line_speed is not None:
         values["line_speed"] = pack(replay.line_speed, COARSE, [0])
@@ -181,7 +175,7 @@ def circuit_values(replay: Replay) -> dict[str, Any]:
 def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]:
     """Return the Policy Characteristic Space as plain values for the page's JSON.
 
-    Places are told in steps of 1/4000 of the picture, from its left and lower edge.
+    Positions are in steps of 1/4000 of the picture, from its left and lower edge.
 
     Parameters
     ----------
@@ -206,7 +200,7 @@ def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]
 
 
 def _limits(archive: PolicyArchive, column: int) -> tuple[float, float]:
-    """Return what to show along an axis: the archive, and most of what was explored where that is not worlds away."""
+    """Return the limits of an axis: the archive, and most of the explored policies unless they are far away."""
     low, high = float(archive.nadir[column]), float(archive.ideal[column])
     reach = max(high - low, 1e-9)
     explored = archive.explored_coordinates[:, column]
@@ -220,13 +214,13 @@ def _places(space: dict[str, Any], points: Floats) -> Any:
     """Return points (..., 2) in units of the axes as nested lists of whole steps; null where they are NaN."""
     low, high = (np.array([axis[key] for axis in space["axes"]]) for key in ("low", "high"))
     steps = PLACES * (points - low) / (high - low)
-    nothing = np.isnan(steps).any(axis=-1)
+    missing = np.isnan(steps).any(axis=-1)
     whole = np.rint(np.clip(np.nan_to_num(steps), -1e6, 1e6)).astype(np.int64).tolist()
-    return _without(whole, nothing.tolist())
+    return _without(whole, missing.tolist())
 
 
-def _without(values: Any, nothing: Any) -> Any:
-    """Replace the innermost lists that are nothing by None."""
-    if isinstance(nothing, bool):
-        return None if nothing else values
-    return [_without(value, empty) for value, empty in zip(values, nothing, strict=True)]
+def _without(values: Any, missing: Any) -> Any:
+    """Replace the innermost lists that are missing by None."""
+    if isinstance(missing, bool):
+        return None if missing else values
+    return [_without(value, empty) for value, empty in zip(values, missing, strict=True)]

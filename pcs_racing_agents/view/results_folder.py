@@ -1,7 +1,7 @@
-"""The folder of a tournament or of a study, opened so that its races can be driven again.
+"""The folder of a tournament or of a study, from which its races can be repeated.
 
-What a folder holds says who raced whom, from where, and with which noise; an agent whose weights have changed since is
-told apart by its digest, and a race that comes out otherwise by its lead.
+A folder describes the competitors, starts and noise of its races. An agent that has changed since is detected by its
+hash, and a race with another result by its lead.
 """
 
 from collections.abc import Iterator, Mapping
@@ -43,13 +43,13 @@ class ResultsFolder:
     ----------
     folder : Path
     settings : Mapping
-        What they depend on, out of ``job.yaml``; of a tournament.
+        Settings of a tournament, from ``job.yaml``.
     races : RaceTable
-        What ``results.csv`` holds.
+        Content of ``results.csv``.
     study : Study, optional
-        The study that they belong to: its agents are not those of the zoo.
+        The study that they belong to, whose agents are used instead of the zoo's.
     tournament : bool
-        Whether it was all against all; else they are the races of a study's tables.
+        Whether they are a tournament; else they are the races of a study's tables.
     """
 
     folder: Path
@@ -70,18 +70,33 @@ class ResultsFolder:
             raise InputError(f"there is no race {number} in {self.folder}; it holds races 0 to {len(self.races) - 1}")
         return self.races[number]
 
-    @cached_property
-    def pairs(self) -> dict[tuple[str, str, str, str], NDArray[np.intp]]:
-        """Numbers of the races by the track, the pair and the seed that they belong to."""
-        return self.races.pairs
-
-    def pairing(self, row: RaceRow) -> Pairing:
-        """Return all races of the pair, on the track and of the seed of a line; its ``race`` is its number in them.
+    def check_lead(self, number: int, lead: float) -> None:
+        """Check that a repeated race ended with the lead that the results have, to four digits.
 
         Raises
         ------
         InputError
-            If the archive, the track or an agent is not what it was when the races were driven.
+            If it did not.
+        """
+        recorded = f"{self.row(number).lead:.4f}"
+        if f"{lead:.4f}" != recorded:
+            raise InputError(
+                f"race {number} came out otherwise than in {self.folder}: a lead of {lead:.4f} m instead of {recorded} "
+                "m; it was driven by another version"
+            )
+
+    @cached_property
+    def pairs(self) -> dict[tuple[str, str, str, str], NDArray[np.intp]]:
+        """Numbers of the races by track, pair and seed."""
+        return self.races.pairs
+
+    def pairing(self, row: RaceRow) -> Pairing:
+        """Return the pairing of a line, by track, pair and seed; ``row.race`` is the line's number in the pairing.
+
+        Raises
+        ------
+        InputError
+            If the archive, the track or an agent has changed since.
         """
         try:
             if self.study is not None and not self.tournament:
@@ -100,19 +115,19 @@ class ResultsFolder:
         InputError
             If it did not race here, or as :meth:`pairing`.
         """
-        firsts = [self.races[int(rows[0])] for rows in self.pairs.values()]
-        found = [row for row in firsts if agent in (row.ego, row.opponent)]
-        if not found:
+        firsts = [self.races[int(numbers[0])] for numbers in self.pairs.values()]
+        rows = [row for row in firsts if agent in (row.ego, row.opponent)]
+        if not rows:
             raise InputError(
                 f"{agent!r} did not race in {self.folder}; there are {', '.join(sorted(self.races.agents.words))}"
             )
-        for row in found:
+        for row in rows:
             for car, name in enumerate((row.ego, row.opponent)):
                 if name == agent:
                     yield self.pairing(row), car
 
     def _of_study(self, study: Study, row: RaceRow) -> Pairing:
-        """Pairings of a table have variants and lines of their own, which all their races together tell."""
+        # The variants and the number of lines of a pairing follow from all its races together.
         rows = self.pairs[row.track, row.ego, row.opponent, str(row.seed)]
         egos, opponents = (np.unique(self.races.variants[rows, car]).tolist() for car in range(2))
         lines = len(rows) // max(1, 2 * len(egos) * len(opponents))
@@ -145,40 +160,40 @@ def open_results(folder: str | Path) -> ResultsFolder:
     InputError
         If it is neither, or holds no results.
     """
-    place = Path(folder)
-    manifest = _manifest(place)
+    path = Path(folder)
+    manifest = _manifest(path)
     if manifest is None or manifest["kind"] not in ("tournament", "study"):
         raise InputError(
             f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing study' wrote with "
             "--out"
         )
     # A study keeps the races of its ratings in a folder of their own, and their lines beside it.
-    file, study = place / "results.csv", None
+    file, study = path / "results.csv", None
     if manifest["kind"] == "study":
-        study = Study(_study_config(manifest["settings"]), place, quiet=True)
+        study = Study(_study_config(manifest["settings"]), path, quiet=True)
     else:
-        above = _manifest(place.resolve().parent)
+        above = _manifest(path.resolve().parent)
         if above is not None and above["kind"] == "study":
-            study = Study(_study_config(above["settings"]), place.resolve().parent, quiet=True)
-            file = place.resolve().with_suffix(".csv")
+            study = Study(_study_config(above["settings"]), path.resolve().parent, quiet=True)
+            file = path.resolve().with_suffix(".csv")
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
     races = read_results(file, ("ego_variant", "opponent_variant"))
-    return ResultsFolder(place, manifest["settings"], races, study, manifest["kind"] == "tournament")
+    return ResultsFolder(path, manifest["settings"], races, study, manifest["kind"] == "tournament")
 
 
 def _manifest(folder: Path) -> dict[str, Any] | None:
-    """Return what a job's folder says about itself; None where there is no job."""
+    """Return the manifest of a job's folder; None if there is none."""
     file = folder / MANIFEST
     try:
-        found = read_job(file)
+        manifest = read_job(file)
     except FileNotFoundError:
         return None
     except (OSError, InputError) as error:
         raise InputError(f"{file} is damaged: {error}") from None
-    if not isinstance(found, dict) or not isinstance(found.get("settings"), dict) or "kind" not in found:
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("settings"), dict) or "kind" not in manifest:
         raise InputError(f"{file} is no manifest of a job")
-    return found
+    return manifest
 
 
 def _study_config(values: Mapping[str, Any]) -> StudyConfig:
@@ -189,7 +204,7 @@ def _study_config(values: Mapping[str, Any]) -> StudyConfig:
 
 
 def _game_config(values: Mapping[str, Any]) -> GameConfig:
-    """Rules out of a manifest; the move "stay" that every tournament adds is left to the race's own rules."""
+    """Return the rules in a manifest; the move "stay" is reset, since every tournament adds it."""
     return GameConfig(**{**_tuples(values), "race": RaceConfig(**_tuples(values["race"])), "stay": None})
 
 
@@ -199,9 +214,9 @@ def _tuples(values: Any) -> dict[str, Any]:
     return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
 
 
-def _check_same(what: str, found: str, wanted: str) -> None:
-    if found != wanted:
+def _check_same(noun: str, current: str, recorded: str) -> None:
+    if current != recorded:
         raise InputError(
-            f"{what} has changed since the races were driven (sha256 {found[:12]}, it was {str(wanted)[:12]}), so they "
-            "can't be driven again"
+            f"{noun} has changed since the races were driven (sha256 {current[:12]}, it was {str(recorded)[:12]}), so "
+            "they can't be driven again"
         )

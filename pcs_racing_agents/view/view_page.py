@@ -1,4 +1,4 @@
-"""The page that lists races and plays them: one file, nothing loaded, nothing sent.
+"""The page that lists races and plays them: a single file that loads and sends nothing.
 
 Its parts are ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the player, in a frame of its own) and
 ``beside.html`` (what the player shows beside the track).
@@ -27,28 +27,28 @@ _SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTA
 
 @dataclass(frozen=True)
 class ViewContent:
-    """What a page shows.
+    """Content of a page.
 
     Attributes
     ----------
     title : str
     races : RaceTable
     results : str
-        Where they lie, as it is to be written in a command.
+        Their path, as written in a command.
     start : str
         ``"side-by-side"``, or another kind of start, in which one car is in front.
     picks : sequence of Pick
-        Why those races were chosen that can be watched.
+        The races with replays.
     driven : sequence of DrivenRace
-        These races.
+        Their replays.
     circuits : mapping of str to dict
-        Of these races, by name.
+        Their circuits, by name.
     space : mapping, optional
         The Policy Characteristic Space.
     why_not : str
-        Why no race can be driven again; ``""`` where they can.
+        Why no race can be repeated; ``""`` if they can.
     serve : bool
-        Whether a server (:mod:`pcs_racing_agents.view.view_server`) drives the others when they are asked for.
+        Whether a server (:mod:`pcs_racing_agents.view.view_server`) repeats the others on request.
     """
 
     title: str
@@ -75,8 +75,8 @@ def view_page(content: ViewContent) -> str:
     list_page, player, beside = (_template(*place) for place in _TEMPLATES)
     shared = {name: text.strip() for name, text in _SHARED.findall(player)}
     driven = {race.race: race for race in content.driven}
-    table, where = content.races, shlex.quote(content.results)
-    commands = [f"pcs-racing view {where} --serve", f"pcs-racing view {where} --races {{race}}"]
+    table, path = content.races, shlex.quote(content.results)
+    commands = [f"pcs-racing view {path} --serve", f"pcs-racing view {path} --races {{race}}"]
     tracks, races = len(table.track.words), len(table)
     agents = len(table.agents.words)
     rules = ", ".join(word for word in table.preset.words if word)
@@ -149,12 +149,12 @@ def _joined(moves: Categorical) -> Categorical:
     """Return lists of moves as texts, shape (N, 2)."""
     codes = np.zeros(moves.codes.shape[:2], np.int64)
     for step in range(moves.codes.shape[2]):
-        # Numbered anew after every step, lest the numbers become too large.
+        # Renumbered after every step, so that the numbers do not overflow.
         mixed = codes * (len(moves.words) + 1) + moves.codes[:, :, step] + 1
         codes = np.unique(mixed, return_inverse=True)[1].reshape(codes.shape)
     _, first = np.unique(codes, return_index=True)
     lists = moves.codes.reshape(codes.size, moves.codes.shape[2])[first].tolist()
-    return Categorical(tuple("; ".join(moves.words[move] for move in made if move >= 0) for made in lists), codes)
+    return Categorical(tuple("; ".join(moves.words[move] for move in indices if move >= 0) for indices in lists), codes)
 
 
 _TEMPLATES = (

@@ -1,4 +1,4 @@
-"""A small server for one viewer on this machine: the page, and any race of it driven again when it is asked for.
+"""A small local server for the page of the viewer; it repeats races on request.
 
 It listens on 127.0.0.1 only and answers two addresses, ``/`` and ``/race/NUMBER``. Requests that another site's page
 makes a browser send are refused: by the name of the host that they ask for (a page that has rebound its own name to
@@ -26,13 +26,13 @@ _RACE = re.compile(r"/race/([0-9]{1,7})")
 
 
 class RaceService:
-    """Drives races one at a time and keeps the last answers.
+    """Repeats races one at a time and caches the last answers.
 
     Parameters
     ----------
     driver : RaceDriver
     races : int
-        How many there are.
+        Number of races.
     """
 
     def __init__(self, driver: RaceDriver, races: int) -> None:
@@ -94,18 +94,18 @@ def make_server(page: str, answer: Callable[[int], tuple[int, bytes]], port: int
 
         def do_GET(self) -> None:
             """Send the page or a race."""
-            here = self.connection.getsockname()[1]
+            own_port = self.connection.getsockname()[1]
             host = self.headers.get("Host", "")
             site = self.headers.get("Sec-Fetch-Site", "none")
-            found = _RACE.fullmatch(self.path)
-            if host not in (f"127.0.0.1:{here}", f"localhost:{here}"):
+            match = _RACE.fullmatch(self.path)
+            if host not in (f"127.0.0.1:{own_port}", f"localhost:{own_port}"):
                 self._send(403, _error("this server answers for 127.0.0.1 only"))
             elif site not in ("none", "same-origin"):
                 self._send(403, _error("another site's page asked for this"))
             elif self.path == "/":
                 self._send(200, content, "text/html; charset=utf-8")
-            elif len(self.path) <= LONGEST_PATH and found is not None:
-                self._send(*answer(int(found.group(1))))
+            elif len(self.path) <= LONGEST_PATH and match is not None:
+                self._send(*answer(int(match.group(1))))
             else:
                 self._send(404, _error("there is / and /race/NUMBER here"))
 

@@ -1,4 +1,4 @@
-"""Checkpoints: everything that a training depends on between two updates, as plain arrays instead of a pickle."""
+"""Checkpoints: the state of a training between two updates, as plain arrays instead of a pickle."""
 
 import json
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ PLAIN = "plain"
 
 
 def store_learner(learner: Learner) -> Arrays:
-    """Everything that the rest of the training depends on, between two updates."""
+    """Return everything that the rest of the training depends on, between two updates."""
     import torch
 
     model = learner.model
@@ -38,7 +38,7 @@ def store_learner(learner: Learner) -> Arrays:
 
 
 def restore_learner(learner: Learner, arrays: Arrays) -> None:
-    """Go on from what :func:`store_learner` returned, in a learner made with equal settings.
+    """Restore the state that :func:`store_learner` returned, in a learner with equal settings.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def restore_learner(learner: Learner, arrays: Arrays) -> None:
     model._n_updates = int(arrays["updates"])
     model._last_obs = arrays["observations"]
     model._last_episode_starts = arrays["episode_starts"]
-    # The generators last: what was done above may have drawn from them.
+    # The generators last: the steps above may have drawn from them.
     position, has_gauss, gauss = arrays["random.numpy_rest"]
     np.random.set_state(("MT19937", arrays["random.numpy"], int(position), int(has_gauss), gauss))  # noqa: NPY002
     torch.set_rng_state(torch.from_numpy(arrays["random.torch"]))
@@ -80,7 +80,7 @@ def under(arrays: Arrays, prefix: str) -> Arrays:
 
 
 def pack(value: Any) -> Arrays:
-    """Take a value apart.
+    """Convert a nested value to arrays.
 
     Parameters
     ----------
@@ -103,13 +103,13 @@ def pack(value: Any) -> Arrays:
 
 
 def unpack(arrays: Arrays, like: Any) -> Any:
-    """Put a value together that :func:`pack` took apart.
+    """Convert the arrays of :func:`pack` back to a nested value.
 
     Parameters
     ----------
     arrays : dict of ndarray
     like
-        A value of the same structure; its arrays say what shapes and types those of the result must have.
+        A value of the same structure, with arrays of the same shapes and types.
 
     Raises
     ------
@@ -119,12 +119,12 @@ def unpack(arrays: Arrays, like: Any) -> Any:
     try:
         plain = json.loads(arrays[PLAIN].tobytes())
     except (KeyError, ValueError):
-        raise InputError("the state is not one that was taken apart here") from None
-    found = {**plain, **{path: array for path, array in arrays.items() if path != PLAIN}}
-    if set(found) != {path for path, _ in _leaves(like, "")}:
-        odd = sorted(set(found) ^ {path for path, _ in _leaves(like, "")})[0]
-        raise InputError(f"the state is one of other environments: {odd} is in one of the two only")
-    return _filled(like, "", found)
+        raise InputError("the state is not one of a learner's environments") from None
+    values = {**plain, **{path: array for path, array in arrays.items() if path != PLAIN}}
+    if set(values) != {path for path, _ in _leaves(like, "")}:
+        key = sorted(set(values) ^ {path for path, _ in _leaves(like, "")})[0]
+        raise InputError(f"the state is one of other environments: {key} is in one of the two only")
+    return _filled(like, "", values)
 
 
 def _children(value: Any) -> dict[str, Any] | None:
@@ -146,17 +146,17 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
         yield from _leaves(item, f"{path}.{key}" if path else key)
 
 
-def _filled(like: Any, path: str, found: dict[str, Any]) -> Any:
+def _filled(like: Any, path: str, values: dict[str, Any]) -> Any:
     children = _children(like)
     if children is None:
-        leaf = found[path]
+        leaf = values[path]
         fits = isinstance(leaf, np.ndarray) == isinstance(like, np.ndarray)
         if fits and isinstance(like, np.ndarray):
             fits = leaf.shape == like.shape and leaf.dtype == like.dtype
         if not fits:
             raise InputError(f"the state is one of other environments: {path} has another shape or type")
         return leaf
-    filled = [_filled(item, f"{path}.{key}" if path else key, found) for key, item in children.items()]
+    filled = [_filled(item, f"{path}.{key}" if path else key, values) for key, item in children.items()]
     if isinstance(like, dict):
         return dict(zip(like, filled, strict=True))
     if isinstance(like, tuple) and hasattr(like, "_asdict"):

@@ -1,8 +1,8 @@
-"""Many races driven by one learner that sees what a network planner sees, and acts as its last layer does.
+"""The task at the control level: batches of races with the inputs and outputs of a network planner.
 
-The observation is :data:`pcs_racing.planners.network.INPUTS`, computed by the code of the planner itself. An
-action is what the network's output layer puts out before its ``tanh``; here and in the planner ``tanh`` makes it a
-steering angle and a speed. The mean of a Gaussian policy with tanh layers therefore *is* a network planner.
+The observation is :data:`pcs_racing.planners.network.INPUTS`, computed by the code of the planner itself. An action is
+the output of the network's last layer before its ``tanh``, which gives a steering angle and a speed here and in the
+planner. The mean of a Gaussian policy with tanh layers therefore *is* a network planner.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ EVALUATION_SEED = 1_000_003  # root of the races of evaluations
 
 
 class DrivesState(NamedTuple):
-    """A moment of :class:`Drives`."""
+    """The state of :class:`Drives`."""
 
     races: RaceState
     opponents: NDArray[np.int64]
@@ -72,11 +72,11 @@ class Drives:
     hold : int
         Simulation steps of 0.01 s for which an action holds; even.
     rivalry : float
-        Share of the opponent's progress that is taken off the own one.
+        Share of the opponent's progress that is subtracted from the own progress.
     leading : float
-        What a second in front is worth, m.
+        Reward of a second in front, m.
     crash_penalty : float
-        What a crash by own fault costs, m.
+        Penalty for a crash by own fault, m.
     """
 
     def __init__(
@@ -119,17 +119,17 @@ class Drives:
         return self._observe(self._rows, np.empty((len(self), len(INPUTS)), np.float32))
 
     def step(self, actions: NDArray[Any]) -> GroupStep:
-        """Drive every race one step on; ``actions`` has shape (n, 2)."""
+        """Advance every race by a step; ``actions`` has shape (n, 2)."""
         _, rewards, terminated, truncated = self.batch.step(np.tanh(actions.astype(np.float64)))
         rewards += self._leading * (self.batch.state.lead > 0.0)
-        seen = self._observe(self._rows, np.empty((len(self), len(INPUTS)), np.float32))
-        last = seen
+        observations = self._observe(self._rows, np.empty((len(self), len(INPUTS)), np.float32))
+        last = observations
         over = np.flatnonzero(terminated | truncated)
         if len(over):
-            last = seen.copy()
+            last = observations.copy()
             self.batch.restart(over, [self._rngs[i] for i in over])
-            self._observe(over, seen)
-        return GroupStep(seen, rewards, terminated, truncated, last)
+            self._observe(over, observations)
+        return GroupStep(observations, rewards, terminated, truncated, last)
 
     def _observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> NDArray[np.float32]:
         batch = self.batch
@@ -141,15 +141,15 @@ class Drives:
         return DrivesState(*self.batch.get_state(), [dict(rng.bit_generator.state) for rng in self._rngs])
 
     def set_state(self, state: DrivesState) -> None:
-        """Go on from what `get_state` returned, here or in equal races."""
+        """Restore the state that `get_state` returned, here or in equal races."""
         self.batch.set_state(state.races, state.opponents)
-        for rng, given in zip(self._rngs, state.generators, strict=True):
-            rng.bit_generator.state = given
+        for rng, generator in zip(self._rngs, state.generators, strict=True):
+            rng.bit_generator.state = generator
 
 
 @dataclass(frozen=True, eq=False)
 class DriveTask:
-    """Races to learn driving from; made by :func:`make_drive_task`.
+    """The learning task at the control level; :func:`make_drive_task` makes it.
 
     Attributes
     ----------
@@ -176,7 +176,7 @@ class DriveTask:
         return {"tracks_sha256": {track.name: track.content_hash for track in self.tracks}}
 
     def env_groups(self) -> list[Drives]:
-        """Make the environments to learn from: for each circuit, rules and planner of opponents."""
+        """Make the training environments: a group for each circuit, rules and planner of opponents."""
         settings = self.settings
         by_planner: dict[str, list[Policy]] = {}
         for policy, weight in zip(self.policies, settings.opponents.values(), strict=True):
@@ -199,7 +199,7 @@ class DriveTask:
         ]
 
     def learning_rules(self, track: Track, config: RaceConfig) -> RaceConfig:
-        """The rules with the duration and the slow opponents of learning."""
+        """Return the rules with the duration and the slow opponents of the training."""
         changes: dict[str, Any] = {"duration": self.settings.duration}
         if self.settings.slowest > 0.0:
             high = RaceSetup(track, config, (_learner_planner((), 2),) * 2).speed_range[1]
@@ -207,11 +207,11 @@ class DriveTask:
         return replace(config, **changes)
 
     def evaluate(self, layers: DenseLayers) -> dict[Matchup, Score]:
-        """Race as the planner that a policy becomes does, without exploring, under the unchanged rules."""
+        """Race with the planner of a policy, without exploration noise, under the unchanged rules."""
         policy = _learner_planner(layers.hidden, self.settings.hold).policy(layers.flat(), name="learner")
         names = list(self.settings.opponents)
-        each = 2 * max(1, self.settings.evaluation_races // (2 * len(names)))
-        opponents = [opponent for opponent in self.policies for _ in range(each)]
+        races = 2 * max(1, self.settings.evaluation_races // (2 * len(names)))
+        opponents = [opponent for opponent in self.policies for _ in range(races)]
         scores = {}
         for track in self.tracks:
             for config in self.rules:
@@ -219,7 +219,7 @@ class DriveTask:
                 winner, blamed = result.winner, result.own_crash[:, 0]
                 worth = np.where(winner == 0, 1.0, np.where((winner == 1) | blamed, -1.0, 0.0))
                 for k, name in enumerate(names):
-                    rows = np.arange(k * each, (k + 1) * each)
+                    rows = np.arange(k * races, (k + 1) * races)
                     scores[Matchup(track.name, config.name, name)] = score_races(
                         worth[rows], winner[rows], take(result.state, rows)
                     )
@@ -232,12 +232,12 @@ class DriveTask:
 
 @cache
 def _learner_planner(hidden: tuple[int, ...], hold: int) -> Planner:
-    """The planner of a network that still learns: its weights are parameters, so that it is compiled once."""
+    """Return the planner of a network in training: its weights are parameters, so that it is compiled once."""
     return network_planner("learner", hidden, hold=hold)
 
 
 def make_drive_task(settings: DriveSettings) -> DriveTask:
-    """Load what settings name, and check that it fits together.
+    """Load circuits, rules and opponents, and check that they fit together.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The task of strategy: games of moves against a mixture of opponents, to learn from and to be evaluated in."""
+"""The task at the strategy level: games of moves against a mixture of opponents."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -64,25 +64,25 @@ class Duels:
         return self.envs.reset(seed=seed)[0]
 
     def step(self, actions: NDArray[Any]) -> GroupStep:
-        """Let both cars of every game move; the reward is what a game that ends is worth."""
-        seen, rewards, terminated, truncated, info = self.envs.step(actions.astype(np.int64))
-        last = np.zeros_like(seen)
+        """Make the moves of both cars in every game; the reward at the end of a game is its utility."""
+        observations, rewards, terminated, truncated, info = self.envs.step(actions.astype(np.int64))
+        last = np.zeros_like(observations)
         for i in np.flatnonzero(terminated):
             last[i] = info["final_obs"][i]
-        return GroupStep(seen, rewards, terminated, truncated, last)
+        return GroupStep(observations, rewards, terminated, truncated, last)
 
     def get_state(self) -> Any:
         """Return all that the rest of the games, and all later ones, depend on."""
         return self.envs.get_state()
 
     def set_state(self, state: Any) -> None:
-        """Go on from what `get_state` returned."""
+        """Restore the state that `get_state` returned."""
         self.envs.set_state(state)
 
 
 @dataclass(frozen=True, eq=False)
 class DuelTask:
-    """Games to learn strategy from; made by :func:`make_duel_task`.
+    """The learning task at the strategy level; :func:`make_duel_task` makes it.
 
     Attributes
     ----------
@@ -92,11 +92,11 @@ class DuelTask:
     game : RaceGame
         On the first circuit; archive, moves and observations are the same on all.
     mixtures : tuple of tuple of (weight, name)
-        The opponents, those apart that drive with different planners.
+        The opponents, in a mixture for each planner.
     batches : mapping of Matchup to DuelBatch
-        Games to be evaluated in.
-    given : mapping
-        Rules that were given beside the settings, as plain values by name.
+        Games of the evaluation.
+    overrides : mapping
+        Rules in place of those of the settings, as plain values by name.
     """
 
     settings: DuelSettings
@@ -105,7 +105,7 @@ class DuelTask:
     game: RaceGame
     mixtures: tuple[tuple[tuple[int, str], ...], ...]
     batches: Mapping[Matchup, DuelBatch] = field(repr=False)
-    given: Mapping[str, Any] = field(default_factory=dict)
+    overrides: Mapping[str, Any] = field(default_factory=dict)
 
     activation = "relu"
     limit = 1e6
@@ -115,10 +115,10 @@ class DuelTask:
     def identity(self) -> dict[str, Any]:
         """What the results depend on beside the settings."""
         tracks = {track.name: track.content_hash for track in self.tracks}
-        return {"archive_sha256": self.archive.content_hash, "tracks_sha256": tracks, **self.given}
+        return {"archive_sha256": self.archive.content_hash, "tracks_sha256": tracks, **self.overrides}
 
     def env_groups(self) -> list[Duels]:
-        """Make the environments to learn from."""
+        """Make the training environments."""
         shares = split_envs(self.settings.envs, [sum(weight for weight, _ in mixture) for mixture in self.mixtures])
         return [
             Duels(share, track, self.archive, self.game.config, mixture)
@@ -127,7 +127,7 @@ class DuelTask:
         ]
 
     def network(self, layers: DenseLayers, name: str, about: Mapping[str, Any] | None = None) -> RegretNetwork:
-        """Return a policy as a network that any agent can ask; its values are the logits of the moves."""
+        """Return a policy as a network whose values are the logits of the moves."""
         size = len(self.game.observation_elements)
         return RegretNetwork(
             name=name,
@@ -141,7 +141,7 @@ class DuelTask:
         )
 
     def evaluate(self, layers: DenseLayers) -> dict[Matchup, Score]:
-        """Play the games of the evaluation, always making the most likely move."""
+        """Play the games of the evaluation with the most probable moves."""
         network = self.network(layers, "learner")
         seeds = group_seeds(0, len(self.batches), 1)
         return {
@@ -162,7 +162,7 @@ class DuelTask:
 def make_duel_task(
     settings: DuelSettings, archive: PolicyArchive | None = None, rules: GameConfig | None = None
 ) -> DuelTask:
-    """Load what settings name, and check that it fits together.
+    """Load circuits, archive, rules and opponents, and check that they fit together.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def make_duel_task(
     InputError
         If a circuit, the archive, the rules or an opponent is unknown, or they do not fit.
     """
-    given = {} if rules is None else {"game": asdict(rules)}
+    overrides = {} if rules is None else {"game": asdict(rules)}
     archive = load_archive(settings.archive) if archive is None else archive
     tracks = tuple(load_track(name) for name in settings.tracks)
     rules = load_game_config(settings.race, epsilon=settings.epsilon) if rules is None else rules
@@ -187,20 +187,20 @@ def make_duel_task(
         driver = parse_opponents(name, games[0].move_names)[0].driver
         planner = driver.planner.name if isinstance(driver, Policy) else archive.planner
         by_planner.setdefault(planner, []).append((weight, name))
-    each = max(2, settings.evaluation_races // len(settings.opponents))
+    races = max(2, settings.evaluation_races // len(settings.opponents))
     batches = {
         Matchup(track.name, games[0].config.race.name, name): DuelBatch(
-            each, track=track, archive=archive, race=rules, opponent=name, threads=1
+            races, track=track, archive=archive, race=rules, opponent=name, threads=1
         )
         for track in tracks
         for name in settings.opponents
     }
     mixtures = tuple(tuple(mixture) for mixture in by_planner.values())
-    return DuelTask(settings, archive, tracks, games[0], mixtures, batches, given)
+    return DuelTask(settings, archive, tracks, games[0], mixtures, batches, overrides)
 
 
 def play_duels(batch: DuelBatch, network: RegretNetwork, seed: int) -> Score:
-    """Let a network play a game everywhere in a batch, always its most likely move; returns the score.
+    """Play a batch of games with a network's most probable moves, and return the score.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def play_duels(batch: DuelBatch, network: RegretNetwork, seed: int) -> Score:
         Overwritten.
     network : RegretNetwork
     seed : int
-        Root of starts, policies and noise: the same seed gives every network the same games.
+        Seed of starts, policies and noise: the same seed gives every network the same games.
     """
     rngs = [seeding.np_random(seed + i)[0] for i in range(batch.games)]
     batch.restart(np.arange(batch.games), rngs)

@@ -29,12 +29,12 @@ __all__ = [
 
 
 class Matchup(NamedTuple):
-    """Which races an evaluation counts together.
+    """The races of an evaluation that share circuit, rules and opponent.
 
     Attributes
     ----------
     track, race, opponent : str
-        Names of the circuit, of the rules and of who drove car 1.
+        Names of the circuit, the rules and the opponent.
     """
 
     track: str
@@ -49,14 +49,14 @@ class Score(NamedTuple):
     ----------
     races : int
     worth : float
-        What the learner wants, on average: in duels the utility of a game; in drives 1 for a win, -1 for a defeat or a
+        Mean objective of the evaluation: in duels the utility of a game; in drives 1 for a win, -1 for a loss or a
         crash by own fault.
     error : float
-        Standard error of that.
+        Standard error of ``worth``.
     won, lost : float
         Shares of the races.
     crashed : float
-        Share that ended in a crash, whoever's.
+        Share that ended in a crash by any fault.
     at_fault : float
         Share that ended in a crash by the learner's fault.
     lead : float
@@ -98,7 +98,7 @@ def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: Race
 
 
 def mean_score(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> Score:
-    """Mean over matchups, each counting as its opponent does.
+    """Return the mean over matchups, weighted by opponent.
 
     Parameters
     ----------
@@ -115,15 +115,15 @@ def mean_score(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> S
 
 
 def score_table(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> str:
-    """Text for people: a line for each circuit and rules, the mean over opponents, and one for everything."""
+    """Return a text table: a line for each circuit and rules (mean over opponents), and one for all."""
     lines = [f"{'':28} {'worth':>8} {'+-':>6} {'won':>6} {'lost':>6} {'crashed':>8} {'at fault':>9} {'lead':>7}"]
-    places = list(dict.fromkeys((matchup.track, matchup.race) for matchup in scores))
-    for place in [*places, None]:
+    groups = list(dict.fromkeys((matchup.track, matchup.race) for matchup in scores))
+    for group in [*groups, None]:
         mean = mean_score(
-            {matchup: score for matchup, score in scores.items() if place in (None, matchup[:2])}, weights
+            {matchup: score for matchup, score in scores.items() if group in (None, matchup[:2])}, weights
         )
         lines.append(
-            f"{' '.join(place) if place else 'all':28} {mean.worth:8.3f} {mean.error:6.3f} {mean.won:6.1%} "
+            f"{' '.join(group) if group else 'all':28} {mean.worth:8.3f} {mean.error:6.3f} {mean.won:6.1%} "
             f"{mean.lost:6.1%} {mean.crashed:8.1%} {mean.at_fault:9.1%} {mean.lead:5.1f} m"
         )
     return "\n".join(lines)

@@ -1,7 +1,7 @@
-"""PPO of Stable-Baselines3: made from settings, and updated step by step.
+"""A PPO model of Stable-Baselines3, built from settings and trained one update at a time.
 
-Stable-Baselines3 draws from the random generators that a whole process shares. :func:`own_randomness` lends them to a
-learner and gives them back as they were.
+Stable-Baselines3 uses the global random generators of the process. :func:`own_randomness` restores their states after a
+learner has used them.
 """
 
 import random
@@ -32,11 +32,11 @@ __all__ = [
 ]
 
 FIGURES = ("approx_kl", "clip_fraction", "entropy_loss", "explained_variance", "value_loss")
-"""What is kept of every update, by the names of Stable-Baselines3."""
+"""Recorded figures of every update, by the names of Stable-Baselines3."""
 
 
 class Learner(NamedTuple):
-    """A model and what it needs beside it.
+    """A PPO model with its learning-rate schedule and weight limit.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class LinearRate:
 
 
 def check_packages() -> None:
-    """Check that what trains is installed.
+    """Check that Stable-Baselines3 is installed.
 
     Raises
     ------
@@ -79,30 +79,30 @@ def check_packages() -> None:
 
 @contextmanager
 def own_randomness() -> Iterator[None]:
-    """Keep the process's random generators as they were; in between they and torch belong to one thread alone."""
+    """Restore the process's random generators at the end; until then one thread alone may use them and torch."""
     with torch_alone() as torch:
-        kept = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
+        states = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
         try:
             yield
         finally:
-            random.setstate(kept[0])
-            np.random.set_state(kept[1])  # noqa: NPY002
-            torch.set_rng_state(kept[2])
+            random.setstate(states[0])
+            np.random.set_state(states[1])  # noqa: NPY002
+            torch.set_rng_state(states[2])
 
 
 def make_learner(
     settings: PPOSettings, groups: Sequence[EnvGroup], seed: int, activation: str, limit: float
 ) -> Learner:
-    """Make a learner that has learned nothing yet.
+    """Make an untrained learner.
 
     Parameters
     ----------
     settings : PPOSettings
     groups : sequence of EnvGroup
-        What it is to drive in.
+        Training environments.
     seed : int
     activation : {"relu", "tanh"}
-        Between the layers.
+        Activation between the layers.
     limit : float
         Largest weight of the policy.
     """
@@ -118,16 +118,16 @@ def make_learner(
         "net_arch": {"pi": list(settings.hidden), "vf": list(settings.value_hidden)},
         "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[activation],
     }
-    smooth: dict[str, Any] = {}
+    exploration: dict[str, Any] = {}
     if isinstance(settings, DriveSettings):
         noise = settings.noise
         if settings.noise_steps:
             # One deviation for each neuron of the last hidden layer, whose outputs are about a half in size.
             noise /= 0.5 * np.sqrt(settings.hidden[-1] if settings.hidden else len(INPUTS))
-            smooth = {"use_sde": True, "sde_sample_freq": settings.noise_steps}
+            exploration = {"use_sde": True, "sde_sample_freq": settings.noise_steps}
         policy["log_std_init"] = float(np.log(noise))
-    seen = settings.rollout * envs.num_envs
-    batches = -(-seen // settings.batch_size)
+    steps = settings.rollout * envs.num_envs
+    batches = -(-steps // settings.batch_size)
     with warnings.catch_warnings():  # of batches of unequal size: the last is hardly smaller
         warnings.simplefilter("ignore", UserWarning)
         model = PPO(
@@ -136,7 +136,7 @@ def make_learner(
             seed=seed,
             learning_rate=rate,
             n_steps=settings.rollout,
-            batch_size=-(-seen // batches),
+            batch_size=-(-steps // batches),
             n_epochs=settings.epochs,
             gamma=settings.discount,
             gae_lambda=settings.gae_lambda,
@@ -146,14 +146,14 @@ def make_learner(
             max_grad_norm=settings.max_gradient,
             policy_kwargs=policy,
             device="cpu",
-            **smooth,
+            **exploration,
         )
     model.set_logger(Logger(None, []))
     return Learner(model, rate, limit)
 
 
 def learn_once(learner: Learner) -> dict[str, float]:
-    """Drive as far as one update needs, and make it; returns :data:`FIGURES` and the mean reward of a step.
+    """Collect the steps of one update, and make it; return :data:`FIGURES` and the mean reward of a step.
 
     Raises
     ------
@@ -164,17 +164,17 @@ def learn_once(learner: Learner) -> dict[str, float]:
 
     model = learner.model
     learner.rate.steps = model.num_timesteps
-    trouble = False
+    is_nan = False
     try:
         model.learn(model.n_steps * model.n_envs, reset_num_timesteps=False, log_interval=None)  # type: ignore[arg-type]
     except ValueError as error:  # torch's distributions refuse NaN
         if isinstance(error, InputError):
             raise
-        trouble = True
+        is_nan = True
     with torch.no_grad():
         for parameter in _actor(model):
             parameter.clamp_(-learner.limit, learner.limit)
-    if trouble or not all(torch.isfinite(parameter).all() for parameter in model.policy.parameters()):
+    if is_nan or not all(torch.isfinite(parameter).all() for parameter in model.policy.parameters()):
         raise InputError(
             f"a weight is no longer a number after {model.num_timesteps} steps; take a learning_rate below "
             f"{learner.rate.first:g}"
@@ -187,7 +187,7 @@ def learn_once(learner: Learner) -> dict[str, float]:
 
 
 def actor_layers(learner: Learner) -> DenseLayers:
-    """Copies of the layers of the policy."""
+    """Return copies of the layers of the policy."""
     return layers_from_torch(_actor(learner.model))
 
 

@@ -1,4 +1,4 @@
-"""The training with one seed: everything that it depends on is in its state, which any process can go on from."""
+"""Training with one seed, in pieces that any process can continue from the state of the piece before."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -79,7 +79,7 @@ class SeedRecord:
             self.best_at, self.best = len(self.scores) - 1, layers
 
     def arrays(self) -> Arrays:
-        """Everything, as arrays; there must have been an evaluation and an update."""
+        """Return the record as arrays; it must hold an evaluation and an update."""
         assert self.best is not None
         arrays = {
             "curve.steps": np.array(self.steps, np.int64),
@@ -96,7 +96,7 @@ class SeedRecord:
 
     @classmethod
     def from_arrays(cls, seed: int, weights: Mapping[str, int], arrays: Arrays) -> "SeedRecord":
-        """Return what `arrays` took apart."""
+        """Return the record from its arrays."""
         matchups = [Matchup(*(str(text) for text in row)) for row in arrays["curve.matchups"]]
         count = sum(key.startswith("best.weights.") for key in arrays)
         best = (tuple(arrays[f"best.{kind}.{i}"] for i in range(count)) for kind in ("weights", "biases"))
@@ -118,14 +118,14 @@ class SeedRecord:
 
 @dataclass(frozen=True, eq=False)
 class SeedTraining:
-    """Trains with a seed, piece by piece; travels to other processes together with the task.
+    """A function that trains with a seed for some time; it is sent to other processes with the task.
 
     Attributes
     ----------
     task : LearningTask
     settings : PPOSettings
     seconds : float
-        Length of a piece; it has no influence on the result, nor has the process that does it.
+        Duration of a call; it does not change the result, nor does the process.
     on_update : callable, optional
         Called with the record at the beginning of a piece and after every update.
     """
@@ -136,7 +136,7 @@ class SeedTraining:
     on_update: Callable[[SeedRecord], None] | None = None
 
     def __call__(self, piece: tuple[int, Arrays | None]) -> Arrays:
-        """Train with a seed from the start, or from the state in which another piece has stopped, for some time."""
+        """Train with a seed from the start, or from the state that an earlier call returned."""
         seed, state = piece
         task, settings = self.task, self.settings
         with own_randomness():

@@ -1,4 +1,4 @@
-"""How a driver or an agent is trained by PPO: declared settings."""
+"""Declared settings of training by PPO, at the strategy level and at the control level."""
 
 import os
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ _REWARD_SCALE = "What rewards are multiplied by before they are learned from."
 
 @dataclass(frozen=True, kw_only=True)
 class PPOSettings(Settings):
-    """What both levels have in common; the names of PPO's hyperparameters are those of Schulman et al. 2017."""
+    """Settings that both levels share; the names of PPO's hyperparameters are those of Schulman et al. 2017."""
 
     tracks: tuple[str, ...] = setting(TRAINING_TRACKS, names(), "Circuits of the training.")
     opponents: Mapping[str, int] = setting({}, _OPPONENTS, "Opponents, and the relative frequency of each.")
@@ -77,7 +77,7 @@ class PPOSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class DuelSettings(PPOSettings):
-    """Training at the level of strategy: a step is a move, of which a game has few."""
+    """Settings of training at the strategy level: a step is a move."""
 
     level: str = setting("duel", choice(("duel",)), "Level of the training.")
     archive: str = setting("default", text(), "Name or folder of the archive of policies.")
@@ -95,7 +95,7 @@ class DuelSettings(PPOSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class DriveSettings(PPOSettings):
-    """Training at the level of control: a step is a steering angle and a speed."""
+    """Settings of training at the control level: a step is a steering angle and a speed."""
 
     level: str = setting("drive", choice(("drive",)), "Level of the training.")
     races: tuple[str, ...] = setting(
@@ -156,7 +156,7 @@ class DriveSettings(PPOSettings):
 
 
 LEVELS: dict[str, PPOSettings] = {"duel": DuelSettings(), "drive": DriveSettings()}
-"""Settings that a file's are filled up with, by its ``level``."""
+"""Default settings, by level."""
 
 
 def load_ppo_settings(source: str | Path | PPOSettings, **changes: Any) -> PPOSettings:

@@ -1,6 +1,6 @@
-"""What PPO learns: a task, with groups of environments to learn in and races to be evaluated in.
+"""The interface of learning tasks: groups of training environments, and an evaluation.
 
-A group holds races side by side that share a circuit, rules and a mixture of opponents.
+The races of a group share a circuit, rules and a mixture of opponents.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,7 +49,7 @@ class EnvGroup(Protocol):
         """Number of environments."""
 
     def reset(self, seed: int) -> NDArray[np.float32]:
-        """Begin everywhere; environment ``i`` draws from a generator with seed ``seed + i``."""
+        """Reset all environments; environment ``i`` draws from a generator with seed ``seed + i``."""
 
     def step(self, actions: NDArray[Any]) -> GroupStep:
         """Make a step."""
@@ -58,11 +58,11 @@ class EnvGroup(Protocol):
         """Return all that the rest of the episodes, and all later ones, depend on: nested tuples of arrays."""
 
     def set_state(self, state: Any) -> None:
-        """Go on from what `get_state` returned, here or in an equal group."""
+        """Restore the state that `get_state` returned, here or in an equal group."""
 
 
 class LearningTask(Protocol):
-    """What PPO learns: :class:`pcs_racing_agents.learning.ppo.duels.DuelTask`, or ``DriveTask`` for driving.
+    """A learning task: :class:`pcs_racing_agents.learning.ppo.duels.DuelTask` or ``DriveTask``.
 
     Attributes
     ----------
@@ -87,17 +87,17 @@ class LearningTask(Protocol):
         """What the results depend on beside the settings."""
 
     def env_groups(self) -> Sequence[EnvGroup]:
-        """Make the environments to learn in."""
+        """Make the training environments."""
 
     def evaluate(self, layers: DenseLayers) -> dict[Matchup, Score]:
-        """Race without exploring; returns the scores."""
+        """Race without exploration noise, and return the scores."""
 
     def save(self, layers: DenseLayers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
         """Write a policy."""
 
 
 def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
-    """Seeds far enough apart that no two groups, seeds or purposes share a generator.
+    """Return seeds so far apart that no two groups, seeds or purposes share a generator.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
 
 
 def split_envs(envs: int, weights: Sequence[int]) -> list[int]:
-    """Share environments out in proportion to weights, at least one to each.
+    """Return numbers of environments in proportion to weights, at least one for each.
 
     Examples
     --------

@@ -1,10 +1,10 @@
-"""Training by PPO: from settings to weights and curves, in a folder that a stopped training goes on in.
+"""Training by PPO: from settings to weights and learning curves, in a folder in which a stopped training resumes.
 
-Between two updates everything that a training depends on is plain arrays: the races under way with their generators,
-the networks, the optimiser, and the random generators of the process. Every few seconds a training stops and goes on
-from these arrays, here or in another process; they are kept as a checkpoint. A training that was stopped, or that went
-from one worker to another, therefore ends with the same weights, to the bit, as one that was not (on the same machine
-and versions; torch promises no more).
+Between two updates the state of a training is plain arrays: the current races with their generators, the networks, the
+optimiser, and the random generators of the process. Every few seconds a training is stopped and continued from these
+arrays, here or in another process, and they are stored as a checkpoint. A training that was interrupted, or moved from
+one worker to another, therefore ends with the same weights, to the bit (on the same machine and versions; torch
+guarantees no more).
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ CHECKPOINT_SECONDS = 20.0
 
 @dataclass(frozen=True, eq=False)
 class PPOResult:
-    """A trained policy and how the training went.
+    """A trained policy and its learning curves.
 
     Attributes
     ----------
@@ -52,9 +52,9 @@ class PPOResult:
     steps : int
         After which it was evaluated.
     scores : mapping of Matchup to Score
-        That evaluation. It is a little flattering: the best of many, in the same races every time.
+        That evaluation. It is biased upwards: the best of many, in the same races every time.
     seconds : float
-        That all seeds took, with all interruptions left out.
+        Time of the training with all seeds, without interruptions.
     folder : Path
         Holds the weights, what describes them, and the curves.
     """
@@ -82,7 +82,7 @@ def train_ppo(
     rules: GameConfig | None = None,
     **changes: Any,
 ) -> PPOResult:
-    """Train by PPO, or go on with a training that was stopped.
+    """Train by PPO, or resume a training that was stopped.
 
     Parameters
     ----------
@@ -99,17 +99,16 @@ def train_ppo(
         with a checkpoint. Threads are not used, since torch's random generator belongs to the process. It has no
         influence on the result.
     progress : callable, optional
-        Called after every update, and where other processes train after every piece, as ``progress(steps, of all seeds,
-        what)``.
+        Called as ``progress(steps, total of all seeds, label)`` after every update, or after every piece of a training
+        in another process.
     checkpoint_seconds : float
-        Time between two checkpoints; it has no influence on the result.
+        Time between two checkpoints; it does not change the result.
     policies : PolicyArchive, optional
-        Archive of the game, in place of the one that the settings of a duel name: one that has just been made, for
-        instance.
+        Archive in place of that of the settings of a duel.
     rules : GameConfig, optional
-        Of the game, in place of the race and the size of moves that the settings of a duel name.
+        Rules in place of the race and the size of moves in the settings of a duel.
     **changes
-        PPOSettings that are to be others.
+        Fields of the settings to change.
 
     Returns
     -------
@@ -126,7 +125,7 @@ def train_ppo(
     """
     settings = load_ppo_settings(config, **changes)
     check_checkpoint_seconds(checkpoint_seconds)
-    if isinstance(settings, DuelSettings):  # what is written of them is what they were
+    if isinstance(settings, DuelSettings):  # the stored settings must name what was used
         if policies is not None:
             settings = replace(settings, archive=policies.name)
         if rules is not None:
@@ -141,8 +140,8 @@ def train_ppo(
     def report(record: SeedRecord) -> None:
         steps[record.seed] = settings.steps if record.finished else min(record.steps_made, settings.steps)
         if progress is not None:
-            what = f"seed {record.seed}, worth {record.last_worth:.3f}"
-            progress(sum(steps.values()), settings.steps * len(steps), what)
+            label = f"seed {record.seed}, worth {record.last_worth:.3f}"
+            progress(sum(steps.values()), settings.steps * len(steps), label)
 
     def read(index: int, state: Arrays) -> SeedRecord:
         return SeedRecord.from_arrays(settings.seeds[index], settings.opponents, state)
@@ -202,7 +201,7 @@ def make_task(
 
 
 def check_checkpoint_seconds(seconds: float) -> None:
-    """Refuse a time between two checkpoints that is none.
+    """Check the time between two checkpoints.
 
     Raises
     ------
@@ -227,7 +226,7 @@ def _write_updates(runs: Sequence[SeedRecord], file: Path) -> None:
 
 
 def _about(trained: PPOResult) -> dict[str, str | int | float | bool]:
-    """What the policy's own files say of its training: texts and numbers by name."""
+    """Return facts about the training for the policy's manifest: texts and numbers by name."""
     import stable_baselines3
     import torch
 

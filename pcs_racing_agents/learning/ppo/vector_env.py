@@ -21,9 +21,9 @@ class GroupedVecEnv(VecEnv):
     groups : sequence of EnvGroup
         All with the same spaces.
     seed : int
-        Root of everything that is drawn in them.
+        Seed of all random draws in them.
     reward_scale : float
-        What rewards are multiplied by.
+        Factor of the rewards.
     """
 
     def __init__(self, groups: Sequence[EnvGroup], seed: int, reward_scale: float = 1.0) -> None:
@@ -34,7 +34,7 @@ class GroupedVecEnv(VecEnv):
         super().__init__(int(self._edges[-1]), self.groups[0].observation_space, self.groups[0].action_space)
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin everywhere anew, with the same seeds every time."""
+        """Reset all environments, with the same seeds every time."""
         seeds = group_seeds(self._root, len(self.groups), 0)
         return np.concatenate([group.reset(seed) for group, seed in zip(self.groups, seeds, strict=True)])
 
@@ -58,7 +58,7 @@ class GroupedVecEnv(VecEnv):
         return [group.get_state() for group in self.groups]
 
     def set_state(self, state: Sequence[Any]) -> None:
-        """Go on from what `get_state` returned."""
+        """Restore the state that `get_state` returned."""
         for group, value in zip(self.groups, state, strict=True):
             group.set_state(value)
 

@@ -1,4 +1,4 @@
-"""Learning from branched races: what every move leads to, from the same moment and with the same noise."""
+"""Learned responses: networks trained on branched races, in which every move is tried with the same noise."""
 
 from pcs_racing_agents.learning.responses.branches import Branches, branch_games
 from pcs_racing_agents.learning.responses.ensemble import merge_networks

@@ -1,7 +1,7 @@
-"""Branching games: from one moment every move is tried in turn, against the same opponent and with the same noise.
+"""Branched games: at one step every move is tried, against the same opponent and with the same noise.
 
-What is the same in all branches of a game cancels in their differences (common random numbers), so the advantage of a
-move over another can be seen in far fewer games than by playing each move in games of its own.
+With these common random numbers, the noise of a difference between two moves is small, so that far fewer games are
+needed than with separate games for each move.
 """
 
 from collections.abc import Sequence
@@ -19,24 +19,24 @@ from pcs_racing_agents.tournament.matches import moves_of
 __all__ = ["WORTH", "Branches", "branch_games", "outcome"]
 
 WORTH = ("win", "utility")
-"""What an outcome is worth: 1 for a race won, 0.5 for a tie and 0 otherwise, or the game's utility."""
+"""Values of an outcome: 1 for a race won, 0.5 for a tie and 0 otherwise ("win"), or the game's utility."""
 
 
 class Branches(NamedTuple):
-    """What every move led to in some games that were still going on.
+    """Outcomes of every move in R games that were not over at the step of the branching.
 
     Attributes
     ----------
     observations : ndarray, shape (R, D), float32
-        What car 0 saw.
+        Observations of car 0.
     outcomes : ndarray, shape (R, A)
-        What the game was worth to car 0 in the end after each move.
+        Value of the game's result for car 0 after each move.
     game : ndarray, shape (R,), int64
-        Which of the games it is; those that were over before the moment are absent.
+        Index of the game; games that were over before are absent.
     behaviour : ndarray, shape (R,), int64
-        Index of the behaviour that played car 0 until then.
+        Index of the behaviour of car 0 before the branching.
     rival : ndarray, shape (R,), int64
-        Policy of car 1 at the moment, which car 0 can only guess; -1 for a driver.
+        Policy of car 1 at the branching, which car 0 can't observe; -1 for a driver.
     leads : ndarray, shape (R, A)
         Lead of car 0 when the race ended, m.
     crashed : ndarray, shape (R, A), bool
@@ -53,7 +53,7 @@ class Branches(NamedTuple):
 
 
 def outcome(game: RaceGame, state: GameState, worth: str = "win") -> NDArray[np.float64]:
-    """What games that are over were worth to car 0, shape (B,).
+    """Return the value of games that are over for car 0, shape (B,).
 
     Raises
     ------
@@ -79,25 +79,25 @@ def branch_games(
     worth: str = "win",
     count: int | None = None,
 ) -> Branches:
-    """Play games up to a step, try every move there, and play all branches to their end.
+    """Play games up to a step, branch them into all moves, and play all branches to their end.
 
     Parameters
     ----------
     game : RaceGame
     opponent : Competitor
-        Of car 1. A driver's policies are taken in turn, by the game's key.
+        Competitor in car 1. Of a driver, the game's key selects the policy.
     keys : array of int, shape (B,)
-        Keys of the games (:func:`pcs_racing.race_seeds`): they decide starts, policies and noise.
+        Keys of the games (:func:`pcs_racing.race_seeds`): they determine starts, policies and noise.
     step : int
         Moves made before the branching, 0 to ``moves - 1``.
     behaviours : sequence of Competitor
-        Who plays car 0 until then; taken in turn, game by game.
+        Competitors in car 0 before the branching; they take turns, game by game.
     continuation : Competitor
-        Who plays it afterwards.
+        Competitor in car 0 afterwards.
     worth : {"win", "utility"}
-        What outcomes are worth.
+        Value of an outcome.
     count : int, optional
-        How many of the moves are tried, from the first on; by default all.
+        Number of moves to try, from the first on; by default all.
 
     Raises
     ------
@@ -107,42 +107,35 @@ def branch_games(
     if not 0 <= step < game.config.moves:
         raise InputError(f"step is {step}; it must lie in 0 to {game.config.moves - 1}")
     numbers = np.asarray(keys, np.uint64)
-    drivers = None
+    policies = None
     if isinstance(opponent, Driver):
-        drivers = [opponent.policies[int(key % np.uint64(len(opponent.policies)))] for key in numbers]
-    state = game.reset(numbers, opponents=drivers)
-    turn = np.arange(state.games) % len(behaviours)
+        policies = [opponent.policies[int(key % np.uint64(len(opponent.policies)))] for key in numbers]
+    state = game.reset(numbers, opponents=policies)
+    behaviour_of = np.arange(state.games) % len(behaviours)
     for _ in range(step):
         moves = np.zeros(state.games, np.int64)
         for i, behaviour in enumerate(behaviours):
-            rows = np.flatnonzero(turn == i)
+            rows = np.flatnonzero(behaviour_of == i)
             moves[rows] = moves_of(behaviour, game, take_games(state, rows), 0)
-        state = game.step(state, np.stack([moves, _reply(opponent, game, state)], axis=1))
-    going = np.flatnonzero(~game.done(state))
+        state = game.step(state, np.stack([moves, moves_of(opponent, game, state, 1)], axis=1))
+    running = np.flatnonzero(~game.done(state))
     count = len(game.move_names) if count is None else count
-    state = take_games(state, going)
-    seen, rival = game.observation(state)[:, 0], state.policy[:, 1].copy()
-    reply = _reply(opponent, game, state)
-    tried = np.tile(np.arange(count), len(going))
-    state = take_games(state, np.repeat(np.arange(len(going)), count))
-    state = game.step(state, np.stack([tried, np.repeat(reply, count)], axis=1))
+    state = take_games(state, running)
+    observations, rival = game.observation(state)[:, 0], state.policy[:, 1].copy()
+    opponent_moves = moves_of(opponent, game, state, 1)
+    branch_moves = np.tile(np.arange(count), len(running))
+    state = take_games(state, np.repeat(np.arange(len(running)), count))
+    state = game.step(state, np.stack([branch_moves, np.repeat(opponent_moves, count)], axis=1))
     while not game.done(state).all():
         moves = moves_of(continuation, game, state, 0)
-        state = game.step(state, np.stack([moves, _reply(opponent, game, state)], axis=1))
-    shape = len(going), count
+        state = game.step(state, np.stack([moves, moves_of(opponent, game, state, 1)], axis=1))
+    shape = len(running), count
     return Branches(
-        observations=seen,
+        observations=observations,
         outcomes=outcome(game, state, worth).reshape(shape),
-        game=going,
-        behaviour=turn[going],
+        game=running,
+        behaviour=behaviour_of[running],
         rival=rival,
         leads=np.asarray(state.race.lead, np.float64).reshape(shape),
         crashed=state.race.crashed.reshape(shape),
     )
-
-
-def _reply(opponent: Competitor, game: RaceGame, state: GameState) -> NDArray[np.int64]:
-    """Moves of car 1; those of a driver do nothing."""
-    if isinstance(opponent, Driver):
-        return np.zeros(state.games, np.int64)
-    return moves_of(opponent, game, state, 1)

@@ -1,4 +1,4 @@
-"""Several networks as one: the mean of small networks is itself a network, a wider one with blocks in its layers."""
+"""Ensembles as single networks: the mean of several networks is a wider network with block-diagonal layers."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ __all__ = ["merge_networks"]
 
 
 def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwork:
-    """Return a network that puts out the mean of what these put out.
+    """Return a network whose output is the mean of the outputs of several networks.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwor
     weights, biases = [], []
     last = len(first.layers.weights) - 1
     for layer in range(last + 1):
-        # The members see inputs in scales of their own; the merged network sees those of the first.
+        # Each member scales its inputs in its own way; the merged network has the scaling of the first.
         blocks, shifts = zip(*(_layer(network, layer, first) for network in networks), strict=True)
         if layer == last:
             share = np.float64(1.0 / len(networks))

@@ -1,9 +1,9 @@
-"""Learning to answer opponents: what each move adds, step by step from the last one back, on branched games.
+"""Learned responses: approximate best responses to a pool of opponents, by backward induction on branched games.
 
-At the last step every move is tried in games against a pool of opponents, and a network learns from what was seen
-what each move adds there. Then at the step before, the branches being played on by that network, and so on. It is
-fitted Q-iteration (Ernst et al. 2005) over a finite horizon with one pass per round, on advantages whose noise common
-random numbers take away. Nothing of the circuit is in what the network sees, so it can be used on any.
+At the last step every move is tried in games against the pool, and a network learns the advantage of each move from
+the observation. Then the same at the step before, where that network makes the later moves, and so on. It is fitted
+Q-iteration (Ernst et al. 2005) over a finite horizon with one pass per round, on advantages whose variance is reduced
+by common random numbers. An observation holds nothing about the circuit, so the network can be used on any.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ BLOCK = 256  # games branched in one task: about a second of work
 
 @dataclass(frozen=True)
 class ResponseSettings(Settings):
-    """How an answer to opponents is learned."""
+    """Settings of the training of a response."""
 
     starts: int = setting(
         1024,
@@ -63,7 +63,7 @@ class ResponseSettings(Settings):
     seed: int = setting(0, whole(0, 2**57 - 1), "Seed of the games and of the networks.")
 
     def train_settings(self, member: int) -> TrainSettings:
-        """Return how one of the networks is fitted."""
+        """Return the settings of one of the networks."""
         return TrainSettings(
             hidden=self.hidden,
             learning_rate=self.learning_rate,
@@ -90,7 +90,7 @@ def load_response_settings(source: str | Path | ResponseSettings | None = None, 
 
 
 class BranchTask(NamedTuple):
-    """Games that are branched together.
+    """The games of one task.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ def learn_response(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> RegretNetwork:
-    """Learn what each move adds against a pool of opponents.
+    """Learn the advantage of each move against a pool of opponents.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def learn_response(
         Archive and rules, as agents know them.
     settings : ResponseSettings
     job : Job
-        Where branches are kept: a stopped run goes on with them.
+        Stores branches, so that a stopped run can be resumed.
     name : str
         Of the network.
     executor : Executor, optional
@@ -154,9 +154,9 @@ def learn_response(
     if len(games) == 0 or len(pool) == 0:
         raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")
     identity = game_identity(games[0])
-    # Opponents may keep their policy whatever the rules; the learner has the moves that the rules offer.
-    chances = (np.arange(len(setting.moves)) < len(identity.moves)) / len(identity.moves)
-    random_moves = _agent("random-moves", ConstantStrategy(chances), setting, settings.seed)
+    # Opponents always have the move "stay"; the learner only has the moves that the rules offer.
+    probabilities = (np.arange(len(setting.moves)) < len(identity.moves)) / len(identity.moves)
+    random_moves = Agent("random-moves", ConstantStrategy(probabilities), setting, settings.seed)
     arenas = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
     for game in games:
         if game_identity(game) != identity:
@@ -166,25 +166,27 @@ def learn_response(
 
     def fit(members: int) -> RegretNetwork:
         learn = partial(_learn, join_rows(rows), identity, name)
-        wanted = [settings.train_settings(i) for i in range(members)]
-        found = dict(run_tasks(numbered_tasks(learn, wanted), in_other_processes(executor), f"learning {name}"))
-        return merge_networks([found[i] for i in range(members)], name)
+        member_settings = [settings.train_settings(i) for i in range(members)]
+        networks = dict(
+            run_tasks(numbered_tasks(learn, member_settings), in_other_processes(executor), f"learning {name}")
+        )
+        return merge_networks([networks[i] for i in range(members)], name)
 
     steps = games[0].config.moves
     for round_ in range(settings.rounds):
         behaviours = [random_moves] if network is None else [random_moves, _follow(network, setting)]
         for step in reversed(range(steps)):
-            # At the last step nothing is left to be decided afterwards.
+            # In the first pass the branches of the last step have no later moves, so any continuation does.
             continuation = random_moves if network is None else _follow(network, setting)
             tasks = _tasks(len(games), len(pool), settings, step, round_)
             work = partial(_branch, arenas, pool, behaviours, continuation, settings.worth, len(identity.moves))
-            found = job.run(f"round-{round_}-step-{step}", work, tasks, executor=executor, progress=progress)
-            rows += [_rows(arrays, task) for arrays, task in zip(found, tasks, strict=True) if len(arrays["game"])]
+            networks = job.run(f"round-{round_}-step-{step}", work, tasks, executor=executor, progress=progress)
+            rows += [_rows(arrays, task) for arrays, task in zip(networks, tasks, strict=True) if len(arrays["game"])]
             last = round_ == settings.rounds - 1 and step == 0
             network = fit(settings.members if last else min(settings.members, 2))
     assert network is not None
     rest = {key: value for key, value in network.training.items() if key != "rows"}
-    summary = {"rows": sum(len(part) for part in rows), "worth": settings.worth, **rest}
+    summary = {"rows": sum(len(block) for block in rows), "worth": settings.worth, **rest}
     return replace(network, training=summary)
 
 
@@ -192,12 +194,8 @@ def _learn(rows: Rows, identity: GameIdentity, name: str, settings: TrainSetting
     return train_network(rows, identity, settings, name=name, target="advantage")[0]
 
 
-def _agent(name: str, strategy: Any, setting: Setting, seed: int) -> Agent:
-    return Agent(name, strategy, setting, seed)
-
-
 def _follow(network: RegretNetwork, setting: Setting) -> Agent:
-    return _agent(network.name, NetworkStrategy(network, "argmax", len(setting.moves)), setting, 0)
+    return Agent(network.name, NetworkStrategy(network, "argmax", len(setting.moves)), setting, 0)
 
 
 def _tasks(games: int, opponents: int, settings: ResponseSettings, step: int, round_: int) -> list[BranchTask]:
@@ -222,18 +220,18 @@ def _branch(
 ) -> Arrays:
     keys = race_seeds(task.root, task.last)[task.first :]
     arena, opponent = arenas[task.game][task.opponent], pool[task.opponent]
-    found = branch_games(arena, opponent, keys, task.step, behaviours, continuation, worth, count)
-    return {"observations": found.observations, "outcomes": found.outcomes, "game": found.game}
+    branches = branch_games(arena, opponent, keys, task.step, behaviours, continuation, worth, count)
+    return {"observations": branches.observations, "outcomes": branches.outcomes, "game": branches.game}
 
 
 def _rows(arrays: Arrays, task: BranchTask) -> Rows:
     outcomes = arrays["outcomes"]
-    # Every game is a starting pair of its own: all rows of a game are learned from, or all validated on.
-    number = ((task.round * 100 + task.step) * 1000 + task.game * 50 + task.opponent) * 1_000_000
+    # A unique pair for each game: its rows are either all in the training set or all in the validation set.
+    offset = ((task.round * 100 + task.step) * 1000 + task.game * 50 + task.opponent) * 1_000_000
     return Rows(
         observations=arrays["observations"],
         targets=(outcomes - outcomes.mean(axis=1, keepdims=True)).astype(np.float32),
         weights=np.ones(len(outcomes)),
-        pair=number + task.first + arrays["game"],
+        pair=offset + task.first + arrays["game"],
         step=np.full(len(outcomes), task.step),
     )

@@ -1,4 +1,4 @@
-"""Statistics of paired races: scores, comparisons and means that know of clusters, p-values of a whole table."""
+"""Statistics of paired races: scores, cluster-robust means and comparisons, adjusted p-values."""
 
 from pcs_racing_agents.tournament.statistics.clusters import Estimate, clustered_mean
 from pcs_racing_agents.tournament.statistics.comparison import Comparison, compare, holm

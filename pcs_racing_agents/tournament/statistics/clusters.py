@@ -1,4 +1,4 @@
-"""The mean of races that are not independent: an interval that knows of clusters of several crossed kinds."""
+"""Cluster-robust intervals: the mean of races that share egos, opponents or start lines."""
 
 from functools import reduce
 from itertools import combinations
@@ -52,7 +52,7 @@ class Estimate(NamedTuple):
 def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = False, level: float = 0.95) -> Estimate:
     """Return a mean with an interval that is robust to clusters of one or several crossed kinds.
 
-    The variance adds up over the kinds of clusters and takes away what is counted twice (Cameron, Gelbach and Miller
+    The variance is the sum over the kinds of clusters minus what is counted twice (Cameron, Gelbach and Miller
     2011), each term with the factor ``G / (G - 1)`` of its own ``G`` clusters. As it can come out too small, even
     negative, where clusters matter little, it is at least the largest of its terms (MacKinnon, Nielsen and Webb 2024,
     arXiv 2406.08880, take the largest one-way term). The t distribution has the smallest ``G`` minus 1 degrees of
@@ -65,8 +65,8 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
     *clusters : array_like, shape (U,)
         For each kind of cluster the labels of the races, numbers or text: ego variant, opponent.
     same_pool : bool
-        Egos and opponents, the first two kinds, were drawn from one pool of policies and are labelled alike: races
-        that share a policy, in whichever role, then go together (Aronow, Samii and Assenova 2015). The variance is the
+        Egos and opponents, the first two kinds, were drawn from one pool of policies and have the same labels: races
+        that share a policy, in either role, then form a cluster (Aronow, Samii and Assenova 2015). The variance is the
         larger one of the two with and without this.
     level : float
         Level of the interval, between 0 and 1.
@@ -100,11 +100,11 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
 
 
 def _variance(residual: Floats, kinds: list[Kind]) -> float:
-    """Variance of the mean: every pair of races that share a label of some kind counts once."""
+    """Return the variance of the mean: every pair of races that share a label of some kind counts once."""
     variance, largest = 0.0, 0.0
     for number in range(1, len(kinds) + 1):
-        for chosen in combinations(kinds, number):
-            term = _shared_variance(residual, reduce(_joined, chosen))
+        for subset in combinations(kinds, number):
+            term = _shared_variance(residual, reduce(_joined, subset))
             variance += term if number % 2 else -term
             largest = max(largest, term)
     return max(variance, largest)

@@ -1,8 +1,8 @@
-"""Does one strategy race better than another? Two arms that raced the same units.
+"""Comparison of two arms (agents) over the same units.
 
 A unit is one race that both arms drove: (ego start policy, opponent, start line, side). Units that share an ego policy
-or an opponent go up and down together, so 4,000 races of 20 ego policies against 20 opponents are worth far less than
-4,000 independent ones. Which estimator keeps its promises on such data is measured in ``docs/statistics.md``.
+or an opponent are correlated, so 4,000 races of 20 ego policies against 20 opponents hold far less information than
+4,000 independent ones. ``docs/statistics.md`` measures the coverage of the estimators on such data.
 """
 
 import math
@@ -21,7 +21,7 @@ __all__ = ["Comparison", "compare", "holm"]
 
 @dataclass(frozen=True)
 class Comparison:
-    """Arm a against arm b over the same races.
+    """Result of a comparison of arm a with arm b over the same races.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Comparison:
     p_clustered : float
         Two-sided p-value that belongs to it.
     p_paired_t : float
-        The paper's test over ego variants. It takes the opponents as given: it speaks about these ones only.
+        p-value of the paper's test over ego variants. It takes the opponents as given: it is about these ones only.
     cohen_d : float
         Difference over the standard deviation of the ego variants' differences.
     units, egos, opponents : int
@@ -122,10 +122,10 @@ def compare(
 
 
 def holm(p_values: ArrayLike) -> Floats:
-    """Return the p-values of a table, adjusted so that all of them hold together (Holm 1979).
+    """Return the p-values of a table, adjusted for multiple testing by Holm's method (1979).
 
-    The chance of one false positive or more among those below 0.05 is at most 0.05, however the tests depend on each
-    other. (scipy adjusts for the false discovery rate only.)
+    The family-wise error rate at 0.05 is at most 0.05, however the tests depend on each other. (scipy adjusts for the
+    false discovery rate only.)
 
     Parameters
     ----------

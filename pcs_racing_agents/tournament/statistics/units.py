@@ -1,4 +1,4 @@
-"""The races that two arms share: their scores, which race is which, and the clusters that they form."""
+"""Units of a comparison: scores of races, the matching of two arms' races, and codes of their clusters."""
 
 from collections.abc import Hashable, Sequence
 
@@ -14,7 +14,7 @@ Ints = NDArray[np.intp]
 
 
 def score(won: ArrayLike, tied: ArrayLike) -> Floats:
-    """Return the score of races: 1 for a win, 0.5 for a tie, 0 for the rest (a crash that pays nobody is no tie).
+    """Return the score of races: 1 for a win, 0.5 for a tie, 0 for the rest (a crash without a winner is no tie).
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ def score(won: ArrayLike, tied: ArrayLike) -> Floats:
 
 
 def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Ints:
-    """Return the order that brings the units of arm b to those of arm a: ``units_b[order[i]] == units_a[i]``.
+    """Return the order of the units of arm b that matches those of arm a: ``units_b[order[i]] == units_a[i]``.
 
     Parameters
     ----------
     units_a, units_b : sequence of hashable
-        What makes a race the same race, for instance ``(ego, opponent, start_s, side)``.
+        Identity of each race, for instance ``(ego, opponent, start_s, side)``.
 
     Returns
     -------
@@ -51,20 +51,20 @@ def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Int
     InputError
         If a unit appears twice in an arm or in one arm only.
     """
-    places: list[dict[Hashable, int]] = []
+    indices: list[dict[Hashable, int]] = []
     for arm, units in (("a", units_a), ("b", units_b)):
-        place = {unit: i for i, unit in enumerate(units)}
-        if len(place) < len(units):
-            twice = next(unit for i, unit in enumerate(units) if place[unit] != i)
+        index = {unit: i for i, unit in enumerate(units)}
+        if len(index) < len(units):
+            twice = next(unit for i, unit in enumerate(units) if index[unit] != i)
             raise InputError(f"arm {arm} raced unit {twice!r} more than once; every unit must be there once")
-        places.append(place)
-    for arm, mine, others in (("b", places[0], places[1]), ("a", places[1], places[0])):
-        missing = [unit for unit in mine if unit not in others]
+        indices.append(index)
+    for arm, own, others in (("b", indices[0], indices[1]), ("a", indices[1], indices[0])):
+        missing = [unit for unit in own if unit not in others]
         if missing:
             raise InputError(
                 f"arm {arm} did not race unit {missing[0]!r} ({len(missing)} missing); both must race the same units"
             )
-    return np.array([places[1][unit] for unit in units_a], dtype=np.intp)
+    return np.array([indices[1][unit] for unit in units_a], dtype=np.intp)
 
 
 def check_values(name: str, values: ArrayLike) -> Floats:
@@ -83,7 +83,7 @@ def check_values(name: str, values: ArrayLike) -> Floats:
 
 
 def check_arms(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
-    """Return the scores of two arms, or raise InputError where they can't be of the same races."""
+    """Return the scores of two arms, or raise InputError if their lengths differ."""
     first, second = check_values("a", a), check_values("b", b)
     if first.shape != second.shape:
         raise InputError(f"a has {len(first)} scores and b {len(second)}; both arms must have raced the same units")
@@ -100,16 +100,16 @@ def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, i
         raise InputError(f"{kind} labels have shape {array.shape}; there must be one for each of {len(values)} races")
     if array.dtype.kind not in "biufUS" or (array.dtype.kind == "f" and not np.isfinite(array).all()):
         raise InputError(f"{kind} labels must be text or finite numbers, not {array.dtype}")
-    found, codes = np.unique(array, return_inverse=True)
-    if len(found) < 2:
+    unique, codes = np.unique(array, return_inverse=True)
+    if len(unique) < 2:
         raise InputError(
-            f"there is 1 {kind} variant, {found[0]!s}; a test needs at least 2, since it looks at how they differ"
+            f"there is 1 {kind} variant, {unique[0]!s}; a test needs at least 2, since it looks at how they differ"
         )
-    return codes.astype(np.intp), len(found)
+    return codes.astype(np.intp), len(unique)
 
 
 def pool_codes(ego: ArrayLike, opponent: ArrayLike) -> tuple[Ints, Ints]:
-    """Return checked labels of both roles as numbers from 0 that mean the same policy in both, shape (U,) each."""
+    """Return checked labels of both roles as numbers from 0, equal for the same policy in both, shape (U,) each."""
     first, second = np.asarray(ego), np.asarray(opponent)
     if (first.dtype.kind in "US") != (second.dtype.kind in "US"):
         raise InputError(f"ego labels are {first.dtype} and opponent labels {second.dtype}; one pool has one kind")

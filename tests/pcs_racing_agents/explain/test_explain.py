@@ -71,7 +71,7 @@ def test_the_facts_are_those_of_the_match(contest, setting, race):
     assert [step.time for step in race.steps] == pytest.approx([0.8 * (k + 1) for k in range(len(made))])
     for k, step in enumerate(race.steps):
         assert step.move == np.argmax(step.values)
-        assert step.chances[step.move] == 1.0
+        assert step.probabilities[step.move] == 1.0
         assert step.next_policy == setting.table[step.policy, step.move]
         assert step.own == pytest.approx(np.clip(contest.archive.normalised[step.policy], -1, 2), abs=1e-6)
         frame = round(step.time / race.replay.frame_dt)
@@ -154,23 +154,23 @@ def test_values_are_counted_in_what_they_mean(setting):
     assert plain.target == "regret"
 
 
-def test_an_agent_with_a_habit_says_why_it_left_or_kept_it(contest, setting):
+def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, setting):
     network = network_of(setting, worth="win")
     rival = build("never-switch", setting)
     bold, shy = (
         explained(contest, build("adaptive", setting, network=network, blind="never-switch", margin=margin), rival)
         for margin in (0.0, 1000.0)
     )
-    assert shy.habit.name == "never-switch"
+    assert shy.default.name == "never-switch"
     for step in shy.steps:
-        assert step.move == step.usual == shy.moves.index("stay")
-        if np.argmax(step.values) != step.usual:
+        assert step.move == step.default_move == shy.moves.index("stay")
+        if np.argmax(step.values) != step.default_move:
             assert why(shy, step).startswith("keeps to never-switch: the best move, ")
             assert "not above the margin of 1000.000 of a win" in why(shy, step)
-    left = [step for step in bold.steps if step.move != step.usual]
+    left = [step for step in bold.steps if step.move != step.default_move]
     assert left
     for step in left:
-        gain = step.values[step.move] - step.values[step.usual]
+        gain = step.values[step.move] - step.values[step.default_move]
         assert f"worth {gain:.3f} of a win more than stay, what never-switch would do" in why(bold, step)
 
 
@@ -188,7 +188,7 @@ def test_whoever_answers_predict_can_be_explained(contest, setting):
             return np.zeros(len(observation), np.int64), None
 
     race = explained(contest, Model(), build("never-switch", setting))
-    assert all(step.values is None and step.chances is None for step in race.steps)
+    assert all(step.values is None and step.probabilities is None for step in race.steps)
     assert story(race).startswith("Model (car 0)")
     assert picture_bytes(explanation_picture(race)).startswith(b"<?xml")
 

@@ -102,10 +102,10 @@ def test_races_that_were_played_can_be_summarised(oval, game, setting, archive):
         starts=draw_starts(oval, game.setup.config, 60, 2),
         seeds=race_seeds(1, 60),
     )
-    found = summarise(played.seen[:, 0], played.moves[:, 0], archive, arena.move_names, "random-moves")
+    found = summarise(played.observations[:, 0], played.moves[:, 0], archive, arena.move_names, "random-moves")
     assert found.counts.sum() == (played.moves[:, 0] >= 0).sum()
     assert found.counts.sum(axis=(0, 1, 2)).tolist() == [(played.moves[:, 0] == a).sum() for a in range(5)]
-    other = summarise(played.seen[:, 1], played.moves[:, 1], archive, arena.move_names, "never-switch")
+    other = summarise(played.observations[:, 1], played.moves[:, 1], archive, arena.move_names, "never-switch")
     assert other.counts[..., :4].sum() == 0
 
 
@@ -114,5 +114,5 @@ def test_what_can_not_be_summarised_is_named(races, archive):
     names = move_names(archive, 0.5, True)
     with pytest.raises(InputError, match="made no move in these 300 races"):
         summarise(seen, np.full_like(made, -1), archive, names, "driver")
-    with pytest.raises(InputError, match=r"seen has shape \(300, 0\)"):
+    with pytest.raises(InputError, match=r"observations .*\(300, 0\)"):
         summarise(seen[:, :0], made, archive, names, "somebody")

@@ -13,7 +13,7 @@ from pcs_racing_agents.explain.pcs_picture import archive_picture
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.pictures.style import picture_bytes, save_picture, spread_labels
 from pcs_racing_agents.study import figures
-from pcs_racing_agents.study.report_inputs import Place
+from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.ratings import rate
 
@@ -34,7 +34,11 @@ def ratings():
     return rate(["a", "b", "a", "c"] * 20, ["b", "c", "c", "a"] * 20, [1, 1, 1, -1] * 10 + [0, -1, 1, 1] * 10)
 
 
-PLACES = [Place("one", 0.5, 0.0, 0.2, 0.01), Place("two", 0.5, 0.01, 0.2, 0.0), Place("three", 0.4, 0.0, 0.9, 0.0)]
+POINTS = [
+    ScoreAndLoss("one", 0.5, 0.0, 0.2, 0.01),
+    ScoreAndLoss("two", 0.5, 0.01, 0.2, 0.0),
+    ScoreAndLoss("three", 0.4, 0.0, 0.9, 0.0),
+]
 PAYOFFS = np.array([[np.nan, 0.9], [0.1, np.nan]])
 
 DRAWINGS = {
@@ -43,7 +47,7 @@ DRAWINGS = {
     "adaptivity": lambda table: figures.adaptivity_picture(table),
     "curves": lambda table: figures.curves_picture({str(n): curves(n) for n in range(5)}),
     "rewards": lambda table: figures.curves_picture({"ppo": curves()}, x_label="steps", y_label="reward", log=False),
-    "exploitability": lambda table: figures.exploitability_picture(PLACES, unit="m of lead"),
+    "exploitability": lambda table: figures.exploitability_picture(POINTS, unit="m of lead"),
     "payoffs": lambda table: figures.payoffs_picture(["one", "two"], PAYOFFS),
     "ratings": lambda table: figures.ratings_picture(ratings()),
 }

@@ -20,15 +20,15 @@ from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
-from pcs_racing_agents.study.highlights import Watched, telling_races, watch_race
+from pcs_racing_agents.study.highlights import Watched, select_highlights, watch_race
 from pcs_racing_agents.study.report import Picture, ReportContent, Sheet, report_page, write_page
 from pcs_racing_agents.study.report_inputs import (
     TreeLoss,
     mean_losses,
     mean_scores,
-    places_of,
     read_curves,
     read_losses,
+    scores_and_losses,
     software,
 )
 from pcs_racing_agents.study.table import make_table
@@ -54,7 +54,7 @@ def raced(oval, archive):
 @pytest.fixture(scope="module")
 def watched(raced) -> Watched:
     pairing, ours, theirs = raced
-    title, race = next(iter(telling_races(ours, theirs).values()))
+    title, race = next(iter(select_highlights(ours, theirs).values()))
     return watch_race(pairing, race, title)
 
 
@@ -235,9 +235,9 @@ def test_every_field_is_told(content):
 # Races to watch
 
 
-def test_telling_races_are_what_they_are_called(raced):
+def test_highlights_are_what_they_are_called(raced):
     _, ours, theirs = raced
-    found = telling_races(ours, theirs)
+    found = select_highlights(ours, theirs)
     assert len(found) >= 2
     for kind, (title, race) in found.items():
         assert title.startswith(f"A {kind}")
@@ -256,7 +256,7 @@ def test_telling_races_are_what_they_are_called(raced):
 
 def test_a_race_to_watch_is_the_race(raced, watched):
     _, ours, theirs = raced
-    race = dict(telling_races(ours, theirs).values())[watched.title]
+    race = dict(select_highlights(ours, theirs).values())[watched.title]
     assert watched.replay.lead[-1] == ours.lead[race]
     assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
 
@@ -272,10 +272,10 @@ def test_losses_are_means_over_trees(tmp_path):
     assert first == TreeLoss("Oval", "a", 2, ((2.0, 1.0), (0.5, 0.0), (3.0, 1.0)))
     assert np.isnan(second.columns[0][1])
     table = make_table(toy_races(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
-    (place,) = places_of(table, [first, second])
+    (place,) = scores_and_losses(table, [first, second])
     assert (place.name, place.loss, place.loss_error) == ("a", 2.0, 1.0)
     assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))
-    assert places_of(None, [first]) == []
+    assert scores_and_losses(None, [first]) == []
     assert mean_scores(table)["c"] == pytest.approx(np.mean([row.arms[1].score for row in table.rows]))
     assert mean_scores(
         replace(table, rows=(*table.rows, replace(table.rows[0], arms=table.rows[0].arms[:1])))

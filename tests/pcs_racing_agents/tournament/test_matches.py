@@ -61,7 +61,7 @@ def test_a_match_is_the_game_that_the_moves_make(contest, cars, given):
     np.testing.assert_array_equal(played.lead, state.race.lead)
     np.testing.assert_array_equal(played.winner, contest.winner(state))
     np.testing.assert_array_equal(played.utility, contest.utility(state)[:, 0])
-    np.testing.assert_array_equal(played.seen, contest.observation(state))
+    np.testing.assert_array_equal(played.observations, contest.observation(state))
     assert (played.moves[:, 1][played.moves[:, 1] >= 0] == 4).all()
     assert len(set(played.moves[:, 0].ravel().tolist())) > 3
     crashed = played.crash.any(axis=1)
@@ -105,7 +105,7 @@ def test_arms_share_everything_until_their_moves_differ(contest, cars, given):
         play_games(contest, cars[name], cars["random-moves"], **given) for name in ("never-switch", "random-moves")
     )
     block = 6
-    np.testing.assert_array_equal(stay.seen[:, :, :block], move.seen[:, :, :block])
+    np.testing.assert_array_equal(stay.observations[:, :, :block], move.observations[:, :, :block])
     np.testing.assert_array_equal(stay.noise, move.noise)
     assert (stay.lead != move.lead).any()
 

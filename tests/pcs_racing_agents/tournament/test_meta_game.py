@@ -52,7 +52,7 @@ def test_alpha_rank_prefers_who_beats_all_and_keeps_cycles():
     pytest.importorskip("networkx")
     assert alpha_rank(LADDER)[0] > 0.99
     assert alpha_rank(CYCLE) == pytest.approx(np.full(3, 1 / 3))
-    assert alpha_rank(LADDER, alike=0.25) == pytest.approx([0.5, 0.5, 0.0], abs=0.01)
+    assert alpha_rank(LADDER, tolerance=0.25) == pytest.approx([0.5, 0.5, 0.0], abs=0.01)
 
 
 def test_alpha_rank_is_the_stationary_distribution_by_hand():
@@ -79,7 +79,7 @@ def test_a_missing_library_is_named_with_its_extra(monkeypatch):
         (lambda: excess([[0.5, np.nan], [0.5, 0.5]]), "row 0 against column 1 is nan"),
         (lambda: alpha_rank([[0.5]]), "there is 1 agent"),
         (lambda: alpha_rank(CYCLE, epsilon=0.9), "epsilon is 0.9"),
-        (lambda: alpha_rank(CYCLE, alike=-1.0), "alike is -1"),
+        (lambda: alpha_rank(CYCLE, tolerance=-1.0), "tolerance is -1"),
     ],
 )
 def test_bad_input(call, message):

@@ -87,10 +87,10 @@ def test_one_race_of_a_pairing_is_that_race(contest, zoo):
     pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
     whole, some = pairing.play(), pairing.take([7, 30]).play()
     np.testing.assert_array_equal(whole.lead[[7, 30]], some.lead)
-    recording = record_match(contest, pairing.ego, pairing.opponent, **pairing.one(30), candidates=False)
+    recording = record_match(contest, pairing.ego, pairing.opponent, **pairing.race_arguments(30), candidates=False)
     assert recording.match.lead[0] == whole.lead[30]
     with pytest.raises(InputError, match="there is no race 48"):
-        pairing.one(48)
+        pairing.race_arguments(48)
 
 
 def test_a_pairing_in_a_job_is_played_once(contest, zoo, tmp_path, monkeypatch):
@@ -113,8 +113,8 @@ def test_observations_are_kept_where_they_are_asked_for(contest, zoo, tmp_path):
     with open_job(tmp_path / "job", "races", {}) as job:
         (bare,) = play_pairings([pairing], job=job)
         (whole,) = play_pairings([pairing], observations=True, job=job)
-    assert bare.seen.shape == (48, 2, 0)
-    np.testing.assert_array_equal(whole.seen, pairing.play().seen)
+    assert bare.observations.shape == (48, 2, 0)
+    np.testing.assert_array_equal(whole.observations, pairing.play().observations)
 
 
 @pytest.mark.parametrize(

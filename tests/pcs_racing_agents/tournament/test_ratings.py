@@ -38,7 +38,7 @@ def test_strengths_and_ties_come_back():
     assert ratings.tie == pytest.approx(TIE, abs=0.03)
     assert ratings.strength.sum() == pytest.approx(0.0, abs=1e-9)
     assert ratings.elo[0] - ratings.elo[1] == pytest.approx(0.6 * 400 / np.log(10), abs=12)
-    assert ratings.chances("a", "e") == pytest.approx(chances(STRENGTH, TIE, 0, 4), abs=0.02)
+    assert ratings.probabilities("a", "e") == pytest.approx(chances(STRENGTH, TIE, 0, 4), abs=0.02)
     assert np.isnan(ratings.low).all()
     assert ratings.races.tolist() == [16_000] * 5
 
@@ -119,7 +119,7 @@ def test_races_that_paid_nobody_are_left_out():
     first, second, result = simulate(np.random.default_rng(6), 30)
     crashed = [*first, "a", "a"], [*second, "e", "b"], np.append(result, [-1, np.nan])
     nobody = np.append(np.zeros(len(first), bool), [True, True])
-    ratings = rate(*crashed, nobody=nobody)
+    ratings = rate(*crashed, unpaid=nobody)
     assert (ratings.strength == rate(first, second, result).strength).all()
     assert ratings.left_out.tolist() == [2, 1, 0, 0, 1]
     assert ratings.races.tolist() == [120] * 5
@@ -140,13 +140,13 @@ def test_who_is_named_first_does_not_matter():
         (lambda: rate(["a"], ["b"], [1, 1]), r"result has shape \(2,\)"),
         (lambda: rate(["a", "b"], ["b"], [1, 1]), "first names 2 agents and second 1"),
         (lambda: rate([], [], []), "there are no races"),
-        (lambda: rate(["a"], ["b"], [1], nobody=[True]), "none of 1 races was paid to anybody"),
+        (lambda: rate(["a"], ["b"], [1], unpaid=[True]), "none of 1 races was paid to anybody"),
         (lambda: rate(["a", "c"], ["b", "d"], [1, 0]), "c never met a"),
         (lambda: rate(["a"], ["b"], [1], prior_sd=0.0), "prior_sd is 0"),
         (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0)), "all races have the same unit"),
         (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0), replicates=5), "replicates is 5"),
         (lambda: rate(["a"], ["b"], [1], level=2.0), "level is 2"),
-        (lambda: rate(["a"], ["b"], [1]).chances("a", "z"), "'z' was not rated; these were: a, b"),
+        (lambda: rate(["a"], ["b"], [1]).probabilities("a", "z"), "'z' was not rated; these were: a, b"),
     ],
 )
 def test_bad_input(call, message):

@@ -53,7 +53,7 @@ def test_a_rating_sees_no_cycle_and_the_rest_does():
 def test_the_ratings_are_those_of_rate():
     races = cycle()
     won = np.array([{"ego": 1.0, "opponent": -1.0, "": 0.0}[row.winner] for row in races])
-    wanted = rate([row.ego for row in races], [row.opponent for row in races], won, nobody=races.crashed)
+    wanted = rate([row.ego for row in races], [row.opponent for row in races], won, unpaid=races.crashed)
     found = round_robin(NAMES, races, seed=3)
     assert found.ratings.strength == pytest.approx(wanted.strength)
     again = round_robin(NAMES, races, seed=3)
@@ -65,15 +65,15 @@ def test_what_start_lines_decide_counts_as_noise():
     line = [i // 4 for i in range(32)]
     winner = ["ego" if (i // 4) % 2 else "opponent" for i in range(32)]
     found = round_robin(("a", "b"), table(["a"] * 32, ["b"] * 32, winner, [False] * 32, line))
-    assert found.alike == pytest.approx(1.96 * np.sqrt(8 / 7 / 8))
+    assert found.noise == pytest.approx(1.96 * np.sqrt(8 / 7 / 8))
     sure = round_robin(("a", "b"), table(["a"] * 32, ["b"] * 32, ["ego"] * 32, [False] * 32, line))
-    assert sure.alike == 0.0
+    assert sure.noise == 0.0
 
 
 def test_what_the_races_do_not_tell_is_left_open():
     found = round_robin(("a", "b", "c"), table(["a"], ["b"], ["ego"], [False], [1]))
     assert found.equilibrium is found.alpha_rank is None
-    assert np.isnan(found.alike)
+    assert np.isnan(found.noise)
     assert np.isnan(found.scores[2]).all()
     assert np.isnan(found.rating("c")[0])
     nothing = round_robin(("a", "b"), table(["a"], ["b"], [""], [True], [1]))

@@ -323,8 +323,8 @@ def test_races_from_one_place_are_one_unit_of_the_ratings(tournament):
     doubled = replace(tournament.races, race=tournament.races.race + 6)
     both = concatenate_races([tournament.races, doubled])
     once, twice = (sum_up(replace(tournament, races=races)) for races in (tournament.races, both))
-    assert once.alike > 0.0
-    assert twice.alike == pytest.approx(once.alike)
+    assert once.noise > 0.0
+    assert twice.noise == pytest.approx(once.noise)
 
 
 def test_the_same_bytes_come_back_from_the_file(mixed, tmp_path):

@@ -21,7 +21,7 @@ def test_a_recorded_match_is_the_match(oval, archive, pair):
     variants = np.array([[0, 3]] * 4) if pair[0] == "pure-pursuit" else np.array([[2, 3], [9, 1], [4, 4], [11, 0]])
     played = play_games(game, ego, opponent, policies=variants, starts=starts, seeds=seeds)
     for i in range(4):
-        replay, match = record_match(
+        replay, match, _ = record_match(
             game, ego, opponent, policies=variants[i], start=starts.take([i]), seed=int(seeds[i]), candidates=False
         )
         assert replay.lead[-1] == played.lead[i] == match.lead[0]

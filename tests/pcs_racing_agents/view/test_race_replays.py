@@ -50,7 +50,7 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(driver, tournam
     assert back[:, 1] == pytest.approx(archive.coordinates[:, 0], abs=(up["high"] - up["low"]) / PLACES)
     assert back[:, 0] == pytest.approx(archive.coordinates[:, 1], abs=(across["high"] - across["low"]) / PLACES)
     # The first block of what car 0 saw: two own coordinates, two of the other, the lead, and that it was over.
-    other = match.seen[0, 0, 2:4].astype(float)
+    other = match.observations[0, 0, 2:4].astype(float)
     units = archive.nadir + other * (archive.ideal - archive.nadir)
     place = race.values["space"]["seen"][0][0]
     assert up["low"] + place[1] / PLACES * (up["high"] - up["low"]) == pytest.approx(units[0], abs=0.01)

@@ -33,5 +33,5 @@ def test_only_where_it_fits():
         unpack(pack(state()), state()._replace(a=[np.zeros((3, 3)), (np.arange(2), None)]))
     with pytest.raises(InputError, match=r"b\.names\.1 is in one of the two only"):
         unpack(pack(state()), state()._replace(b={**state().b, "names": ["a"]}))
-    with pytest.raises(InputError, match="not one that was taken apart here"):
+    with pytest.raises(InputError, match="not one of a learner"):
         unpack({"a": np.zeros(2)}, state())
