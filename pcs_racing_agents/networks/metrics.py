@@ -228,7 +228,8 @@ def score_table(rows: Sequence[RowScore], trees: dict[str, NDArray[np.float64]])
         lines += [
             "",
             f"utility on {count} held-out trees, mean of both roles (standard error over trees):",
-            f"  {'strategy'.ljust(width)}  lost to a best response  lost to equilibrium  off in self-play    against random",
+            f"  {'strategy'.ljust(width)}  lost to a best response  lost to equilibrium  off in self-play  "
+            "  against random",
         ]
         for name, scores in trees.items():
             error = scores.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(scores.shape[1], np.nan)

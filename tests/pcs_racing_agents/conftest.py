@@ -2,9 +2,11 @@ import numpy as np
 import pytest
 from zoo_games import CONFIG, toy_archive, untrained
 
-from pcs_racing import PolicyArchive, RaceGame
+from pcs_racing import PolicyArchive, RaceGame, load_race_config, load_track, save_archive
 from pcs_racing_agents.agents import Setting, make_setting
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.networks import RegretNetwork
+from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
 
 
 @pytest.fixture(scope="session")
@@ -39,3 +41,18 @@ def seen(game) -> list[np.ndarray]:
         steps.append(game.observation(state).reshape(40, -1))
         state = game.step(state, rng.integers(0, len(game.move_names), (20, 2)))
     return [*steps, game.observation(state).reshape(40, -1)]
+
+
+@pytest.fixture(scope="session")
+def tournament_folder(archive, tmp_path_factory):
+    """A tournament of 18 races in a folder, as the command leaves it; and the tournament."""
+    saved = save_archive(archive, tmp_path_factory.mktemp("archives") / "toy")
+    folder = tmp_path_factory.mktemp("tournaments") / "three agents"
+    rules = load_race_config("contest", duration=5.0)
+    agents = ["random-moves", "lane-switcher", "never-switch"]
+    plan = plan_tournament(load_track("Pipkin"), agents, rules, archive=saved, races_per_pair=6, seed=2)
+    settings = {**tournament_settings(plan), "archive": str(saved)}
+    with open_job(folder, "tournament", settings) as job:
+        tournament = play_plan(plan, job=job)
+        write_results(tournament.races, folder / "results.csv")
+    return folder, tournament

@@ -32,10 +32,10 @@ def test_a_fit_of_another_game_is_refused(setting, archive):
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
     with pytest.raises(InputError, match="was made for archive"):
         find_fit("best-fixed", make_setting(fewer, setting.config), fit)
-    with pytest.raises(InputError, match="is one of 'best-fixed'; agent 'psro' needs its own"):
+    with pytest.raises(InputError, match="is one of 'best-fixed'"):
         find_fit("psro", setting, fit)
     for kind, given in (("best-fixed", {"target": 3}), ("psro", {"weights": {"never-switch": 1.0}})):
-        with pytest.raises(InputError, match=f"agent '{kind}' got .* and a fit; give one of the two"):
+        with pytest.raises(InputError, match=f"agent '{kind}' got .* and a fit"):
             build(kind, setting, fit=fit, **given)
     with pytest.raises(UnknownNameError, match="none is shipped for archive 'toy' and rules 'paper'"):
         find_fit("psro", setting)
@@ -45,12 +45,12 @@ def test_a_fit_of_another_game_is_refused(setting, archive):
     ("change", "message"),
     [
         ({"format": "x"}, "is no manifest of a fit"),
-        ({"version": 2}, "has version 2; this release reads version 1"),
+        ({"version": 2}, "has version 2"),
         ({"kind": "worst"}, "fit of 'worst' is unknown"),
         ({"choice": "7"}, "must be the index of a policy"),
         ({"extra": 1}, "unknown or missing extra"),
-        ({"race": 3}, "race is 3; it must be a text"),
-        ({"training": [1]}, r"training is \[1\]; it must be a mapping"),
+        ({"race": 3}, "race is 3"),
+        ({"training": [1]}, r"training is \[1\]"),
     ],
 )
 def test_files_that_are_no_fit_are_refused(setting, tmp_path, change, message):

@@ -97,7 +97,7 @@ def test_what_can_not_be_drawn_is_named(table):
         figures.curves_picture({"regret": []})
     with pytest.raises(InputError, match="no agent whose score"):
         figures.exploitability_picture([])
-    with pytest.raises(InputError, match=r"shape \(2, 2\); 3 agents"):
+    with pytest.raises(InputError, match=r"shape \(2, 2\)"):
         figures.payoffs_picture(["a", "b", "c"], PAYOFFS)
 
 

@@ -171,7 +171,7 @@ def test_another_study_in_the_folder_is_refused(finished):
 
 
 def test_stages_come_in_order(tmp_path):
-    with pytest.raises(UnknownNameError, match="stage 'lunch' is unknown; a study has archive, trees"):
+    with pytest.raises(UnknownNameError, match="stage 'lunch' is unknown"):
         run_study(TINY, tmp_path / "x", only=["lunch"], quiet=True)
     with pytest.raises(InputError, match="stage 'races' needs stage 'networks', which is not done"):
         run_study(TINY, tmp_path / "x", only=["races"], quiet=True)
@@ -201,13 +201,13 @@ def test_the_table_names_the_blind_agent_that_it_compares_with(finished):
     ("changes", "message"),
     [
         ({"arms": ("never-switch", "best-fixed", "quick")}, "arms hold 'best-fixed' but not 'best-schedule'"),
-        ({"arms": ("never-switch",), "best": "response"}, "best is 'response'; it must be one of the arms"),
-        ({"egos": 1}, "egos is 1; it must be a whole number from 2"),
+        ({"arms": ("never-switch",), "best": "response"}, "best is 'response'"),
+        ({"egos": 1}, "egos is 1"),
         ({"pairs": 1}, "networks need at least 3 trees"),
-        ({"archive": "nowhere"}, "archive is 'nowhere'; it must be a folder or one of contest, default"),
+        ({"archive": "nowhere"}, "archive is 'nowhere'"),
         ({"targets": ("fame",)}, "fame"),
         ({"tracks": ("Pipkin", "Pipkin")}, "name each once"),
-        ({"ppo": "drive"}, "ppo is 'drive'; these are no settings of level duel"),
+        ({"ppo": "drive"}, "ppo is 'drive'"),
         ({"ppo": "nowhere"}, "ppo settings 'nowhere' are unknown"),
         ({"lunch": 1}, "unknown study setting 'lunch'"),
     ],

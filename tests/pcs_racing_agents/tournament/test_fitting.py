@@ -86,10 +86,10 @@ def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(oval, short):
 
 
 def test_bad_input(training, oval, short):
-    with pytest.raises(InputError, match="method is 'best'; it must be 'ascent' or 'all'"):
+    with pytest.raises(InputError, match="method is 'best'"):
         fit_best_schedule(training, method="best")
     long = replace(short, config=replace(short.config, moves=8))
-    with pytest.raises(InputError, match="method 'all' would try 390625 sequences; take 'ascent'"):
+    with pytest.raises(InputError, match="method 'all' would try 390625 sequences"):
         fit_best_schedule(replace(training, setting=long), method="all")
     with pytest.raises(InputError, match="objective is 'lead'"):
         TrainingRaces((oval,), (build("never-switch", short),), short, objective="lead")

@@ -58,9 +58,9 @@ def test_a_driver_from_outside_may_be_the_opponent(game, setting):
 
 def test_impossible_requests_are_refused(game, setting):
     stay = never_switch(setting)
-    with pytest.raises(InputError, match="step is 2; it must lie in 0 to 1"):
+    with pytest.raises(InputError, match="step is 2"):
         branch_games(game, stay, race_seeds(0, 1), 2, [stay], stay)
-    with pytest.raises(InputError, match="worth is 'glory'; it must be one of win, utility"):
+    with pytest.raises(InputError, match="worth is 'glory'"):
         outcome(game, game.reset(games=1), "glory")
 
 

@@ -55,8 +55,8 @@ def test_games_must_be_alike(game, setting, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"worth": "fame"}, "worth is 'fame'; it must be one of win, utility"),
-        ({"members": 0}, "members is 0; it must be a whole number from 1 to 32"),
+        ({"worth": "fame"}, "worth is 'fame'"),
+        ({"members": 0}, "members is 0"),
         ({"hidden": (0,)}, "hidden"),
         ({"pupils": 3}, "unknown response setting 'pupils'"),
     ],
