@@ -15,10 +15,8 @@ from collections.abc import Callable
 import numpy as np
 
 from pcs_racing import Lidar
-from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.drive_vector import DriveVectorEnv
-from pcs_racing.envs.duel import DuelEnv
-from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 
 ROUNDS = 5
 STEPS = 100  # between two looks at the clock

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pcs_racing.game.game import RaceGame, make_game
+from pcs_racing.game.rules import RaceGame, make_game
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.trees import TreeStatistics, build_tree, choose_pairs, ego_rows, play_ego
 from pcs_racing_agents.trees.roots import draw_root

@@ -11,7 +11,7 @@ import argparse
 
 import numpy as np
 
-from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.duel import DuelVectorEnv
 
 try:
     from stable_baselines3 import PPO

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.duel import DuelVectorEnv
 
 try:
     from matplotlib.figure import Figure

@@ -11,7 +11,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive, load_archive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.game import RaceGame, observation_elements
+from pcs_racing.game.observation import observation_elements
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 
 __all__ = ["STAY", "Setting", "make_setting"]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.networks.forward import forward, pack_layers
 from pcs_racing_agents.networks.identity import GameIdentity, check_same_game, game_identity
 

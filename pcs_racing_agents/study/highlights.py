@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.agents.agent import Competitor
 from pcs_racing_agents.explain.explain import explain_match

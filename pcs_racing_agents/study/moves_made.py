@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Agent, Competitor, competitor_hash
 from pcs_racing_agents.explain.explain import is_blind

@@ -20,7 +20,7 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.optional import require
 from pcs_racing.base.reading import parse_yaml
 from pcs_racing.game.archive import PolicyArchive, load_archive
-from pcs_racing.game.game import RaceGame, make_game
+from pcs_racing.game.rules import RaceGame, make_game
 from pcs_racing.track.track import Track, load_track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts

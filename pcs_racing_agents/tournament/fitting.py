@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.agents import best_fixed, best_schedule

@@ -12,7 +12,7 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.track.track import Track

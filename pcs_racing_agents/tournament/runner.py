@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track, calibration_values, load_track
 from pcs_racing_agents.agents.agent import Competitor, competitor_hash

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.recording import record_drive
 from pcs_racing.race.replay import Replay

@@ -20,8 +20,7 @@ from pcs_racing import (
     parse_policy,
     run_races,
 )
-from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.drive_vector import DriveVectorEnv
+from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH
 
 

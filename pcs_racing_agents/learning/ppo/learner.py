@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.planners.network import INPUTS
 from pcs_racing_agents.jobs.chunk_files import Arrays
-from pcs_racing_agents.learning.ppo.parts import Part
+from pcs_racing_agents.learning.ppo.parts import part_seeds
 from pcs_racing_agents.learning.ppo.plain_state import pack, unpack
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, Settings
 from pcs_racing_agents.networks.layers import Layers
@@ -94,13 +95,15 @@ def own_randomness() -> Iterator[None]:
             torch.set_rng_state(kept[2])
 
 
-def make_learner(settings: Settings, parts: Sequence[Part], seed: int, activation: str, limit: float) -> Learner:
+def make_learner(
+    settings: Settings, parts: Sequence[BatchVectorEnv], seed: int, activation: str, limit: float
+) -> Learner:
     """Make a learner that has learned nothing yet.
 
     Parameters
     ----------
     settings : Settings
-    parts : sequence of Part
+    parts : sequence of BatchVectorEnv
         What it is to drive in.
     seed : int
     activation : {"relu", "tanh"}
@@ -112,10 +115,11 @@ def make_learner(settings: Settings, parts: Sequence[Part], seed: int, activatio
     from stable_baselines3.common.logger import Logger
     from torch import nn
 
-    from pcs_racing_agents.learning.ppo.vec_env import PartsVecEnv
+    from pcs_racing.envs.sb3 import SB3VecEnv
 
     rate = Rate(settings)
-    envs = PartsVecEnv(parts, seed, settings.reward_scale)
+    seeds = part_seeds(seed, len(parts), 0)
+    envs = SB3VecEnv(list(parts), seeds=seeds, reward_scale=settings.reward_scale)
     policy: dict[str, Any] = {
         "net_arch": {"pi": list(settings.hidden), "vf": list(settings.value_hidden)},
         "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[activation],

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
-from pcs_racing_agents.learning.ppo.parts import Part
 from pcs_racing_agents.learning.ppo.scores import Cell, Score
 from pcs_racing_agents.learning.ppo.settings import DuelSettings, Settings
 from pcs_racing_agents.networks.layers import Layers
@@ -30,7 +30,7 @@ class Level(Protocol):
     def identity(self) -> dict[str, Any]:
         """What the results depend on beside the settings."""
 
-    def parts(self) -> Sequence[Part]:
+    def parts(self) -> Sequence[BatchVectorEnv]:
         """Make the environments to learn from."""
 
     def judge(self, layers: Layers) -> dict[Cell, Score]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import Blend
 from pcs_racing_agents.agents.network import FromNetwork

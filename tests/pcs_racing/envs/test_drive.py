@@ -12,8 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from pcs_racing import InputError, Lidar, Planner, UnknownNameError, get_planner, load_race_config
-from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.drive_vector import DriveVectorEnv
+from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.registration import register_environments
 
 SHORT = load_race_config("contest", duration=3.0)

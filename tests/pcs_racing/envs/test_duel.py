@@ -9,10 +9,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from pcs_racing import InputError, UnknownNameError, get_planner
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
-from pcs_racing.envs.duel_vector import SelfPlayVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.registration import register_environments
-from pcs_racing.game.game import make_game
+from pcs_racing.game.rules import make_game
 
 SHORT = {"step_seconds": 1.0, "moves": 3}
 MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
@@ -81,7 +80,7 @@ def test_it_is_the_view_of_car_0():
         observation, reward, terminated, _, info = env.step(move)
         state = game.step(state, np.array([[move, 0]]))
         np.testing.assert_array_equal(observation, game.observation(state)[0, 0])
-        assert reward == game.utility(state)[0, 0]
+        assert reward == game.reward(state)[0, 0]
         assert terminated == game.done(state)[0]
         assert info["policy"] == state.policy[0, 0]
         assert (info["move"], info["opponent_move"]) == (game.move_names[move], "aggressiveness +")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, PolicyArchive, get_planner
-from pcs_racing.envs.duel_batch import DuelBatch
+from pcs_racing.envs.game_batch import GameBatch
 
 MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -", "stay")
 
@@ -23,7 +23,7 @@ def archive() -> PolicyArchive:
 
 def make(track, archive, opponent="random-moves", games=6, **settings):
     settings = {"race": "contest", "step_seconds": 0.1, "moves": 2} | settings
-    return DuelBatch(games, track=track, archive=archive, opponent=opponent, threads=1, **settings)
+    return GameBatch(games, track=track, archive=archive, opponent=opponent, threads=1, **settings)
 
 
 def begin(batch, seed=0):
@@ -70,7 +70,7 @@ def test_a_step_moves_both_cars_and_pays_them(coarse_oval, archive):
     expected = batch.game.step(before, np.array([[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [0, 2]]))
     np.testing.assert_array_equal(batch.state.policy, expected.policy)
     np.testing.assert_array_equal(batch.moves, [[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [0, 2]])
-    np.testing.assert_array_equal(utility, batch.game.utility(expected))
+    np.testing.assert_array_equal(utility, batch.game.reward(expected))
     np.testing.assert_array_equal(batch.seen, batch.game.observation(expected))
     assert done.all()
 
@@ -147,7 +147,7 @@ class Remembers:
 
 def test_one_that_remembers_is_handed_what_it_gave_in_its_own_game(coarse_oval, archive):
     model = Remembers()
-    batch = DuelBatch(
+    batch = GameBatch(
         2,
         track=coarse_oval,
         archive=archive,

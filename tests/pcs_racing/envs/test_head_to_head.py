@@ -16,7 +16,7 @@ import pcs_racing
 from pcs_racing import GameConfig, InputError, PolicyArchive, UnknownNameError, load_archive, load_track, make_game
 from pcs_racing.envs import head_to_head, registration
 from pcs_racing.envs.head_to_head import AGENTS, HeadToHeadEnv, HeadToHeadState
-from pcs_racing.game.game import observation_table
+from pcs_racing.game.observation import observation_table
 
 with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
     warnings.simplefilter("ignore")
@@ -174,7 +174,7 @@ def compare_a_game(env, state):
         state = game.step(state, [moves])
         for car, agent in enumerate(AGENTS):
             np.testing.assert_array_equal(observations[agent], game.observation(state)[0, car])
-            assert rewards[agent] == game.utility(state)[0, car]
+            assert rewards[agent] == game.reward(state)[0, car]
             assert terminated[agent] == game.done(state)[0]
             assert not truncated[agent]
             assert infos[agent]["move"] == game.move_names[moves[car]]

@@ -60,7 +60,7 @@ def test_a_match_is_the_game_that_the_moves_make(contest, cars, given):
         state = contest.step(state, np.maximum(played.moves[:, :, step], 0))
     np.testing.assert_array_equal(played.lead, state.race.lead)
     np.testing.assert_array_equal(played.winner, contest.winner(state))
-    np.testing.assert_array_equal(played.utility, contest.utility(state)[:, 0])
+    np.testing.assert_array_equal(played.utility, contest.reward(state)[:, 0])
     np.testing.assert_array_equal(played.seen, contest.observation(state))
     assert (played.moves[:, 1][played.moves[:, 1] >= 0] == 4).all()
     assert len(set(played.moves[:, 0].ravel().tolist())) > 3
