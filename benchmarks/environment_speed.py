@@ -36,7 +36,7 @@ def drive_batch(track: str, envs: int, both: bool = False, **arguments) -> Work:
         for _ in range(STEPS):
             env.step(actions)
             if lidar is not None:
-                cars = env.get_state().races.cars
+                cars = env.batch.state.cars
                 lidar.scan(cars[:, 1][:, [0, 1, 4]], cars[:, 0][:, [0, 1, 4]])
 
     return work, STEPS * envs
@@ -48,7 +48,7 @@ def drive_scalar(track: str, inner: bool = False, **arguments) -> Work:
     action = np.array([0.0, -0.75], np.float32)
     env.reset(seed=0)
     env.step(action)
-    batch = env._batch
+    batch = env.batch
     command = np.array([[0.0, -0.75]])
     results = (np.zeros((1, 2)), np.empty(1), np.empty(1, np.bool_), np.empty(1, np.bool_))
     results += (np.empty((1, len(env.elements)), np.float32),)

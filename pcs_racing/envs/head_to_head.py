@@ -230,7 +230,8 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
             If the seed or an option is impossible or unknown.
         """
         number = check_seed(seed)
-        given = check_options(options, (*REBUILDING, "state", *self.batch.reset_options))
+        given = check_options(options, (*REBUILDING, "state", "options", *self.batch.reset_options))
+        given.pop("options", None)  # what the API tests of PettingZoo hand over to every environment
         state = given.pop("state", None)
         if state is not None:
             if given or number is not None:

@@ -482,6 +482,8 @@ def check_moves(
         given = np.asarray(moves)
     except (TypeError, ValueError):  # lists of different lengths
         given = np.empty(0, object)
+    if isinstance(moves, list | tuple) and any(isinstance(move, bool | np.bool_) for move in moves):
+        given = given.astype(np.bool_)  # among whole numbers numpy would take them for 0 and 1
     by = f"{player}: " if player else ""
     known = f"from 0 to {len(names) - 1} ({', '.join(names)})"
     if given.shape != shape or given.dtype.kind not in "iu":
