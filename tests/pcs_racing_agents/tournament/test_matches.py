@@ -210,9 +210,7 @@ class Narrow:
 def test_what_does_not_fit_is_refused_before_the_first_race(contest, game, cars, given, monkeypatch):
     monkeypatch.setattr(RaceGame, "reset", lambda *_, **__: pytest.fail("a race was driven"))
     stay, lattice = cars["never-switch"], get_planner("lattice").policy()
-    with pytest.raises(
-        InputError, match="competitor .Narrow. takes observations of shape .7,.; in this game they have shape .31,."
-    ):
+    with pytest.raises(InputError, match=r"competitor 'Narrow' takes observations of shape \(7,\)"):
         play_games(contest, Narrow(), stay, **given)
     for change, message in [
         ({"policies": np.full((GAMES, 2), 12)}, "game 0: the ego's variant is 12; 'never-switch' has variants 0 to 11"),
