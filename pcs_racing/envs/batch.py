@@ -43,12 +43,6 @@ class Batch(Protocol):
     Attributes
     ----------
     episodes, players : int
-    observation_space : Box
-        Of one environment.
-    action_space : Space
-        Of one environment.
-    elements : sequence
-        Name, unit, bounds and meaning of each number of an observation.
     codes : mapping of str to (mapping of int to str)
         Words of those infos that are codes.
     reset_options : tuple of str
@@ -61,12 +55,18 @@ class Batch(Protocol):
 
     episodes: int
     players: int
-    observation_space: spaces.Box
-    action_space: spaces.Space[Any]
     codes: Mapping[str, Mapping[int, str]]
     reset_options: tuple[str, ...]
     horizon: int
     frame_rate: int
+
+    @property
+    def observation_space(self) -> spaces.Box[Any]:
+        """Of one environment."""
+
+    @property
+    def action_space(self) -> spaces.Space[Any]:
+        """Of one environment."""
 
     @property
     def elements(self) -> Sequence[Any]:

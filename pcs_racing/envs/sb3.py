@@ -93,7 +93,7 @@ class SB3VecEnv(VecEnv):
         seeds: Sequence[int] | None = None,
         reward_scale: float = 1.0,
     ) -> None:
-        self.groups = list(envs) if isinstance(envs, list | tuple) else [envs]
+        self.groups: list[Any] = list(envs) if isinstance(envs, list | tuple) else [envs]
         for group in self.groups:
             if not isinstance(group, BatchVectorEnv) or group.autoreset_mode is not AutoresetMode.SAME_STEP:
                 raise InputError(
@@ -199,12 +199,13 @@ class SB3VecEnv(VecEnv):
         return [frame for group in self.groups for frame in group.render()]
 
     def _group(self, environment: int) -> BatchVectorEnv:
-        return self.groups[int(np.searchsorted(self._edges, environment, "right")) - 1]
+        group: BatchVectorEnv = self.groups[int(np.searchsorted(self._edges, environment, "right")) - 1]
+        return group
 
     def _masks(self) -> NDArray[np.bool_]:
         if not all(isinstance(group, DuelVectorEnv) for group in self.groups):
             raise AttributeError("the control level has no action masks")
-        return np.concatenate([group.action_masks() for group in self.groups])  # type: ignore[attr-defined]
+        return np.concatenate([group.action_masks() for group in self.groups])
 
 
 def _infos(info: dict[str, Any], rows: Iterable[int]) -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ import yaml
 from PIL import Image
 
 from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track, make_game
-from pcs_racing.envs.drive import checked_seed
+from pcs_racing.envs.batch import check_seed
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
 from pcs_racing.game.characteristics import get_characteristics
@@ -63,9 +63,9 @@ def test_long_values_make_short_messages():
         lambda: Fit("best-fixed", 1, "a", "b", "c", 0.5, 4),
         lambda: load_fit(-1),
         lambda: load_fit({"a": 1}),
-        lambda: checked_seed(-126),
-        lambda: checked_seed([1]),
-        lambda: checked_seed(True),
+        lambda: check_seed(-126),
+        lambda: check_seed([1]),
+        lambda: check_seed(True),
     ],
 )
 def test_values_of_other_types(make):
