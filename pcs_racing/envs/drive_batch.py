@@ -18,7 +18,7 @@ from pcs_racing.envs.infos import Crash, codes
 from pcs_racing.envs.moving_opponents import MovingOpponents
 from pcs_racing.envs.opponents import draw_opponent, drive_opponents, shared_planner
 from pcs_racing.envs.reset_options import place_poses, poses_option, start_option
-from pcs_racing.game.archive import load_archive
+from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import COMMAND_SLOTS, Planner, hold_command, leave_path

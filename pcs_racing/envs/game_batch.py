@@ -15,7 +15,8 @@ from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.infos import Crash, Result, codes
 from pcs_racing.envs.opponents import draw_opponent, parse_opponents, shared_planner
 from pcs_racing.envs.reset_options import start_option
-from pcs_racing.game.archive import PolicyArchive, load_archive
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.competitor import ask_moves
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.observation import ObservationElement

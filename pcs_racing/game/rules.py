@@ -25,9 +25,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive import PolicyArchive, duplicates, load_archive
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.moves import duplicate_moves, move_names, move_table
 from pcs_racing.game.observation import (
     HIGH,
     LOW,
@@ -150,11 +152,11 @@ class RaceGame:
     @cached_property
     def table(self) -> Indices:
         """Policy that each move leads to from every policy, shape (K, M)."""
-        return self.archive.move_table(self.config.epsilon, bool(self.config.stay))
+        return move_table(self.archive, self.config.epsilon, bool(self.config.stay))
 
     @cached_property
     def _table_with_stay(self) -> Indices:
-        return self.archive.move_table(self.config.epsilon, True)
+        return move_table(self.archive, self.config.epsilon, True)
 
     @cached_property
     def points(self) -> Floats:
@@ -170,12 +172,12 @@ class RaceGame:
     @cached_property
     def move_names(self) -> tuple[str, ...]:
         """Names of the M moves that the rules offer."""
-        return self.archive.move_names(self.config.epsilon, bool(self.config.stay))
+        return move_names(self.archive, self.config.epsilon, bool(self.config.stay))
 
     @cached_property
     def competitor_moves(self) -> tuple[str, ...]:
         """Names of the moves that a competitor may make: those of the rules and, whatever the rules offer, to stay."""
-        return self.archive.move_names(self.config.epsilon, True)
+        return move_names(self.archive, self.config.epsilon, True)
 
     @cached_property
     def observation_elements(self) -> tuple[ObservationElement, ...]:
@@ -324,7 +326,7 @@ class RaceGame:
 
     @cached_property
     def _duplicates(self) -> NDArray[np.bool_]:
-        return duplicates(self.table)
+        return duplicate_moves(self.table)
 
     # End, fault, winner, reward
 

@@ -15,12 +15,12 @@ from pcs_racing.game.observation import LEAD_SCALE
 from pcs_racing.game.reward import reward
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
-from pcs_racing_agents.agents.agents import NetworkSource
 from pcs_racing_agents.agents.drawing import draw, hash_rows
+from pcs_racing_agents.agents.from_network import NetworkSource, fitting_network
 from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, root_games, search_game
-from pcs_racing_agents.agents.network import fitting_network
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.chunk_files import fingerprint
+from pcs_racing_agents.agents.zoo import Entry
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.solvers import solve_matrix_games
 
@@ -125,7 +125,7 @@ class RecedingHorizon:
     def content_hash(self) -> str:
         """SHA-256 of all that decides what it does, but not of its name."""
         options = (self.seed, self.depth, self.leaf, self.opponent, self.decision, self.noises)
-        network = self.network and (self.network.weights, self.network.biases, self.network.mean, self.network.scale)
+        network = self.network and (self.network.layers, self.network.mean, self.network.scale)
         return fingerprint("receding horizon", options, network, self.setting.archive.content_hash, self.setting.config)
 
     def decide(self, game: RaceGame, state: GameState, car: int) -> Indices:
@@ -273,3 +273,10 @@ def receding_horizon(
     if noises is None:
         noises = NOISES if setting.config.race.steering_noise > 0.0 else 1
     return RecedingHorizon(name, setting, seed, depth, leaf, opponent, decision, noises, found)
+
+
+RECEDING_HORIZON = Entry(
+    receding_horizon,
+    "looks some steps ahead with the simulator at every decision, and solves the small game that it finds there",
+    "receding horizon control, for the paper's first limitation: trees too deep for many decisions",
+)

@@ -14,7 +14,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.jobs.folders import read_job
-from pcs_racing_agents.jobs.jobs import Part, Progress, chunk_file, open_job, read_chunk, run_parts
+from pcs_racing_agents.jobs.jobs import Progress, TaskGroup, chunk_file, open_job, read_chunk, run_groups
 from pcs_racing_agents.trees.build import build_tree, check_game
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
@@ -85,8 +85,8 @@ def build_trees(
     """
     with open_trees(
         game, folder, pairs=pairs, seeds_per_pair=seeds_per_pair, seed=seed, one_thread=executor is not None
-    ) as part:
-        run_parts([part], executor=executor, progress=progress, keep=False)
+    ) as group:
+        run_groups([group], executor=executor, progress=progress, keep=False)
     return load_trees(folder)
 
 
@@ -99,7 +99,7 @@ def open_trees(
     seeds_per_pair: int | None = None,
     seed: int = 0,
     one_thread: bool = True,
-) -> Iterator[Part]:
+) -> Iterator[TaskGroup]:
     """Open the folder of :func:`build_trees` for as long as a ``with`` block lasts.
 
     Parameters
@@ -111,9 +111,9 @@ def open_trees(
 
     Yields
     ------
-    Part
+    TaskGroup
         The trees as tasks, so that those of several folders can be played side by side
-        (:func:`pcs_racing_agents.jobs.jobs.run_parts`).
+        (:func:`pcs_racing_agents.jobs.jobs.run_groups`).
 
     Raises
     ------
@@ -131,7 +131,7 @@ def open_trees(
     tasks = [_Task(pair, i, int(seeds), int(seed)) for i, pair in enumerate(chosen)]
     builder = _Builder(replace(game, threads=1) if one_thread else game)
     with open_job(folder, KIND, settings) as job:
-        yield Part(job, NAME, builder, tasks)
+        yield TaskGroup(job, NAME, builder, tasks)
 
 
 def game_settings(game: RaceGame) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def centerline_from_grid(
     MapError
         If the seed point is off the map or in a wall, if there is no closed loop, or if there are several.
     """
-    require("scipy", "skimage")
+    require("skimage")
     from scipy import ndimage
 
     grid, resolution, corner = checked_grid(occupied, resolution, origin)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError
 from pcs_racing.base.optional import require
@@ -110,7 +110,7 @@ def generate_circuit(
     MapError
         If no draft was accepted; the message counts why.
     """
-    require("scipy", "clarabel")
+    require("clarabel")
     if style not in STYLES:
         raise UnknownNameError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
     if direction not in ("counterclockwise", "clockwise"):
@@ -219,7 +219,7 @@ def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np
     return (distance >= 0.5 * width / resolution) & np.isfinite(distance), low * resolution
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _distance_to_points(points, rows, cols, reach):  # type: ignore[no-untyped-def]
     """Distance in cells from each cell's centre to the nearest point; infinite beyond ``reach``."""
     best = np.full((rows, cols), np.inf)
@@ -266,7 +266,7 @@ def _draft(
     return samples.xy, ""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _apart(line, step, distance):  # type: ignore[no-untyped-def]
     """Whether points of a closed line that are no neighbours along it keep a distance.
 

@@ -1,0 +1,79 @@
+"""What PPO learns: a task, with groups of environments to learn in and races to be evaluated in.
+
+A group holds races side by side that share a circuit, rules and a mixture of opponents.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from pcs_racing.base.dense import DenseLayers
+from pcs_racing.envs.vector import BatchVectorEnv
+from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score
+
+__all__ = ["LearningTask", "group_seeds", "split_envs"]
+
+
+class LearningTask(Protocol):
+    """What PPO learns: :class:`pcs_racing_agents.learning.ppo.duels.DuelTask`, or ``DriveTask`` for driving.
+
+    Attributes
+    ----------
+    activation : {"relu", "tanh"}
+        Between the layers of the policy.
+    limit : float
+        Largest weight that the policy may have.
+    unit : str
+        Name of a step, for reports.
+    """
+
+    activation: str
+    limit: float
+    unit: str
+
+    @property
+    def default_name(self) -> str:
+        """Name under which the zoo looks for the policy."""
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What the results depend on beside the settings."""
+
+    def env_groups(self) -> Sequence[BatchVectorEnv]:
+        """Make the environments to learn in."""
+
+    def evaluate(self, layers: DenseLayers) -> dict[Matchup, Score]:
+        """Race without exploring; returns the scores."""
+
+    def save(self, layers: DenseLayers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
+        """Write a policy."""
+
+
+def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
+    """Seeds far enough apart that no two groups, seeds or purposes share a generator.
+
+    Parameters
+    ----------
+    seed : int
+    groups : int
+        How many are needed.
+    purpose : int
+        0 for learning, 1 for evaluation.
+    """
+    sequences = [np.random.SeedSequence(seed, spawn_key=(purpose, group)) for group in range(groups)]
+    return [int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(2)) for sequence in sequences]
+
+
+def split_envs(envs: int, weights: Sequence[int]) -> list[int]:
+    """Share environments out in proportion to weights, at least one to each.
+
+    Examples
+    --------
+    >>> split_envs(10, [3, 1])
+    [8, 2]
+    """
+    edges = np.cumsum([0, *weights]) * envs / sum(weights)
+    return [max(1, round(high) - round(low)) for low, high in pairwise(edges)]
