@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
@@ -61,11 +60,11 @@ class Batch(Protocol):
     frame_rate: int
 
     @property
-    def observation_space(self) -> spaces.Box[Any]:
+    def observation_space(self) -> Any:
         """Of one environment."""
 
     @property
-    def action_space(self) -> spaces.Space[Any]:
+    def action_space(self) -> Any:
         """Of one environment."""
 
     @property

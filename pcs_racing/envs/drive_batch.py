@@ -92,7 +92,9 @@ class DriveBatch:
         self.opponents = [] if self.alone else drive_opponents(options.opponent, self._make_game)
         movers = [opponent for opponent in self.opponents if not opponent.policies]
         self._moving = MovingOpponents(self.episodes, self._make_game()) if movers else None
-        planner = EXTERNAL if self.alone else shared_planner(self.opponents, self._moving and self._moving.game)
+        planner = (
+            EXTERNAL if self.alone else shared_planner(self.opponents, self._moving.game if self._moving else None)
+        )
         self.setup = RaceSetup(self.track, config, (EXTERNAL, planner))
         self.horizon = -(-self.setup.config.ticks // options.ticks)
         self.frame_rate = max(1, round(1.0 / options.time_step))

@@ -246,9 +246,9 @@ def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _end_step(
+def _end_step(  # type: ignore[no-untyped-def]
     progress, crash, fault, tick, end_tick, weights, alone, before, reward, terminated, truncated, first, last
-):  # type: ignore[no-untyped-def]
+):
     """Rewards and ends after a step, from the progress before it and the state after it."""
     for race in range(first, last):
         own = progress[race, 0] - before[race, 0]

@@ -128,9 +128,10 @@ def shared_planner(opponents: list[Opponent], game: RaceGame | None) -> Planner:
     InputError
         If they need different ones.
     """
-    family = game and game.archive.family()
-    planners = [opponent.planner or family for opponent in opponents] or [family]
-    for opponent, planner in zip(opponents, planners, strict=False):
+    planners = [opponent.planner or game.archive.family() for opponent in opponents]  # type: ignore[union-attr]
+    if not planners:
+        return game.archive.family()  # type: ignore[union-attr]
+    for opponent, planner in zip(opponents, planners, strict=True):
         if planner is not planners[0]:
             raise InputError(
                 f"opponents {opponents[0].name!r} and {opponent.name!r} drive with planners {planners[0].name!r} and "

@@ -79,7 +79,7 @@ class ScalarEnv(gym.Env[NDArray[np.float32], Any]):
         self.metadata = {**type(self).metadata, "render_fps": batch.frame_rate, "codes": batch.codes}
 
     @property
-    def spec(self) -> EnvSpec | None:  # type: ignore[override]
+    def spec(self) -> EnvSpec | None:
         """How it was made, with the number of steps after which its episodes end as ``max_episode_steps``."""
         return self._spec
 
@@ -173,7 +173,7 @@ class ScalarEnv(gym.Env[NDArray[np.float32], Any]):
         self._check_started()
         return words(self.batch.info(0), self.batch.codes)
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Return a frame (``"rgb_array"``), or show it (``"human"``).
 
         Raises

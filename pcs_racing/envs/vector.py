@@ -125,7 +125,7 @@ class BatchVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
         self.metadata = {**type(self).metadata, **own}
 
     @property
-    def spec(self) -> EnvSpec | None:  # type: ignore[override]
+    def spec(self) -> EnvSpec | None:
         """How it was made, with the number of steps after which its episodes end as ``max_episode_steps``."""
         return self._spec
 
@@ -319,7 +319,7 @@ class BatchVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
         self._steps[rows] = 0
 
     def _observations(self) -> NDArray[np.float32]:
-        out = np.zeros(self.observation_space.shape, np.float32)  # type: ignore[arg-type]
+        out = np.zeros((self.num_envs, *self.batch.observation_space.shape), np.float32)
         if self._generators:
             self.batch.observe(np.arange(self.batch.episodes), out)
         return out

@@ -99,7 +99,7 @@ class PolicySet:
     policies: tuple[Policy, ...]
 
 
-Competitor = Predictor | Decider | PolicySet | Policy | Function
+Competitor = Predictor | Decider | PolicySet | RandomMoves | Policy | Function
 """Who may drive a car of the game."""
 
 
@@ -232,11 +232,11 @@ def _predicted(
         moves, memory = _answer(competitor, seen, None, np.ones(len(rows), np.bool_), deterministic)
         if memory is None or memories is None:
             return moves
-    moves = []
+    asked: list[Any] = []
     for row, one, memory in zip(rows, seen, kept, strict=True):
         move, memories[row] = _answer(competitor, one[None], memory, np.array([memory is None]), deterministic)  # type: ignore[index]
-        moves.append(move[0])
-    return moves
+        asked.append(move[0])
+    return asked
 
 
 def _answer(
