@@ -77,7 +77,7 @@ class DriveBatch:
         Index of each race's opponent.
     """
 
-    reset_options = ("start", "poses")
+    reset_options: tuple[str, ...] = ("start", "poses")
 
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)

@@ -64,7 +64,7 @@ class GameBatch:
         Last move of each car; -1 before the first.
     """
 
-    reset_options = ("policies", "start")
+    reset_options: tuple[str, ...] = ("policies", "start")
     frame_rate = 1
 
     def __init__(
