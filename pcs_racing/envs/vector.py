@@ -14,6 +14,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_seed
 from pcs_racing.envs.infos import words
 from pcs_racing.envs.scalar import REBUILDING, with_horizon
+from pcs_racing.game.starting import as_array
 from pcs_racing.race.rendering import MODES, Renderer
 from pcs_racing.track.track import Track
 
@@ -297,7 +298,7 @@ class BatchVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
         """Episodes that a mask of environments asks for."""
         if mask is None:
             return np.arange(self.batch.episodes)
-        given = np.asarray(mask)
+        given = as_array(mask)
         if given.shape != (self.num_envs,) or given.dtype != np.bool_:
             raise InputError(
                 f"reset option 'reset_mask' has shape {given.shape} and type {given.dtype}; it must be bool of shape "

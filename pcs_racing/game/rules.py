@@ -38,7 +38,7 @@ from pcs_racing.game.observation import (
     observation_elements,
 )
 from pcs_racing.game.reward import reward
-from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, game_keys, random_bits
+from pcs_racing.game.starting import DRAW, as_array, check_policies, driver_parameters, game_keys, random_bits
 from pcs_racing.game.state import GameState, empty_game, put_games
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
@@ -480,10 +480,7 @@ def check_moves(
     InputError
         If they have another shape or type, or one is not among those that there are; game and car are named.
     """
-    try:
-        given = np.asarray(moves)
-    except (TypeError, ValueError):  # lists of different lengths
-        given = np.empty(0, object)
+    given = as_array(moves)
     if isinstance(moves, list | tuple) and any(isinstance(move, bool | np.bool_) for move in moves):
         given = given.astype(np.bool_)  # among whole numbers numpy would take them for 0 and 1
     by = f"{player}: " if player else ""

@@ -1,6 +1,7 @@
 """How a batch of games begins: checks of what is given, and random numbers for the rest, from each game's own key."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +11,7 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner, Policy
 
-__all__ = ["DRAW", "check_policies", "driver_parameters", "game_keys", "random_bits"]
+__all__ = ["DRAW", "as_array", "check_policies", "driver_parameters", "game_keys", "random_bits"]
 
 DRAW = -1
 """In place of a policy's index: draw one."""
@@ -32,7 +33,7 @@ def game_keys(seeds: ArrayLike | None, games: int | None, seed: int) -> NDArray[
         return race_seeds(int(seed), int(count))
     if games is not None:
         raise InputError(f"games is {games!r}, but there are seeds, one for each game; give one of the two")
-    keys = np.atleast_1d(np.asarray(seeds))
+    keys = np.atleast_1d(as_array(seeds))
     if keys.ndim != 1 or keys.dtype.kind not in "iu" or (keys.dtype.kind == "i" and (keys < 0).any()):
         raise InputError(f"seeds are {seeds!r}; they must be whole numbers from 0, one for each game")
     return keys.astype(np.uint64)
@@ -48,7 +49,7 @@ def check_policies(archive: PolicyArchive, policies: ArrayLike | None, games: in
     """
     if policies is None:
         return np.full((games, 2), DRAW, np.int64)
-    given = np.asarray(policies)
+    given = as_array(policies)
     if given.shape not in ((2,), (games, 2)) or given.dtype.kind not in "iu":
         raise InputError(
             f"policies have shape {given.shape} and type {given.dtype}; they must be whole numbers of shape (2,) or "
@@ -119,6 +120,14 @@ def driver_parameters(
         if driver is not None:
             theta[i, : len(driver.parameters)] = driver.parameters
     return np.array([driver is not None for driver in given], np.bool_).reshape(games), theta
+
+
+def as_array(values: Any) -> NDArray[Any]:
+    """Return values as an array; an empty one of objects for lists of different lengths, to be refused by its type."""
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError):
+        return np.empty(0, object)
 
 
 def random_bits(keys: NDArray[np.uint64], attempt: int) -> NDArray[np.uint64]:
