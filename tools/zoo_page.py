@@ -38,25 +38,26 @@ HEAD = """# The zoo, agent by agent
 <!-- Written by `python benchmarks/zoo.py --write`, which measures as well, and by
 `python tools/zoo_page.py`, which does not. -->
 
-What each agent and driver does, where the idea comes from, what it has learned from, how strong it is and what a
-decision costs. How to use them, and to add your own, is told in [agents.md](agents.md). `pcs-racing agents NAME` says
-the same of one of them.
+What each agent and driver does, the source of its idea, what it learned from, how strong it is, and what a decision
+costs. This page is a reference; [agents.md](agents.md) explains how to use agents and how to add your own.
+`pcs-racing agents NAME` prints the same for one of them.
 
-`python benchmarks/zoo.py --write` measures all that race with their defaults:
+`python benchmarks/zoo.py --write` measures all agents and drivers that race with their defaults:
 
-- **score**: races won, a tie counting half, mean over six opponents (not over itself), {field}, on two circuits,
-  which are named below. In either race some agents learned on the first of them and none on the second; the driver
-  `ppo-drive` learned on Tarnfjord and Kestrelheim. All drive the same races. With {races:.0f} races a score has a
-  standard error of at least {error:.3f};
-- **rating**: Bradley-Terry with ties over the same races, 400 are odds of ten to one, mean 0, with its 95 % interval.
-  It leaves out crashes that pay nobody, as all do in the paper's race: who wins or crashes has a high one, so read
-  score and crashes beside it;
-- **crash**: share of its races that ended in a crash that it is to blame for;
+- **score**: share of races won, where a tie counts half; the mean over six opponents (without the agent itself),
+  {field}, on two circuits,
+  which are named below. With either archive, some agents trained on the first circuit and none on the second; the
+  driver `ppo-drive` trained on Tarnfjord and Kestrelheim. All drive the same races. With {races:.0f} races a score
+  has a standard error of at least {error:.3f};
+- **rating**: Bradley-Terry with ties over the same races, with its 95 % interval. The mean is 0, and a difference of
+  400 means odds of ten to one. Crashes that pay neither car, as all in the paper's race, are left out. An agent that
+  either wins or crashes therefore has a high rating; read the rating together with score and crashes;
+- **crash**: share of its races that ended in a crash by its own fault;
 - **cost**: microseconds of processor time of a decision, for one observation and for each of 1,000 at once, on a shared
-  2-core machine that had other work at the time. A driver decides by planning ten times a second: a plan with 0.1 s of
-  simulation;
-- **hash**: the beginning of the SHA-256 of all that decides what it does: weights or choice, archive, rules.
-  Measurements belong to it: of an agent that has changed nothing is told until the script has run again.
+  2-core machine that had other work at the time. A driver plans ten times a second, and its cost is that of one plan
+  with 0.1 s of simulation;
+- **hash**: the beginning of the SHA-256 of everything that determines its behaviour: weights or fit, archive, rules.
+  Measurements belong to a hash. After an agent has changed, the page shows none until the script has run again.
 """
 
 
@@ -75,8 +76,8 @@ def zoo_page() -> str:
         blocks.append("\n".join(_lines([one for one in rows if one is not None])))
     blocks.append("## Agents")
     blocks += [_page(name, describe(name, entry), settings) for name, entry in shipped.items() if entry.moves]
-    constant = [f"### `{ALWAYS}MOVE`", "", "Makes the same move again and again; one agent for each move.", ""]
-    constant += ["- Source: baseline, never looks at the race.", "- Needs nothing."]
+    constant = [f"### `{ALWAYS}MOVE`", "", "Makes the same move at every step; one agent for each move.", ""]
+    constant += ["- Source: baseline, never observes the race.", "- Needs nothing."]
     blocks.append("\n".join([*constant, *_constant(settings)]))
     blocks.append("## Drivers")
     blocks += [_page(name, describe(name, entry), settings) for name, entry in shipped.items() if not entry.moves]

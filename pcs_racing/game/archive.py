@@ -297,7 +297,7 @@ class PolicyArchive:
         Parameters
         ----------
         explored : bool
-            Whether to tell of everything that was evaluated on the way instead.
+            Whether the rows are all policies that were evaluated on the way instead.
 
         Raises
         ------

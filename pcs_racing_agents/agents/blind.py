@@ -40,14 +40,14 @@ class ConstantStrategy:
 
     Attributes
     ----------
-    chances : ndarray, shape (M,)
+    probabilities : ndarray, shape (M,)
     """
 
-    chances: Floats
+    probabilities: Floats
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
-        return np.tile(self.chances, (len(observation), 1))
+        """Probabilities of the moves, shape (B, M)."""
+        return np.tile(self.probabilities, (len(observation), 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class OpenLoopStrategy:
     axes: int
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
+        """Probabilities of the moves, shape (B, M)."""
         step = np.minimum(moves_made(observation, self.axes), len(self.sequence) - 1)
         return np.eye(self.count)[self.sequence[step]]
 
@@ -92,7 +92,7 @@ class WalkStrategy:
     count: int
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
+        """Probabilities of the moves, shape (B, M)."""
         policy = self.archive.nearest(own(observation, len(self.archive.characteristics)))
         return np.eye(self.count)[self.next_move[policy]]
 
@@ -145,7 +145,7 @@ def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.i
         goal = target if steps[k, target] < policies else reached[np.argmin(away[reached])]
         if goal == k:
             first[k] = np.argmin(np.linalg.norm(where[leads_to[k]] - where[k], axis=1))
-            # The move "stay" comes last and is told from a move that fails only by its meaning: prefer it.
+            # The move "stay" comes last; among moves that keep the policy it is preferred.
             if leads_to[k, -1] == k:
                 first[k] = leads_to.shape[1] - 1
         else:
@@ -203,14 +203,15 @@ def best_schedule(
     name : str
     seed : int
     moves : sequence of str, optional
-        The plan: names of as many moves as a game has.
+        The sequence: as many names of moves as a game has.
     fit : Fit or path, optional
-        A plan chosen by :func:`pcs_racing_agents.tournament.fitting.fit_best_schedule`; the shipped one by default.
+        A sequence selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_schedule`;
+        the shipped one by default.
     """
     facts = {}
     if moves is None:
-        found = find_fit("best-schedule", setting, fit)
-        moves, facts = found.choice, fit_facts(found)
+        chosen_fit = find_fit("best-schedule", setting, fit)
+        moves, facts = chosen_fit.choice, fit_facts(chosen_fit)
     elif fit is not None:
         raise InputError(f"agent {name!r} got moves and a fit; give one of the two")
     if isinstance(moves, str) or len(moves) != setting.config.moves:
@@ -238,12 +239,12 @@ def best_fixed(
     target : int, optional
         The policy's index.
     fit : Fit or path, optional
-        A target chosen by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`; the shipped one by default.
+        A target selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`; the shipped one by default.
     """
     facts = {}
     if target is None:
-        found = find_fit("best-fixed", setting, fit)
-        target, facts = found.choice, fit_facts(found)
+        chosen_fit = find_fit("best-fixed", setting, fit)
+        target, facts = chosen_fit.choice, fit_facts(chosen_fit)
     elif fit is not None:
         raise InputError(f"agent {name!r} got a target and a fit; give one of the two")
     strategy = walk_to(setting, target)
@@ -254,17 +255,17 @@ def best_fixed(
     return Agent(name, strategy, setting, seed, {**facts, "target": f"policy {target} ({point})"})
 
 
-NEVER_SWITCH = Entry(never_switch, "keeps the policy of its start", "the paper's non-GT agent")
-RANDOM_MOVES = Entry(random_moves, "draws every move, all with the same chance", "baseline")
+NEVER_SWITCH = Entry(never_switch, "keeps its start policy for the whole race", "the paper's non-GT agent")
+RANDOM_MOVES = Entry(random_moves, "draws every move, all with the same probability", "baseline")
 BEST_SCHEDULE = Entry(
     best_schedule,
-    "makes the moves of a fixed plan, the best one on training races",
-    "baseline: open loop, never looks at the race",
+    "makes a fixed sequence of moves, the best one on training races",
+    "baseline: open-loop, never observes the race",
     "fit",
 )
 BEST_FIXED = Entry(
     best_fixed,
-    "walks to one policy of the archive, the best one on training races, and keeps it",
-    "baseline: never looks at the race",
+    "moves to one policy of the archive, the best one on training races, and keeps it",
+    "baseline: never observes the race",
     "fit",
 )

@@ -17,9 +17,9 @@ __all__ = ["describe", "facts_of", "microseconds", "option_meanings", "rating_te
 
 NEEDS = {
     "": "nothing",
-    "fit": "a choice made on training races, the file `ARCHIVE-RACE-{name}.yaml` or `fit=FILE`",
+    "fit": "a fit to training races, the file `ARCHIVE-RACE-{name}.yaml` or `fit=FILE`",
     "network": "the network `ARCHIVE-RACE-{kind}`, or `network=FOLDER`",
-    "agents": "what the agents need that it is made of",
+    "agents": "what its member agents need",
 }
 
 

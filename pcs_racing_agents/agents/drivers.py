@@ -81,7 +81,7 @@ def _variant(planner: str, variant: str) -> Policy:
 
 RANDOM_POLICY = Entry(
     random_policy,
-    "keeps to one of all policies that synthesis looked at, in the archive or not",
+    "keeps one of all policies that synthesis evaluated, in the archive or not",
     "the paper's random agent",
     moves=False,
 )
@@ -94,13 +94,13 @@ LANE_SWITCHER = Entry(
 )
 PPO_DRIVE = Entry(
     trained_driver,
-    "steers and sets its speed 25 times a second, as a network does that PPO trained in races",
+    "a network trained by PPO in races sets steering and speed 25 times a second",
     "Schulman et al. 2017, with Stable-Baselines3",
     moves=False,
 )
 GAP_FOLLOWER = Entry(
     planner_driver,
-    "follows the largest gap that its lidar sees; knows no map",
+    "follows the largest gap in its lidar scan; has no map",
     "Sezer and Gokasan 2012",
     moves=False,
 )

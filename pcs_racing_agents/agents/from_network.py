@@ -55,7 +55,7 @@ class NetworkStrategy:
         get_decision(self.decision)
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
+        """Probabilities of the moves, shape (B, M)."""
         values = self.network.unclipped(observation)
         chances = np.zeros((len(observation), self.count))
         chances[:, : values.shape[1]] = get_decision(self.decision)(values)
@@ -82,15 +82,15 @@ class AdaptiveStrategy:
     margin: float
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
-        habit = self.blind.probabilities(observation)
-        values = np.zeros(habit.shape)
+        """Probabilities of the moves, shape (B, M)."""
+        usual = self.blind.probabilities(observation)
+        values = np.zeros(usual.shape)
         known = self.network.unclipped(observation)
         values[:, : known.shape[1]] = known
         best = np.argmax(known, axis=1)
         rows = np.arange(len(observation))
-        gain = values[rows, best] - (habit * values).sum(axis=1)
-        return np.where((gain > self.margin)[:, None], np.eye(habit.shape[1])[best], habit)
+        gain = values[rows, best] - (usual * values).sum(axis=1)
+        return np.where((gain > self.margin)[:, None], np.eye(usual.shape[1])[best], usual)
 
 
 def fitting_network(source: NetworkSource, setting: Setting, kind: str, who: str) -> RegretNetwork:
@@ -142,8 +142,8 @@ def fitting_network(source: NetworkSource, setting: Setting, kind: str, who: str
 def network_facts(network: RegretNetwork) -> dict[str, str]:
     """What reports say of an agent's network."""
     # The manifest has all of it; these are the figures that say how much there was to learn from.
-    told = {key: value for key, value in network.training.items() if not key.startswith(_DETAILS)}
-    trained = ", ".join(f"{key} {value}" for key, value in told.items())
+    shown = {key: value for key, value in network.training.items() if not key.startswith(_DETAILS)}
+    trained = ", ".join(f"{key} {value}" for key, value in shown.items())
     return {
         "network": f"{network.name}: {network.target}, preset {network.identity.preset}",
         "trained on": trained or "not said",
@@ -177,9 +177,9 @@ def from_network(
     network : RegretNetwork, str or path, optional
         Another network: the name of a shipped one or its folder.
     """
-    found = fitting_network(network, setting, kind, name)
-    strategy = NetworkStrategy(found, decision, len(setting.moves))
-    return Agent(name, strategy, setting, seed, {**network_facts(found), "decision": decision})
+    loaded = fitting_network(network, setting, kind, name)
+    strategy = NetworkStrategy(loaded, decision, len(setting.moves))
+    return Agent(name, strategy, setting, seed, {**network_facts(loaded), "decision": decision})
 
 
 def adaptive(
@@ -204,19 +204,19 @@ def adaptive(
     network : RegretNetwork, str or path, optional
         What each move is worth: another network, the name of a shipped one or its folder.
     blind : Agent or str
-        The strategy to keep to; it needs what it needs by itself.
+        The default strategy, with its own needs.
     margin : float, optional
         How much more a move must promise, in units of the network's target; by default what the network's training says
         (``margin``), else 0.
     """
-    found = fitting_network(network, setting, kind, name)
-    habit = build_member(blind, setting, seed)
+    loaded = fitting_network(network, setting, kind, name)
+    blind_agent = build_member(blind, setting, seed)
     if margin is None:
-        margin = found.training.get("margin", 0.0)  # type: ignore[assignment]
+        margin = loaded.training.get("margin", 0.0)  # type: ignore[assignment]
     if isinstance(margin, bool) or not isinstance(margin, int | float) or not 0.0 <= margin < np.inf:
         raise InputError(f"the margin of agent {name!r} is {margin!r}; it must be a finite number from 0")
-    facts = {**network_facts(found), "keeps to": habit.name, "margin": f"{margin:g}"}
-    return Agent(name, AdaptiveStrategy(found, habit, float(margin)), setting, seed, facts)
+    facts = {**network_facts(loaded), "keeps to": blind_agent.name, "margin": f"{margin:g}"}
+    return Agent(name, AdaptiveStrategy(loaded, blind_agent, float(margin)), setting, seed, facts)
 
 
 def _entry(kind: str, decision: str, summary: str, source: str) -> Entry:
@@ -226,31 +226,31 @@ def _entry(kind: str, decision: str, summary: str, source: str) -> Entry:
 CFR_ARGMAX = _entry(
     "regret",
     "argmax",
-    "makes the move of highest approximate counterfactual regret",
+    "makes the move with the highest predicted counterfactual regret",
     "the paper's GT agent, Equations 8 and 9",
 )
 CFR_REGRET_MATCHING = _entry(
     "regret",
     "regret-matching",
-    "draws a move in proportion to its positive approximate counterfactual regret",
+    "draws a move with a probability proportional to its positive predicted counterfactual regret",
     "the paper's remark on regret matching (Zinkevich et al. 2007)",
 )
 NORMALISED_REGRET = _entry(
     "normalised",
     "argmax",
-    "makes the move of highest regret, every situation counting alike however rarely the opponent comes there",
-    "cumulative regret over the opponent's cumulative reach",
+    "makes the move with the highest predicted regret, normalised to the same size at every decision",
+    "cumulative regret, divided by its largest magnitude at the node",
 )
 ADVANTAGE = _entry(
     "advantage",
     "argmax",
-    "makes the move that gains most, or loses least, against the exact equilibrium",
+    "makes the move with the highest predicted advantage against the exact equilibrium",
     "backward induction over matrix games",
 )
 STATIC_Q = _entry(
     "static-q",
     "argmax",
-    "plays best against an opponent that does not look at the race",
+    "plays a best response to an opponent that does not observe the race",
     "best response to a static opponent",
 )
 NASH = _entry(
@@ -259,18 +259,18 @@ NASH = _entry(
 RESPONSE = _entry(
     "gain",
     "argmax",
-    "makes the move that wins most against the opponents that it has learned to answer",
-    "advantages on branched races, learned from the last step back (`pcs_racing_agents.learning.responses`)",
+    "plays an approximate best response to the pool of opponents that it was trained against",
+    "advantages in branched races, learned from the last step backwards (`pcs_racing_agents.learning.responses`)",
 )
 PPO = _entry(
     "ppo",
     "argmax",
-    "makes the move that a policy trained by PPO finds most likely",
+    "makes the most probable move of a policy trained by PPO",
     "Schulman et al. 2017, with Stable-Baselines3",
 )
 ADAPTIVE = Entry(
     adaptive,
-    "keeps to the best blind strategy and leaves it where a network promises clearly more",
+    "follows the best blind strategy unless a network predicts a gain above a margin",
     "advantage over the best blind strategy, with a margin",
     "network",
 )

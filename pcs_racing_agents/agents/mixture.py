@@ -41,7 +41,7 @@ class Mixture:
     setting: Setting
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
+        """Probabilities of the moves, shape (B, M)."""
         now = moves_made(observation, self._axes)
         chances = np.zeros((len(observation), len(self.setting.moves)))
         for step in np.unique(now):
@@ -118,11 +118,11 @@ def restricted_response(
     name : str
     seed : int
     exploit : Agent or str
-        Who plays when it exploits.
+        The agent that exploits.
     safe : Agent or str
-        Who plays else.
+        The agent of the other games.
     share : float
-        How often to exploit, in [0, 1].
+        The probability of exploiting, in [0, 1].
     """
     if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 <= share <= 1.0:
         raise InputError(f"the share of agent {name!r} is {share!r}; it must be a number from 0 to 1")
@@ -148,16 +148,16 @@ def psro(
     name : str
     seed : int
     weights : mapping of str to float, optional
-        How often each agent is drawn, by name.
+        The probability of each agent, by name.
     members : sequence of Agent
-        Those of them that are not to be made by name.
+        Agents given as objects instead of by name.
     fit : Fit or path, optional
-        Weights found by :func:`pcs_racing_agents.tournament.fitting.fit_psro`; the shipped ones by default.
+        Weights computed by :func:`pcs_racing_agents.tournament.fitting.fit_psro`; the shipped ones by default.
     """
     facts: dict[str, str] = {}
     if weights is None:
-        found = find_fit("psro", setting, fit)
-        weights, facts = found.choice, fit_facts(found)
+        chosen_fit = find_fit("psro", setting, fit)
+        weights, facts = chosen_fit.choice, fit_facts(chosen_fit)
     elif fit is not None:
         raise InputError(f"agent {name!r} got weights and a fit; give one of the two")
     own = {member.name: member for member in members}
@@ -174,13 +174,13 @@ def _listed(mixture: Mixture) -> str:
 
 RESTRICTED_RESPONSE = Entry(
     restricted_response,
-    "for each game draws whether to exploit a static opponent or to play safe",
+    "draws for each game whether to exploit a static opponent or to play an equilibrium",
     "after restricted Nash response (Johanson et al. 2007)",
     "agents",
 )
 PSRO = Entry(
     psro,
-    "for each game draws an agent, with the chances of an equilibrium of choosing agents",
+    "draws an agent for each game, with the probabilities of an equilibrium of the game of choosing agents",
     "meta-strategy of PSRO (Lanctot et al. 2017)",
     "fit",
 )

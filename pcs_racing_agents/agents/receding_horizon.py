@@ -2,7 +2,7 @@
 
 The paper solves the whole game beforehand, and names that as the reason for few decisions: with more of them the tree
 becomes too deep. A search from the present state needs no tree of the whole game. It sees where both cars are and how
-fast, but not what the opponent is made of (:mod:`pcs_racing_agents.agents.lookahead`).
+fast, but not the opponent's parameters (:mod:`pcs_racing_agents.agents.lookahead`).
 """
 
 from dataclasses import dataclass
@@ -201,7 +201,7 @@ class RecedingHorizon:
         worth = reward(search.config, state.race, state.step)
         lead = state.race.lead / LEAD_SCALE
         if search.config.utility == "win":
-            # The opponent is a guess: of two races won or lost alike, the one with more lead is won more surely.
+            # The opponent is a guess: of two races with the same result, the one with more lead is won more surely.
             worth = worth + np.where(state.race.crashed, 0.0, LEAD_BONUS * np.clip(lead, -5.0, 5.0))
         if not done.all():
             if self.network is not None:
@@ -245,15 +245,14 @@ def receding_horizon(
     depth : int
         Steps of the game to look ahead.
     leaf : str
-        How the ends of the search are valued: ``rollout`` (both cars keep their policies to the end of the race),
+        How the leaves of the search are valued: ``rollout`` (both cars keep their policies to the end of the race),
         ``now`` (the lead at that moment), or ``network``.
     opponent : str
-        What is expected of the opponent: ``static`` (it keeps the policy that it seems to drive), or ``equilibrium``
-        (it searches as well).
+        The model of the opponent: ``static`` (it keeps its estimated policy), or ``equilibrium`` (it searches as well).
     decision : str
         Which move of an equilibrium strategy to make: ``argmax`` or ``sample``.
     noises : int, optional
-        Courses of the steering noise to average over; by default 4, or 1 where the rules have no noise.
+        Noise realisations to average over; by default 4, or 1 if the rules have no noise.
     network : RegretNetwork, str or path, optional
         For the leaf ``network``, of target ``static-q``: the name of a shipped one or its folder; by default the one
         that is shipped for the game.
@@ -277,6 +276,6 @@ def receding_horizon(
 
 RECEDING_HORIZON = Entry(
     receding_horizon,
-    "looks some steps ahead with the simulator at every decision, and solves the small game that it finds there",
+    "simulates some steps ahead at every decision, and solves the small game of their outcomes",
     "receding horizon control, for the paper's first limitation: trees too deep for many decisions",
 )

@@ -60,10 +60,10 @@ class Entry:
     source : str
         Where the idea comes from.
     needs : str
-        What it must have learned before it can race: "", "fit" or "network"; "agents" for what others must that it is
-        made of.
+        What it must have learned before it can race: "", "fit" or "network"; "agents" for what its
+        members must have learned.
     defaults : Mapping
-        Options that tell it from other entries with the same function.
+        Options that differ from those of other entries with the same function.
     moves : bool
         Whether it moves between the policies of the archive; drivers do not.
     """

@@ -1,4 +1,4 @@
-"""What the moves of ego trees are worth, and the training rows made of it.
+"""Values of the moves of ego trees, and training rows with them as targets.
 
 What a move is worth depends on what follows. ``"best"`` takes the best that could have followed: it knows the
 opponent's moves and the noise to come, as no driver does, so it is an upper bound. A continuation policy that sees

@@ -99,6 +99,7 @@ class RegretNetwork:
         scaled = DenseLayers((first, *self.layers.weights[1:]), (bias, *self.layers.biases[1:]))
         put("_sizes", np.array(sizes, np.int64))
         put("_flat", scaled.flat())
+        put("_widest", max(sizes))
 
     def __repr__(self) -> str:
         """Show what it is, not its numbers."""
@@ -149,7 +150,7 @@ class RegretNetwork:
             raise InputError(f"observations have shape {x.shape}; network {self.name!r} needs (..., {inputs})")
         rows = np.ascontiguousarray(x.reshape(-1, inputs))
         out = np.empty((len(rows), moves), np.float32)
-        scratch = np.empty((2, max(self.layers.sizes)), np.float32)
+        scratch = np.empty((2, self._widest), np.float32)  # type: ignore[attr-defined]
         if not dense_rows(rows, self._flat, self._sizes, scratch, out):  # type: ignore[attr-defined]
             raise InputError("observations hold NaN or infinity; they must be finite")
         return out.reshape(*x.shape[:-1], moves)

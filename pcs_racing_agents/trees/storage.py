@@ -10,6 +10,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.rules import RaceGame
@@ -123,8 +124,7 @@ def open_trees(
     check_game(game)
     chosen = _checked_pairs(game.archive, pairs, seed)
     seeds = default_seeds(game) if seeds_per_pair is None else seeds_per_pair
-    if isinstance(seeds, bool) or not isinstance(seeds, int | np.integer) or not 1 <= seeds <= 1000:
-        raise InputError(f"seeds_per_pair is {seeds_per_pair!r}; it must be a whole number from 1 to 1000")
+    check_whole("seeds_per_pair", seeds, 1, 1000)
     if seeds > 1 and game.config.race.steering_noise == 0.0:
         raise InputError(f"seeds_per_pair is {seeds}, but there is no steering noise: every seed drives the same")
     settings = {**game_settings(game), "pairs": chosen, "seeds_per_pair": int(seeds), "seed": int(seed)}

@@ -213,7 +213,7 @@ def test_lists_of_different_lengths_for_two_players():
     with pytest.raises(InputError, match="policies have shape"):
         env.reset(seed=0, options={"policies": [[0], [1, 2]]})
     env.reset(seed=0)
-    with pytest.raises(InputError, match="action of car_0"):
+    with pytest.raises(InputError, match="moves are"):
         env.step({"car_0": [[0], [1, 2]], "car_1": 0})
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pcs_racing.base.checks import check_number, check_seed
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError
@@ -116,15 +117,13 @@ def generate_circuit(
     if direction not in ("counterclockwise", "clockwise"):
         raise InputError(f"direction is {direction!r}: it must be 'counterclockwise' or 'clockwise'")
     for name, value, low, high in (("width", width, 1.2, 10.0), ("resolution", resolution, 0.02, 0.2)):
-        if not low <= value <= high:
-            raise InputError(f"{name} is {value!r}: it must lie between {low} and {high} m")
+        check_number(name, value, low, high)
     shortest, longest = (float(value) for value in length_range)
     if not 10.0 * width <= shortest < longest <= 1000.0:
         raise InputError(
             f"length_range is {length_range!r}: two lengths are needed, ascending, from 10 widths to 1000 m"
         )
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise InputError(f"seed is {seed!r}: it must be a whole number of at least 0")
+    check_seed(seed)
     refusals: dict[str, int] = {}
     for attempt in range(attempts):
         key = (list(STYLES).index(style), attempt)

@@ -151,7 +151,7 @@ def learn_response(
     Raises
     ------
     InputError
-        If the games are not all alike.
+        If the games differ in archive, moves or rules.
     """
     if len(games) == 0 or len(pool) == 0:
         raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")

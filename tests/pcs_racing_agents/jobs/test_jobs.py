@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from repository import REPOSITORY
 
 from pcs_racing import InputError, load_race_config, load_track
-from pcs_racing_agents import jobs
 from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
 from pcs_racing_agents.jobs.executors import tasks_in_flight
 from pcs_racing_agents.jobs.fingerprint import fingerprint
@@ -430,7 +429,7 @@ def test_a_full_disk_is_told_in_a_line_and_loses_nothing(tmp_path, monkeypatch):
         written.append(path)
         write_chunk(path, arrays, task)
 
-    monkeypatch.setattr(jobs, "write_chunk", full)
+    monkeypatch.setattr("pcs_racing_agents.jobs.jobs.write_chunk", full)
     with (
         open_job(tmp_path, "squares", SETTINGS) as job,
         pytest.raises(JobError, match=r"can't write .*square-00002.npz: No space left on device; what is done is kept"),
