@@ -69,7 +69,7 @@ def rectangles_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     return abs(dy * c1 - dx * s1) < half_width1 + half_length0 * s + half_width0 * c
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ignore[no-untyped-def]
     """Whether a segment, given in the rectangle's own frame, passes through its inside."""
     if max(ax, bx) <= -half_length or min(ax, bx) >= half_length:

@@ -19,7 +19,7 @@ __all__ = ["minimum_ittc", "segment_ittc"]
 _ROUNDING = 1e-9
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untyped-def]
     """The smaller of ``best`` and the least time to collision with the points of a segment.
 

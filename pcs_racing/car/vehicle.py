@@ -110,7 +110,7 @@ F1TENTH = VehicleParams()
 PARAMS_SIZE = 16
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _limited_rate(delta, rate, p):  # type: ignore[no-untyped-def]
     limit = p[STEER_MAX]
     if (delta <= -limit and rate <= 0.0) or (delta >= limit and rate >= 0.0):
@@ -118,7 +118,7 @@ def _limited_rate(delta, rate, p):  # type: ignore[no-untyped-def]
     return min(max(rate, -p[STEER_RATE_MAX]), p[STEER_RATE_MAX])
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _limited_acceleration(v, a, p):  # type: ignore[no-untyped-def]
     if (v <= p[V_MIN] and a <= 0.0) or (v >= p[V_MAX] and a >= 0.0):
         return 0.0
@@ -126,7 +126,7 @@ def _limited_acceleration(v, a, p):  # type: ignore[no-untyped-def]
     return min(max(a, -p[A_MAX]), most)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _derivative(delta, v, psi, psi_dot, beta, rate, acceleration, p):  # type: ignore[no-untyped-def]
     """Right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
     rate = _limited_rate(delta, rate, p)
@@ -203,7 +203,7 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
     state[BETA] = beta + w * (a6 + 2.0 * b6 + 2.0 * c6 + d6)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def target_inputs(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
     """Inputs that lead to a target steering angle and speed without chatter or overshoot.
 

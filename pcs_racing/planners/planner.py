@@ -168,7 +168,7 @@ def hold_command(track, theta, view, memory, scratch, path, command):  # type: i
     command[1] = memory[1]
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untyped-def]
     """Steering angle of pure pursuit towards a point.
 
@@ -197,7 +197,7 @@ def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untype
     return min(max(steer, -view[STEER_MAX]), view[STEER_MAX])
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def calm_speed(v, speed):  # type: ignore[no-untyped-def]
     """Target speed that asks for no more braking than the car stays stable under, and the acceleration it stands for.
 

@@ -56,7 +56,7 @@ class KernelSettings(NamedTuple):
     ittc_horizon: float
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _mix(key):  # type: ignore[no-untyped-def]
     """Scramble 64 bits (the finaliser of splitmix64, Steele et al. 2014)."""
     key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -109,20 +109,20 @@ def _wrap(length, s):  # type: ignore[no-untyped-def]
     return s if 0.0 <= s < length else 0.0
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def wrap_s(track, s):  # type: ignore[no-untyped-def]
     """Bring an arc length into [0, length)."""
     return _wrap(track.length, s)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def angle_between(a, b):  # type: ignore[no-untyped-def]
     """Difference a - b of two angles, brought into [-pi, pi)."""
     d = a - b
     return d - 2.0 * np.pi * np.floor((d + np.pi) / (2.0 * np.pi))
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _cubic(line, ds, i):  # type: ignore[no-untyped-def]
     """Coefficients of the line between sample ``i`` and the next one, for u in [0, 1].
 
