@@ -207,6 +207,13 @@ def calm_speed(v, speed):  # type: ignore[no-untyped-def]
     return speed, min(10.0 * (speed - v), 9.5)
 
 
+@kernel(forceinline=True)
+def _share_of_gap(before, after, distance):  # type: ignore[no-untyped-def]
+    """How far between two points a distance from the car is reached, in [0, 1], from the squares of their distances."""
+    before = np.sqrt(before)
+    return min(max((distance - before) / max(np.sqrt(after) - before, 1e-9), 0.0), 1.0)
+
+
 @kernel
 def follow_path(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
     """Follow the planned path by pure pursuit (the default ``control``).
@@ -234,16 +241,15 @@ def follow_path(track, theta, view, memory, scratch, path, command):  # type: ig
     kappa = path[last, PATH_KAPPA]
     speed = path[last, PATH_SPEED]
     speed_found = False
-    before = np.sqrt(near)
+    before = near
     for j in range(i, last):
-        after = np.sqrt((path[j + 1, PATH_X] - x) ** 2 + (path[j + 1, PATH_Y] - y) ** 2)
-        per_gap = 1.0 / max(after - before, 1e-9)
-        if not speed_found and after >= preview:
-            w = min(max((preview - before) * per_gap, 0.0), 1.0)
+        after = (path[j + 1, PATH_X] - x) ** 2 + (path[j + 1, PATH_Y] - y) ** 2
+        if not speed_found and after >= preview * preview:
+            w = _share_of_gap(before, after, preview)
             speed = path[j, PATH_SPEED] + w * (path[j + 1, PATH_SPEED] - path[j, PATH_SPEED])
             speed_found = True
-        if after >= reach:
-            w = min(max((reach - before) * per_gap, 0.0), 1.0)
+        if after >= reach * reach:
+            w = _share_of_gap(before, after, reach)
             goal_x = path[j, PATH_X] + w * (path[j + 1, PATH_X] - path[j, PATH_X])
             goal_y = path[j, PATH_Y] + w * (path[j + 1, PATH_Y] - path[j, PATH_Y])
             kappa = path[j, PATH_KAPPA]
