@@ -7,7 +7,7 @@ looks at a lidar scan.
 
 import numpy as np
 
-from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.frenet import interpolate, wrap_s
 
@@ -69,7 +69,7 @@ def rectangles_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     return abs(dy * c1 - dx * s1) < half_width1 + half_length0 * s + half_width0 * c
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ignore[no-untyped-def]
     """Whether a segment, given in the rectangle's own frame, passes through its inside."""
     if max(ax, bx) <= -half_length or min(ax, bx) >= half_length:
@@ -93,7 +93,7 @@ def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
     return track.distance[int(row), int(column)] <= 0.0
 
 
-@kernel
+@inner_kernel
 def _wall_in_rectangle(walls, seen_start, seen, distance, middle, stretch, x, y, psi, half_length, half_width):  # type: ignore[no-untyped-def]
     """Whether a wall that can be seen from a stretch passes through the inside of a rectangle."""
     s, c = sine_cosine(psi)
@@ -274,7 +274,7 @@ def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     return polygon[0, 0] + mx / area, polygon[0, 1] + my / area
 
 
-@kernel
+@inner_kernel
 def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
     """The axis of direction psi, turned to point along (dx, dy), and how deep shapes of this reach overlap on it."""
     ay, ax = sine_cosine(psi)

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.base.errors import InputError
 
@@ -145,7 +145,7 @@ class Handling(NamedTuple):
     slip_gain: float
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def handling(p):  # type: ignore[no-untyped-def]
     """Work out :class:`Handling` from a row of parameters."""
     slip_gain = p[MU] / (p[LF] + p[LR])
@@ -167,7 +167,7 @@ def handling(p):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _limited_rate(delta, rate, car):  # type: ignore[no-untyped-def]
     limit = car.steer_max
     least = -car.steer_rate_max if delta > -limit else 0.0
@@ -175,14 +175,14 @@ def _limited_rate(delta, rate, car):  # type: ignore[no-untyped-def]
     return min(max(rate, least), most)
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _limited_acceleration(v, a, car):  # type: ignore[no-untyped-def]
     least = -car.a_max if v > car.v_min else 0.0
     most = car.a_max * (car.v_switch / v if v > car.v_switch else 1.0)
     return min(max(a, least), most if v < car.v_max else 0.0)
 
 
-@kernel
+@inner_kernel
 def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):  # type: ignore[no-untyped-def]
     """Right-hand side of the model at low speed, where the tyres roll without slip."""
     sin_delta, cos_delta = sine_cosine(delta)
@@ -199,7 +199,7 @@ def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):  # type:
     return v * cosine, v * sine, rate, a, yaw, yaw_dot, slip_dot
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  # type: ignore[no-untyped-def]
     """Right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
     rate = _limited_rate(delta, rate, car)
@@ -221,7 +221,7 @@ def _derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  #
     return v * cosine, v * sine, rate, a, psi_dot, yaw_dot, beta_dot
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow):  # type: ignore[no-untyped-def]
     """One classic Runge-Kutta step of a car with its inputs held; returns its new state.
 
@@ -294,7 +294,7 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def target_inputs(delta, v, steer, speed, car, dt):  # type: ignore[no-untyped-def]
     """Inputs that lead to a target steering angle and speed without chatter or overshoot.
 
@@ -307,14 +307,14 @@ def target_inputs(delta, v, steer, speed, car, dt):  # type: ignore[no-untyped-d
     return rate, _limited_acceleration(v, 10.0 * (speed - v), car)
 
 
-@kernel
+@inner_kernel
 def step_to_target(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
     """Advance one vehicle in place by one step towards a target steering angle (rad) and speed (m/s)."""
     rate, acceleration = target_inputs(state[DELTA], state[V], steer, speed, handling(p), dt)
     step(state, rate, acceleration, p, dt)
 
 
-@kernel
+@inner_kernel
 def _gym_inputs(state, steer, speed, p):  # type: ignore[no-untyped-def]
     """Inputs of the established simulator's controllers: bang-bang steering and a speed gain that depends on the
     case.

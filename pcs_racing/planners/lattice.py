@@ -10,7 +10,7 @@ policy. Of two cars side by side the one ahead has the right of way; the other o
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.compilation import kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import rough_sine_cosine, sine_cosine, tangent
 from pcs_racing.planners import planner as _view
 from pcs_racing.planners import spiral
@@ -109,13 +109,13 @@ SCRATCH = _OPP_D + HORIZON_STEPS
 _PATH_BASIS = np.array([spiral.heading_basis(j / (PATH_POINTS - 1)) for j in range(PATH_POINTS)])
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _near(v):  # type: ignore[no-untyped-def]
     """Distance of the near goals in m; the far ones are ``FAR`` times as far."""
     return 1.5 + 0.16 * v
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _sample_at(line, per_ds, s):  # type: ignore[no-untyped-def]
     """Index of the line's sample at an arc length above -length; a few laps more do no harm."""
     n = line.shape[0]
@@ -127,19 +127,19 @@ def _sample_at(line, per_ds, s):  # type: ignore[no-untyped-def]
     return i
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _speed_at(line, per_ds, s):  # type: ignore[no-untyped-def]
     """Speed of the profile at an arc length above -length."""
     return line[_sample_at(line, per_ds, s), _frenet.SPEED]
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _target_speed(line, per_ds, s, v, late_braking):  # type: ignore[no-untyped-def]
     """Speed of the profile, the braking point put off, the acceleration out of corners not."""
     return max(_speed_at(line, per_ds, s), _speed_at(line, per_ds, s - v * late_braking))
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _power_of_ten(x):  # type: ignore[no-untyped-def]
     """10**x for x in [-2, 1] to a relative 1e-9, cheaper than the library's power."""
     t = x * (2.302585092994046 / 16.0)
@@ -150,7 +150,7 @@ def _power_of_ten(x):  # type: ignore[no-untyped-def]
     return t * t
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _hermite(u, d0, slope0, d1):  # type: ignore[no-untyped-def]
     """Cubic from d0 with slope0 (per unit of u) to d1 with slope 0; constant from u = 1 on."""
     u = min(max(u, 0.0), 1.0)
@@ -158,7 +158,7 @@ def _hermite(u, d0, slope0, d1):  # type: ignore[no-untyped-def]
     return d1 + q * q * ((1.0 + 2.0 * u) * (d0 - d1) + u * slope0)
 
 
-@kernel
+@inner_kernel
 def _lay_goals(line, ds, length, view, distance, first, course, scratch):  # type: ignore[no-untyped-def]
     """Put one row of goals across the track, ``distance`` ahead, in the frame of the car's velocity."""
     s = view[_view.OWN_S] + distance
@@ -189,7 +189,7 @@ def _lay_goals(line, ds, length, view, distance, first, course, scratch):  # typ
         scratch[_GOAL_D + g] = d
 
 
-@kernel
+@inner_kernel
 def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
     """Air beside each spiral's points, from the distance field."""
     distance = track.distance
@@ -213,7 +213,7 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
         scratch[_MIN_AIR + g] = nearest
 
 
-@kernel
+@inner_kernel
 def _predict(line, per_ds, s, v, late_braking, keep, steps, scratch):  # type: ignore[no-untyped-def]
     """Drive along the race line from (s, v) towards the profile, at every scale in the scratch.
 
@@ -239,7 +239,7 @@ def _predict(line, per_ds, s, v, late_braking, keep, steps, scratch):  # type: i
             scratch[_OWN_HIGH + k * SPEEDS + f] = max(line[i, _frenet.LEFT] - keep, 0.0)
 
 
-@kernel
+@inner_kernel
 def _predict_opponent(line, per_ds, view, s, gives_way, scratch):  # type: ignore[no-untyped-def]
     """The opponent carries on along the track from ``s`` with its share of the profile: arc lengths and positions."""
     v = view[_view.OPP_V]
@@ -261,7 +261,7 @@ def _predict_opponent(line, per_ds, view, s, gives_way, scratch):  # type: ignor
         scratch[_OPP_D + k] = min(max(d, low), high)
 
 
-@kernel
+@inner_kernel
 def _shape_paths(scratch, d0, slope):  # type: ignore[no-untyped-def]
     """Coefficients of each spiral's distance from the race line, as the cubic of `_hermite` in the distance driven."""
     for g in range(GOALS):
@@ -271,7 +271,7 @@ def _shape_paths(scratch, d0, slope):  # type: ignore[no-untyped-def]
         scratch[_CUBE + g] = (slope - 2.0 * aside) * per_length * per_length
 
 
-@kernel
+@inner_kernel
 def _meet_opponent(scratch, f, d0, slope, s0, long_reach, side_reach, soft_side, gives_way, followed):  # type: ignore[no-untyped-def]
     """Trouble (overlap within a second) and proximity of all spirals at one speed with the predicted opponent."""
     for g in range(GOALS):
@@ -306,7 +306,7 @@ def _meet_opponent(scratch, f, d0, slope, s0, long_reach, side_reach, soft_side,
             scratch[_PROXIMITY + g] += soft / (long_square + side_air * side_air)
 
 
-@kernel
+@inner_kernel
 def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend, opponent_d):  # type: ignore[no-untyped-def]
     """Sum up what a spiral costs whatever the speed, rejections by walls included, into the base row."""
     w_length = 2.5 * _power_of_ten(theta[LENGTH])
@@ -340,7 +340,7 @@ def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend,
         )
 
 
-@kernel
+@inner_kernel
 def _write_path(line, per_ds, view, scratch, g, kappa0, course, at_scale, scale, late, path):  # type: ignore[no-untyped-def]
     """Sample the chosen spiral, with a speed at each point that its curvature allows."""
     s0, c0 = sine_cosine(course)

@@ -17,7 +17,7 @@ References
 
 import numpy as np
 
-from pcs_racing.base.compilation import kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import rough_sine_cosine, sine_cosine
 
 __all__ = ["SEGMENTS", "SPIRALS", "heading_basis", "sample_spirals", "solve_spirals", "spiral_curvature"]
@@ -38,6 +38,7 @@ POINT_Y = POINT_X + SPIRALS * (SEGMENTS + 1)
 # Work rows.
 _END_COS, _END_SIN, _A1, _A2, _A3, _SUM_COS, _SUM_SIN = (POINT_Y + SPIRALS * (SEGMENTS + 1 + k) for k in range(7))
 BLOCK = _SUM_SIN + SPIRALS
+
 
 def heading_basis(u: float) -> tuple[float, float, float, float]:
     """Coefficients (a, c0, c3, d) of the heading at ``u``: theta = a theta_end + length (c0 p0 + c3 p3) + d w."""
@@ -76,7 +77,7 @@ def spiral_curvature(length, w, end_heading, kappa0, kappa1):  # type: ignore[no
     return a1, a2, a3
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _newton_round(block, kappa0, basis, weights, end_weight):  # type: ignore[no-untyped-def]
     """Improve the lengths and w of all spirals, with the end points integrated by a rule of Lobatto.
 
@@ -143,7 +144,7 @@ def solve_spirals(block, kappa0):  # type: ignore[no-untyped-def]
     _newton_round(block, kappa0, _SEVEN, _SEVEN_WEIGHTS, _SEVEN_END)
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _measure_curvature(block, kappa0):  # type: ignore[no-untyped-def]
     """Fill in the coefficients of the curvature and what it is like at the ends of the segments."""
     for g in range(SPIRALS):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.compilation import kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import contact_fault, hits_wall, rectangles_overlap
@@ -65,7 +65,7 @@ class KernelSettings(NamedTuple):
     ittc_horizon: float
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _mix(key):  # type: ignore[no-untyped-def]
     """Scramble 64 bits (the finaliser of splitmix64, Steele et al. 2014)."""
     key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -91,7 +91,7 @@ def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
     return (total / 65535.0 - 2.0) * 1.7320508075688772
 
 
-@kernel
+@inner_kernel
 def _fill_fixed(own, opponent, settings, view):  # type: ignore[no-untyped-def]
     """Write what stays the same during a race into a view: the two cars' parameters and the range of speeds."""
     view[_planner.OWN_LENGTH] = own[_vehicle.LENGTH]
@@ -111,7 +111,7 @@ def _fill_fixed(own, opponent, settings, view):  # type: ignore[no-untyped-def]
     view[_planner.SPEED_HIGH] = settings.speed_high
 
 
-@kernel
+@inner_kernel
 def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view):  # type: ignore[no-untyped-def]
     """Write what changes from step to step into a view."""
     other = 1 - car
@@ -165,7 +165,7 @@ def update_progress(line, ds, length, cars, frenet, progress, race):  # type: ig
         frenet[race, car, 1] = d
 
 
-@kernel
+@inner_kernel
 def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore[no-untyped-def]
     """Count a pass once the car that was behind leads by more than a car's length."""
     lead = progress[race, 0] - progress[race, 1]
@@ -176,7 +176,7 @@ def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore
         leader[race] = ahead
 
 
-@kernel
+@inner_kernel
 def _latch(cars, crash, fault, race, vehicles, wall0, wall1):  # type: ignore[no-untyped-def]
     """Keep a crash and who is to blame for it."""
     if wall0 or wall1:
@@ -201,7 +201,7 @@ def _latch(cars, crash, fault, race, vehicles, wall0, wall1):  # type: ignore[no
     fault[race, 1] = 1 if fault1 else 0
 
 
-@kernel
+@inner_kernel
 def _touch(cars, race, vehicles):  # type: ignore[no-untyped-def]
     """Whether the two cars of a race overlap."""
     return rectangles_overlap(
@@ -238,8 +238,7 @@ def collide(  # type: ignore[no-untyped-def]
     vehicles,
 ):
     """Latch crashes and their faults; returns whether there is one."""
-    wall0 = False
-    wall1 = False
+    wall0 = wall1 = crash[race, 0] != 0  # False, but no constant, for which numba would compile _latch once more
     for car in range(2):
         hit = hits_wall(
             distance,
@@ -299,7 +298,7 @@ def measure_ittc(  # type: ignore[no-untyped-def]
         sums[race, car, _state.ITTC_SAMPLES] += 1.0
 
 
-@kernel
+@inner_kernel
 def _measure_driving(cars, frenet, progress, sums, race, vehicles, before0, before1):  # type: ignore[no-untyped-def]
     """Add what one control period contributes to the running sums."""
     period = CONTROL_EVERY * DT
