@@ -65,8 +65,7 @@ coverage: $(VENV)/test.stamp
 	$(RUN) -m coverage report --include "pcs_racing_agents/*"
 
 fuzz: $(VENV)/test.stamp
-	$(RUN) tools/fuzz.py run --minutes 10
-	$(RUN) tools/fuzz.py run --minutes 10 --engine hypothesis
+	$(RUN) tools/fuzz.py run --minutes 20
 
 mutants: $(VENV)/test.stamp
 	$(RUN) tools/mutants.py run --suite

@@ -12,17 +12,20 @@ from typing import Any
 import numpy as np
 
 from pcs_racing import make_game
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing_agents.agents import Agent, make_setting
-from pcs_racing_agents.agents.zoo import ZOO, build
+from pcs_racing_agents.agents.zoo import SHIPPED, build
 from pcs_racing_agents.networks import RegretNetwork, game_identity
 
 
 def untrained(game: Any) -> RegretNetwork:
     rng = np.random.default_rng(0)
     sizes = (len(game.observation_elements), 64, 64, len(game.move_names))
-    weights = tuple(rng.normal(size=(above, below)) / below**0.5 for below, above in pairwise(sizes))
-    biases = tuple(np.zeros(size) for size in sizes[1:])
-    return RegretNetwork("untrained", game_identity(game), "any", False, weights, biases, np.zeros(sizes[0]),
+    layers = DenseLayers(
+        tuple(rng.normal(size=(above, below)) / below**0.5 for below, above in pairwise(sizes)),
+        tuple(np.zeros(size) for size in sizes[1:]),
+    )
+    return RegretNetwork("untrained", game_identity(game), "any", False, layers, np.zeros(sizes[0]),
                          np.ones(sizes[0]))  # fmt: skip
 
 
@@ -53,7 +56,7 @@ def main() -> None:
     state = game.step(state, np.tile([0, 2], (500, 1)))
     rows = game.observation(state).reshape(1000, -1)
     print("| agent | one observation, us | one of 1,000, us |\n|---|---|---|")
-    for name, entry in ZOO.items():
+    for name, entry in SHIPPED.items():
         if not entry.moves:
             continue
         given = learned.get(name, {"network": network} if entry.needs == "network" else {})

@@ -44,7 +44,7 @@ def measure(stored: StoredTrees, changes: dict[str, object], splits: int) -> tup
             trees.__getitem__, stored.settings["pairs"], trees_identity(stored.settings), settings, name=NETWORK
         )
         agreement.append(trained.rows[0].agreement)
-        scores.append(trained.trees)
+        scores.append(trained.scores)
     joined = {name: np.concatenate([each[name] for each in scores]) for name in scores[0]}
     return float(np.mean(agreement)), joined, (time.perf_counter() - begin) / splits
 

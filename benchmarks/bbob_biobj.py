@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing_agents.synthesis.optimisers import METHODS
-from pcs_racing_agents.synthesis.synthesize import Search
+from pcs_racing_agents.synthesis.search import Search
 
 Floats = NDArray[np.float64]
 

@@ -130,11 +130,11 @@ def lidar(folders: list[Path]) -> Digests:
 def races(folders: list[Path]) -> Digests:
     """Ten races of every planner under both presets: all states at the end."""
     from pcs_racing import RaceSetup, advance, draw_starts, load_race_config, load_track, parse_policy, start_races
-    from pcs_racing.planners.network import network_planner, weight_count
+    from pcs_racing.planners.network import driver_weight_count, network_planner
     from pcs_racing.race.races import pad_parameters, race_seeds
 
     ego, track = parse_policy("lattice"), load_track("Quillburg")
-    weights = np.round(np.random.default_rng(0).uniform(-0.4, 0.4, weight_count((16,))), 3)
+    weights = np.round(np.random.default_rng(0).uniform(-0.4, 0.4, driver_weight_count((16,))), 3)
     rivals = {text: parse_policy(text) for text in PLANNERS}
     rivals["network"] = network_planner("bits", (16,), weights).policy()
     for preset in ("paper", "contest"):
@@ -177,7 +177,7 @@ def statistics(folders: list[Path]) -> Digests:
     """Ratings, a clustered mean, a t-test."""
     from pcs_racing_agents.tournament.ratings import rate
     from pcs_racing_agents.tournament.statistics.clusters import clustered_mean
-    from pcs_racing_agents.tournament.statistics.student_t import two_sided_p
+    from pcs_racing_agents.tournament.statistics.student_t import t_interval
 
     rng = np.random.default_rng(0)
     names = np.array([f"agent {k}" for k in range(8)])
@@ -188,7 +188,7 @@ def statistics(folders: list[Path]) -> Digests:
     yield "ratings", [np.asarray(value) for value in vars(ratings).values() if isinstance(value, np.ndarray)]
     estimate = clustered_mean(rng.normal(size=600), first, second)
     yield "clustered mean", tuple(estimate)
-    yield "t-test", [two_sided_p(t, df) for t in (0.5, 2.0, 5.0) for df in (3, 30, 300)]
+    yield "t-test", [t_interval(t, 1.0, df, 0.95) for t in (0.5, 2.0, 5.0) for df in (3, 30, 300)]
 
 
 def archive(folders: list[Path]) -> Digests:

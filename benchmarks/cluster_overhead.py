@@ -28,9 +28,9 @@ from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.jobs import make_executor, open_job
-from pcs_racing_agents.learning.ppo.level import make_level
-from pcs_racing_agents.learning.ppo.seed_run import Trainer
+from pcs_racing_agents.learning.ppo.seed_training import SeedTraining
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+from pcs_racing_agents.learning.ppo.train import make_task
 from pcs_racing_agents.learning.responses import learner
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.networks import Rows, game_identity, load_network, train_network
@@ -41,7 +41,7 @@ from pcs_racing_agents.study.racing import _Judge
 from pcs_racing_agents.synthesis.archive_run import draw_policies, stage_scenarios
 from pcs_racing_agents.synthesis.archive_search import BLOCK as POLICIES
 from pcs_racing_agents.synthesis.config import load_archive_config
-from pcs_racing_agents.synthesis.evaluate import blocks, race_block
+from pcs_racing_agents.synthesis.evaluate import race_policies
 from pcs_racing_agents.tournament import runner
 from pcs_racing_agents.tournament.cells import draw_units
 from pcs_racing_agents.trees.storage import _Builder, _Task
@@ -102,7 +102,7 @@ def measure(moves: int) -> dict[str, Cost]:
     stages = zip(("search", "choice", "measurement"), stage_scenarios(load_archive_config("default")), strict=True)
     policies = draw_policies(get_planner("lattice"), POLICIES, np.random.SeedSequence(0))
     for kind, scenarios in stages:
-        keep(kind, partial(race_block, threads=1), blocks(scenarios, policies, POLICIES), loaded=kind != "search")
+        keep(kind, partial(race_policies, threads=1), [(scenarios, policies)], loaded=kind != "search")
 
     games = [replace(make_game(track), threads=1) for track in CIRCUITS]
     game, setting = games[0], make_setting(games[0].archive, games[0].config)
@@ -139,7 +139,7 @@ def measure(moves: int) -> dict[str, Cost]:
     keep("learning", _Learn(rows, tree_game), [load_train_settings("study", epochs=4, patience=4)])
 
     ppo = load_ppo_settings("study-paper")
-    trainer = Trainer(make_level(ppo), replace(ppo, evaluate_every=ppo.steps), 0.0)
+    trainer = SeedTraining(make_task(ppo), replace(ppo, evaluate_every=ppo.steps), 0.0)
     state = trainer((0, None))
     keep("update", trainer, [(0, state)], loaded=True)
     first, _ = cost(trainer, [(0, None)], loaded=True)
@@ -159,7 +159,7 @@ class _Learn:
     game: Any
 
     def __call__(self, settings: TrainSettings) -> Any:
-        return train_network(self.rows, game_identity(self.game), settings, name="x")[0].weights
+        return train_network(self.rows, game_identity(self.game), settings, name="x")[0].layers
 
 
 # What a cluster adds

@@ -20,7 +20,7 @@ from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import train_ppo
 from pcs_racing_agents.networks.rows import Rows
 from pcs_racing_agents.networks.settings import TrainSettings
-from pcs_racing_agents.networks.training import fit
+from pcs_racing_agents.networks.training import train_layers
 from pcs_racing_agents.trees import build_tree, choose_pairs, play_ego
 from pcs_racing_agents.trees.roots import draw_root
 
@@ -91,9 +91,9 @@ def row() -> float:
         pair=np.arange(number) % 100,
         step=np.zeros(number, np.int64),
     )
-    fit(rows, TrainSettings(epochs=1, rows_per_epoch=1000))
+    train_layers(rows, TrainSettings(epochs=1, rows_per_epoch=1000))
     settings = TrainSettings(epochs=epochs, patience=epochs, rows_per_epoch=number, batch_size=512)
-    return processor_seconds(lambda: fit(rows, settings)) / (epochs * number)
+    return processor_seconds(lambda: train_layers(rows, settings)) / (epochs * number)
 
 
 def main() -> None:

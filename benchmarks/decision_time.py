@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing_agents.networks import GameIdentity, RegretNetwork
 
 INPUTS = 31  # of a game with two characteristics and four moves
@@ -30,10 +31,10 @@ def random_network(hidden: list[int], rng: np.random.Generator) -> RegretNetwork
         identity=GameIdentity(tuple(f"x{i}" for i in range(INPUTS)), MOVES, (0.35,), "none", "0" * 64, "paper"),
         target="regret",
         clipped=True,
-        weights=tuple(
-            rng.normal(0.0, (2.0 / below) ** 0.5, (above, below)).astype(np.float32) for below, above in sizes
+        layers=DenseLayers(
+            tuple(rng.normal(0.0, (2.0 / below) ** 0.5, (above, below)) for below, above in sizes),
+            tuple(rng.normal(0.0, 0.1, above) for _, above in sizes),
         ),
-        biases=tuple(rng.normal(0.0, 0.1, above).astype(np.float32) for _, above in sizes),
         mean=np.zeros(INPUTS, np.float32),
         scale=np.ones(INPUTS, np.float32),
     )
@@ -43,7 +44,7 @@ def torch_decision(network: RegretNetwork) -> Callable[[Any], Any]:
     import torch
 
     layers: list[torch.nn.Module] = []
-    for weight, bias in zip(network.weights, network.biases, strict=True):
+    for weight, bias in zip(network.layers.weights, network.layers.biases, strict=True):
         layer = torch.nn.Linear(weight.shape[1], weight.shape[0])
         layer.weight.data, layer.bias.data = torch.tensor(weight), torch.tensor(bias)
         layers += [layer, torch.nn.ReLU()]

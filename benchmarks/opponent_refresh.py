@@ -21,9 +21,10 @@ from pcs_racing_agents.synthesis.archive_run import draw_policies, make_archive
 from pcs_racing_agents.synthesis.archive_search import REFERENCE
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.diverse import select_diverse
-from pcs_racing_agents.synthesis.evaluate import draw_scenarios, evaluate
-from pcs_racing_agents.synthesis.explored import Scale
+from pcs_racing_agents.synthesis.evaluate import evaluate
 from pcs_racing_agents.synthesis.indicators import hypervolume
+from pcs_racing_agents.synthesis.pareto_archive import Scale
+from pcs_racing_agents.synthesis.scenarios import draw_scenarios
 
 VARIANTS: dict[str, tuple[float, ...]] = {  # parts of the generations after which opponents are replaced
     "fixed": (),

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.synthesis.indicators import hypervolume, non_dominated
 from pcs_racing_agents.synthesis.optimisers import METHODS
-from pcs_racing_agents.synthesis.synthesize import Search
+from pcs_racing_agents.synthesis.search import Search
 
 Floats = NDArray[np.float64]
 
@@ -203,7 +203,8 @@ def race(seeds: int, track: str, generations: int) -> None:
 
     from pcs_racing.planners.registry import get_planner
     from pcs_racing.race.config import load_race_config
-    from pcs_racing_agents.synthesis.evaluate import draw_scenarios, evaluate
+    from pcs_racing_agents.synthesis.evaluate import evaluate
+    from pcs_racing_agents.synthesis.scenarios import draw_scenarios
 
     population, crashes = 25, 0.1
     family = get_planner("lattice")

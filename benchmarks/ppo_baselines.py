@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pcs_racing import load_track, make_game
+from pcs_racing.base.artifacts import MANIFEST
+from pcs_racing.planners.trained import DRIVER_FORMAT, load_driver, read_driver
 from pcs_racing_agents import make
 from pcs_racing_agents.agents import as_competitor
-from pcs_racing_agents.learning.ppo.curves import read_curve
-from pcs_racing_agents.learning.ppo.scores import Cell
-from pcs_racing_agents.networks.driver import load_driver, read_driver
-from pcs_racing_agents.networks.network_files import read_network, shipped_folder
+from pcs_racing_agents.learning.ppo.evaluation import Matchup, read_evaluations
+from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.tournament.cells import play_cell
 from pcs_racing_agents.tournament.matches import variant_count
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
@@ -58,7 +58,11 @@ def main() -> None:
     parser.add_argument("--unseen", type=int, default=1, help="circuits that were not")
     parser.add_argument("--picture", type=Path, help="draw the learning curves into this file")
     arguments = parser.parse_args()
-    found = [look_at(folder) for folder in arguments.policies or sorted(shipped_folder().glob("*"))]
+    found = [
+        look_at(folder)
+        for folder in arguments.policies
+        or sorted([*NETWORK_FORMAT.shipped.glob("*"), *DRIVER_FORMAT.shipped.glob("*")])
+    ]
     baselines = [baseline for baseline in found if baseline is not None]
     for baseline in baselines if arguments.lines > 0 else ():
         unseen = [name for name in OTHERS if name not in baseline.tracks]
@@ -71,11 +75,11 @@ def main() -> None:
 
 def look_at(folder: Path) -> Shipped | None:
     """What a folder holds, if it is one of our baselines."""
-    if (folder / "driver.yaml").is_file():
+    if "pcs-racing driver" in (folder / MANIFEST).read_text(encoding="utf-8"):
         return Shipped(folder, True, read_driver(folder)[1]["training"])
     if not (folder / "manifest.yaml").is_file():
         return None
-    network = read_network(folder)
+    network = load_network(folder)
     return Shipped(folder, False, dict(network.training)) if network.target == "ppo" else None
 
 
@@ -161,7 +165,7 @@ def race_agent(baseline: Shipped, tracks: list[str], arguments: argparse.Namespa
             print(f"| {place(baseline, track)} | {name} | {' | '.join(texts)} |", flush=True)
 
 
-def kind_of(cell: Cell) -> str:
+def kind_of(cell: Matchup) -> str:
     """Rules and opponent, its variants taken together."""
     return f"{cell.race}, {cell.opponent.partition(':')[0]}"
 
@@ -174,7 +178,7 @@ def draw(baselines: list[Shipped], file: Path) -> None:
     figure = Figure(figsize=(5.0 * len(baselines), 3.6), layout="constrained")
     axes = figure.subplots(1, len(baselines), squeeze=False)[0]
     for panel, baseline in zip(axes, baselines, strict=True):
-        curves = read_curve(baseline.folder / "curve.csv")
+        curves = read_evaluations(baseline.folder / "curve.csv")
         for k, kind in enumerate(dict.fromkeys(kind_of(cell) for cell in curves[0].scores[0])):
             for curve in curves:
                 won = [

@@ -26,7 +26,7 @@ from pcs_racing.game.config import load_game_config
 from pcs_racing.game.state import GameState
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Setting, make_setting
-from pcs_racing_agents.agents.agents import always, never_switch, random_moves
+from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.receding_horizon import RecedingHorizon, receding_horizon
 from pcs_racing_agents.jobs.jobs import open_job, show_progress
 from pcs_racing_agents.tournament import play_games

@@ -27,13 +27,13 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.config import load_game_config
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Agent, Setting, make_setting
-from pcs_racing_agents.agents.agents import always, best_schedule, never_switch, random_moves
-from pcs_racing_agents.agents.network import FromNetwork
+from pcs_racing_agents.agents.blind import always, best_schedule, never_switch, random_moves
+from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.jobs.jobs import Arrays, Job, add_executor_options, executor_from, open_job, show_progress
 from pcs_racing_agents.learning.responses import branch_games, learn_response, load_response_settings
 from pcs_racing_agents.networks import RegretNetwork, Rows, load_network
 from pcs_racing_agents.networks.settings import TrainSettings
-from pcs_racing_agents.networks.training import fit
+from pcs_racing_agents.networks.training import train_layers
 from pcs_racing_agents.tournament import play_games
 from pcs_racing_agents.tournament.matches import game_between
 
@@ -80,7 +80,7 @@ def opponent_of(name: str, setting: Setting) -> Agent:
 
 
 def follow(network: RegretNetwork, setting: Setting) -> Agent:
-    return Agent("response", FromNetwork(network, "argmax", len(setting.moves)), setting)
+    return Agent("response", NetworkStrategy(network, "argmax", len(setting.moves)), setting)
 
 
 # What is left to be learned
@@ -209,11 +209,11 @@ def learner(
 
 
 def predict(rows: Rows, settings: TrainSettings, inputs: NDArray[np.float32]) -> Floats:
-    found = fit(rows, settings)
-    x = (inputs - found.mean) / found.scale
-    for weight, bias in zip(found.weights[:-1], found.biases[:-1], strict=True):
+    found = train_layers(rows, settings)
+    x, layers = (inputs - found.mean) / found.scale, found.layers
+    for weight, bias in zip(layers.weights[:-1], layers.biases[:-1], strict=True):
         x = np.maximum(x @ weight.T + bias, 0.0)
-    return np.asarray(x @ found.weights[-1].T + found.biases[-1], np.float64)
+    return np.asarray(x @ layers.weights[-1].T + layers.biases[-1], np.float64)
 
 
 def learners(members: int) -> dict[str, Learner]:

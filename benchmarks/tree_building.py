@@ -17,7 +17,8 @@ import numpy as np
 
 from pcs_racing.game.game import RaceGame, make_game
 from pcs_racing.race.driving import default_threads
-from pcs_racing_agents.trees import TreeStatistics, build_tree, choose_pairs, ego_rows, play_ego
+from pcs_racing_agents.networks.ego_rows import ego_rows
+from pcs_racing_agents.trees import TreeStatistics, build_tree, choose_pairs, play_ego
 from pcs_racing_agents.trees.roots import draw_root
 
 

@@ -1,7 +1,7 @@
 """How strong every agent of the zoo is, and what a decision costs; and from that the pages of docs/zoo.md.
 
     python benchmarks/zoo.py                     # measures and prints
-    python benchmarks/zoo.py --write             # and writes strategies/measured.csv and docs/zoo.md
+    python benchmarks/zoo.py --write             # and writes agents/measured.csv and docs/zoo.md
 
 Every agent that there is with its defaults races six others, on a circuit that some agents learned on and on one that
 none learned on (but for the driver ppo-drive, which learned on Kestrelheim), once with the archive "default" in the
@@ -10,6 +10,7 @@ earlier call is not driven again, unless an agent has changed.
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from itertools import product
@@ -23,8 +24,7 @@ from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.game import take_games
 from pcs_racing_agents.agents import Agent, Driver, make_setting, names
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.describe import write_page
-from pcs_racing_agents.agents.measured import SETTINGS, Measured, write_measurements
+from pcs_racing_agents.agents.measured import Measured
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.jobs import open_job, show_progress
 from pcs_racing_agents.tournament.matches import variant_count
@@ -33,10 +33,12 @@ from pcs_racing_agents.tournament.rows import RaceRow, pair_races, start_label
 from pcs_racing_agents.tournament.runner import Pairing, play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
+import zoo_page
+
 TRACKS = {"paper": ("Tarnfjord", "Saltmere"), "contest": ("Pipkin", "Kestrelheim")}
 FIELD = ("never-switch", "random-moves", "best-fixed", "cfr-argmax", "lane-switcher", "random-policy")
 SEED = 8_000_000  # other races than those of any study
-CHECKOUT = Path(__file__).resolve().parents[1]
 
 
 def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
@@ -140,15 +142,15 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="write measured.csv and docs/zoo.md of this checkout")
     arguments = parser.parse_args()
     found = []
-    for archive, race in SETTINGS:
+    for archive, race in zoo_page.SETTINGS:
         found += measure(archive, race, arguments.races, arguments.out)
     for one in found:
         print(
             f"{one.race:8s} {one.agent:24s} {one.score:.3f} {one.rating:+5.0f} {one.one_us:8.1f} us {one.sha256[:12]}"
         )
     if arguments.write:
-        print(write_measurements(found))
-        print(write_page(CHECKOUT / "docs" / "zoo.md"))
+        print(zoo_page.write_measurements(found))
+        print(zoo_page.write_page(zoo_page.PAGE))
 
 
 if __name__ == "__main__":

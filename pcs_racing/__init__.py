@@ -16,7 +16,8 @@ from pcs_racing.base.errors import ConfigError, InputError, MapError, UnknownNam
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams, simulate
 from pcs_racing.envs.registration import register_environments
-from pcs_racing.game.archive import PolicyArchive, list_archives, load_archive
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import list_archives, load_archive, save_archive
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.game import GameState, RaceGame, make_game
 from pcs_racing.planners.planner import Parameter, Planner, Policy
@@ -74,6 +75,7 @@ __all__ = [
     "record_race",
     "register_planner",
     "run_races",
+    "save_archive",
     "save_replay",
     "save_state",
     "simulate",

@@ -3,15 +3,7 @@
 ``make(name)`` makes one of the agents that ``names()`` lists.
 """
 
-from pathlib import Path
 from typing import Any
-
-from pcs_racing.base.code_cache import forget_stale_code
-from pcs_racing.planners.registry import register_planner
-
-forget_stale_code(Path(__file__).parent)
-
-register_planner("pcs_racing_agents.networks.driver:PPO_DRIVE", name="ppo-drive")
 
 
 def __getattr__(name: str) -> Any:

@@ -14,7 +14,7 @@ from pcs_racing.envs.duel import DuelEnv
 from pcs_racing.envs.duel_vector import DuelVectorEnv
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
 from pcs_racing.envs.opponents import parse_opponents
-from pcs_racing.game.archive import load_archive
+from pcs_racing.game.archive_files import load_archive
 
 __all__ = [
     "drive_envs", "drive_inputs", "drive_options", "duel_envs", "duel_inputs", "game_options", "head_to_head_inputs",

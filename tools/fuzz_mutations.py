@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-__all__ = ["NUMBERS", "ODD", "WORDS", "mutations"]
+__all__ = ["mutations"]
 
 NUMBERS = (
     "0", "-0", "1", "-1", "0.5", "1e9", "1e999", "-1e999", "nan", ".nan", "inf", ".inf", "-.inf", "1e-320", "9" * 30, "9" * 400,

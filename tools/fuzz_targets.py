@@ -7,7 +7,6 @@ digest would be tested. What takes values (options, actions, seeds) gets values 
 
 import hashlib
 import io
-import json
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,10 +31,12 @@ from fuzz_environments import (
 from PIL import Image
 
 from pcs_racing import load_race_config, load_state, load_track, parse_policy, read_replay
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.reading import plain_yaml, unpack_arrays
-from pcs_racing.game.archive import PolicyArchive, load_archive
-from pcs_racing.game.archive import shipped_folder as archives_folder
+from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.game.state import load_game, save_game
+from pcs_racing.planners.trained import read_driver, save_driver
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay import save_replay
 from pcs_racing.race.state import empty_state, save_state
@@ -51,18 +52,17 @@ from pcs_racing.track.maps import find_map, read_map, shipped_folder
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
-from pcs_racing_agents.jobs.chunk_files import fingerprint, read_chunk, write_chunk
-from pcs_racing_agents.jobs.configuration import plain_settings, shipped_configs
+from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
+from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import chunk_file, open_job
-from pcs_racing_agents.learning.ppo.curves import COLUMNS, read_curve
-from pcs_racing_agents.learning.ppo.plain_state import pack as pack_state
-from pcs_racing_agents.learning.ppo.plain_state import unpack as unpack_state
+from pcs_racing_agents.learning.ppo.checkpoint import pack as pack_state
+from pcs_racing_agents.learning.ppo.checkpoint import unpack as unpack_state
+from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.networks.driver import read_driver, save_driver
-from pcs_racing_agents.networks.layers import Layers
-from pcs_racing_agents.networks.network_files import read_network
-from pcs_racing_agents.networks.network_files import shipped_folder as networks_folder
+from pcs_racing_agents.networks.ego_rows import ego_values
+from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.study.cell_races import read_races
 from pcs_racing_agents.study.config import load_study_config
@@ -70,11 +70,11 @@ from pcs_racing_agents.study.report_inputs import read_curves, read_losses
 from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.tournament.play import plan_tournament, tournament_settings
 from pcs_racing_agents.tournament.result_lines import read_lines
-from pcs_racing_agents.trees import build_ego_trees, build_trees, ego_values, load_ego_trees, load_trees
+from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees, load_trees
 from pcs_racing_agents.view.contests import open_results
 from pcs_racing_agents.view.race_columns import packed_columns, race_columns
 
-__all__ = ["GROUPS", "TARGETS", "Target"]
+__all__ = ["TARGETS", "Target"]
 
 MAP = Path("fuzzed")
 ROS = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25}
@@ -173,20 +173,20 @@ def _copied(folder: Path, name: str) -> Path:
 
 
 def default_archive() -> Path:
-    return archives_folder() / "default"
+    return ARCHIVE_FORMAT.shipped / "default"
 
 
 def some_network() -> Path:
-    return sorted(networks_folder().glob("*/manifest.yaml"))[0].parent
+    return sorted(NETWORK_FORMAT.shipped.glob("*/manifest.yaml"))[0].parent
 
 
 @cache
 def some_driver() -> Path:
     rng = np.random.default_rng(0)
-    from pcs_racing_agents.networks.driver import INPUTS
+    from pcs_racing.planners.network import INPUTS
 
     sizes = (len(INPUTS), 4, 2)
-    layers = Layers(
+    layers = DenseLayers(
         tuple(rng.normal(size=(sizes[i + 1], sizes[i])).astype(np.float32) for i in range(2)),
         tuple(np.zeros(sizes[i + 1], np.float32) for i in range(2)),
     )
@@ -422,6 +422,10 @@ def texts(*values: str) -> Callable[[], list[bytes]]:
     return lambda: [value.encode() for value in values]
 
 
+def values(size: int) -> Callable[[], list[bytes]]:
+    return lambda: [bytes(range(k, k + size)) for k in range(0, 250 - size, 13)]
+
+
 # Tables
 
 RESULTS = (
@@ -469,9 +473,9 @@ def viewed_table(data: bytes) -> object:
 
 
 CURVE = (
-    ",".join(COLUMNS)
+    ",".join(EVALUATION_COLUMNS)
     + "\n"
-    + ",".join(["0", "100", *("paper" for _ in range(2)), *("1" for _ in range(len(COLUMNS) - 4))])
+    + ",".join(["0", "100", *("paper" for _ in range(2)), *("1" for _ in range(len(EVALUATION_COLUMNS) - 4))])
     + "\n"
 )
 
@@ -510,33 +514,33 @@ TARGETS: dict[str, Target] = {
     ),
     "arrays": Target(unpack_arrays, lambda: [_chunk()], "npz"),
     "archive manifest": Target(
-        manifest_of(default_archive, "manifest.yaml", PolicyArchive.load),
-        files("*/manifest.yaml", archives_folder()),
+        manifest_of(default_archive, "manifest.yaml", load_archive),
+        files("*/manifest.yaml", ARCHIVE_FORMAT.shipped),
         "yaml",
     ),
     "archive arrays": Target(
-        content_of(default_archive, "manifest.yaml", "archive.npz", "arrays_sha256", PolicyArchive.load),
-        files("default/archive.npz", archives_folder()),
+        content_of(default_archive, "manifest.yaml", "archive.npz", "arrays_sha256", load_archive),
+        files("default/archive.npz", ARCHIVE_FORMAT.shipped),
         "npz",
     ),
     "archive name": Target(text_of(load_archive), texts("default", "contest", "archives/default"), "text"),
     "network manifest": Target(
-        manifest_of(some_network, "manifest.yaml", read_network),
+        manifest_of(some_network, "manifest.yaml", load_network),
         lambda: [(some_network() / "manifest.yaml").read_bytes()],
         "yaml",
     ),
     "network weights": Target(
-        content_of(some_network, "manifest.yaml", "weights.safetensors", "weights_sha256", read_network),
+        content_of(some_network, "manifest.yaml", "weights.safetensors", "weights_sha256", load_network),
         lambda: [(some_network() / "weights.safetensors").read_bytes()],
         "binary",
     ),
     "driver manifest": Target(
-        manifest_of(some_driver, "driver.yaml", read_driver),
-        lambda: [(some_driver() / "driver.yaml").read_bytes()],
+        manifest_of(some_driver, "manifest.yaml", read_driver),
+        lambda: [(some_driver() / "manifest.yaml").read_bytes()],
         "yaml",
     ),
     "driver weights": Target(
-        content_of(some_driver, "driver.yaml", "weights.safetensors", "weights_sha256", read_driver),
+        content_of(some_driver, "manifest.yaml", "weights.safetensors", "weights_sha256", read_driver),
         lambda: [(some_driver() / "weights.safetensors").read_bytes()],
         "binary",
     ),
@@ -582,7 +586,7 @@ TARGETS: dict[str, Target] = {
     "loss table": Target(
         as_file(read_curves, "curve.csv"), texts("epoch,training_loss,validation_loss\n0,1.5,2\n1,1,2\n"), "csv"
     ),
-    "ppo curve": Target(as_file(read_curve, "ppo.csv"), texts(CURVE), "csv"),
+    "ppo curve": Target(as_file(read_evaluations, "ppo.csv"), texts(CURVE), "csv"),
     "replay json": Target(
         replay_json, lambda: [_saved(lambda path: save_replay(some_replay(), path), "seed.json")()[0]], "json"
     ),
@@ -597,54 +601,13 @@ TARGETS: dict[str, Target] = {
     "agent text": Target(
         text_of(lambda text: parse_agent(text, setting())), texts(*AGENTS), "text", ("=", ",", ":", "[1]", "{a: 1}")
     ),
-    "opponents": Target(opponents, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "game options": Target(game_options, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "race options": Target(race_options, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "drive options": Target(drive_options, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "drive environments": Target(drive_envs, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "drive actions and seeds": Target(
-        drive_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
-    ),
-    "duel environments": Target(duel_envs, lambda: [bytes(range(k, k + 40)) for k in range(0, 200, 13)], "values"),
-    "duel actions and seeds": Target(
-        duel_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
-    ),
-    "head-to-head inputs": Target(
-        head_to_head_inputs, lambda: [bytes(range(k, k + 60)) for k in range(0, 190, 13)], "values"
-    ),
+    "opponents": Target(opponents, values(40), "values"),
+    "game options": Target(game_options, values(40), "values"),
+    "race options": Target(race_options, values(40), "values"),
+    "drive options": Target(drive_options, values(40), "values"),
+    "drive environments": Target(drive_envs, values(40), "values"),
+    "drive actions and seeds": Target(drive_inputs, values(60), "values"),
+    "duel environments": Target(duel_envs, values(40), "values"),
+    "duel actions and seeds": Target(duel_inputs, values(60), "values"),
+    "head-to-head inputs": Target(head_to_head_inputs, values(60), "values"),
 }
-
-
-GROUPS = {
-    "map yaml": ("map yaml", "map info yaml", "map folder", "track of a yaml"),
-    "map pictures": ("map picture", "track of a picture"),
-    "map csv": ("map centre line", "map race line", "track of a centre line", "track of a race line"),
-    "yaml and arrays as such": ("yaml", "arrays"),
-    "archives": ("archive manifest", "archive arrays"),
-    "networks and drivers": ("network manifest", "network weights", "driver manifest", "driver weights"),
-    "trees": ("tree manifest", "tree chunk, signed", "ego tree manifest", "ego tree chunk, signed"),
-    "jobs, chunks and checkpoints": ("job manifest", "chunk", "chunk, signed", "ppo checkpoint"),
-    "states of races and games": ("race state", "game state"),
-    "replays": ("replay json", "replay page"),
-    "configurations and fits": (
-        "fit", "race config", "training config", "archive config", "study config", "ppo config", "response config",
-    ),
-    "tables and results": (
-        "results table", "results in the viewer", "results manifest", "exploitability table", "loss table", "ppo curve",
-    ),
-    "names and texts": ("track name", "archive name", "policy text", "agent text"),
-    "inputs of environments": (
-        "opponents", "game options", "race options", "drive options", "drive environments", "drive actions and seeds",
-        "duel environments", "duel actions and seeds", "head-to-head inputs",
-    ),
-}  # fmt: skip
-"""The targets by what is read, for short tables."""
-
-
-def main() -> None:
-    """Print what there is."""
-    print(json.dumps({name: target.kind for name, target in TARGETS.items()}, indent=1))
-
-
-if __name__ == "__main__":
-    main()

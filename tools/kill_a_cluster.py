@@ -22,7 +22,7 @@ from typing import IO
 
 import numpy as np
 
-from pcs_racing_agents.jobs.chunk_files import read_chunk
+from pcs_racing_agents.jobs.chunks import read_chunk
 
 PATIENCE = 120.0  # s, for a cluster to start
 TIMES = re.compile(rb"<h3>Time, s</h3>.*?</table>", re.DOTALL)  # in the report

@@ -4,6 +4,7 @@ Golden trajectories are left out: they say that something has changed, not what 
 plain Python (``NUMBA_DISABLE_JIT=1``) run that way, since a fault in a compiled file costs half a minute of compiling.
 """
 
+from pathlib import Path
 from typing import NamedTuple
 
 __all__ = ["COMPILED", "MODULES", "PLAIN", "Module", "tests_of"]
@@ -36,33 +37,37 @@ def _modules(area: str, folder: str, lines: str) -> dict[str, Module]:
 
 
 def _paths(folder: str, names: str) -> tuple[str, ...]:
-    """Paths of tests; a name that begins with a slash counts from the folder of all tests."""
-    return tuple(
-        f"tests{name}.py" if name.startswith("/") else f"tests/{folder}/test_{name}.py" for name in names.split()
-    )
+    """Paths of tests; a name that begins with a slash counts from the folder of all tests, others from the module's."""
+    paths = [Path(name if name.startswith("/") else f"/{folder}/{name}") for name in names.split()]
+    return tuple(f"tests{path.with_name(f'test_{path.name}')}.py" for path in paths)
 
 
 MODULES = {
     **_modules(
         "kernels",
-        "pcs_racing",
+        "pcs_racing/track",
         """
-        race_kernel: race_kernel; race
-        vehicle: vehicle
-        collision: collision race_kernel
-        ittc: ittc race_kernel
         grid: grid
-        splines: splines
         frenet: frenet
-        walls: walls
+        building/splines: building/splines
+        building/walls: building/walls
+        """,
+    ),
+    **_modules(
+        "kernels",
+        "pcs_racing/car",
+        """
+        vehicle: vehicle
+        collision: collision /pcs_racing/race/race_kernel
+        ittc: ittc /pcs_racing/race/race_kernel
         lidar_kernel: lidar
-        planner: planner race_state; race_kernel
         """,
     ),
     **_modules(
         "kernels",
         "pcs_racing/planners",
         """
+        planner: planner /pcs_racing/race/race_state; /pcs_racing/race/race_kernel
         spiral: spiral
         pure_pursuit: ; pure_pursuit
         gap_follower: ; gap_follower
@@ -70,19 +75,26 @@ MODULES = {
         lane_switcher: ; lane_switcher
         """,
     ),
+    **_modules("kernels", "pcs_racing/race", "kernel: race_kernel; race"),
     **_modules(
         "rules",
-        "pcs_racing",
+        "pcs_racing/race",
         """
-        race: race_kernel; race
-        race_config: race_config
-        race_state: race_state race_kernel
-        game game_state: ; game
-        game_config: game_config
+        races: race_kernel; race
+        config: race_config
+        state: race_state race_kernel
+        """,
+    ),
+    **_modules(
+        "rules",
+        "pcs_racing/game",
+        """
+        game state: ; game
+        config: game_config
         archive: archive
         """,
     ),
-    **_modules("characteristics", "pcs_racing", "characteristics: characteristics"),
+    **_modules("characteristics", "pcs_racing/game", "characteristics: characteristics"),
     **_modules(
         "environments",
         "pcs_racing/envs",
@@ -103,7 +115,7 @@ MODULES = {
         compare: compare
         efg: efg
         evaluation: evaluation cfr
-        exact: exact_solution
+        backward_induction: backward_induction
         game_tree: game_tree cfr
         matrix_games: matrix_games
         openspiel openspiel_game: openspiel_game
@@ -116,12 +128,12 @@ MODULES = {
         "pcs_racing_agents/synthesis",
         """
         diverse: diverse
-        evaluate: ; evaluate
+        evaluate scenarios: ; evaluate
         indicators: indicators
         selection: selection
-        explored: explored
+        pareto_archive: pareto_archive
         mo_cma_es: mo_cma_es; synthesize
-        optimisers synthesize: ; synthesize
+        optimisers search synthesize: ; synthesize
         archive_search: ; archive_run
         """,
     ),
@@ -131,15 +143,11 @@ MODULES = {
         """
         ratings: ratings
         meta_game: meta_game
-        best_reply: ; best_reply
+        best_response: ; best_response
         table: ; tournament
-        statistics/adaptivity: statistics
         statistics/clusters: statistics
         statistics/comparison: statistics
-        statistics/power: statistics student_t
-        statistics/rates: statistics
-        statistics/resampling: statistics
-        statistics/student_t: student_t statistics
+        statistics/student_t: statistics
         statistics/units: statistics
         """,
     ),

@@ -18,12 +18,13 @@ from pathlib import Path
 from zipfile import ZipFile
 
 EXTRAS = "mapping,plots,learning"
-NOT_IN_BASE = ("torch", "stable_baselines3", "matplotlib", "scipy", "cma", "moocore", "pandas", "skimage", "clarabel")
+NOT_IN_BASE = ("torch", "stable_baselines3", "matplotlib", "cma", "moocore", "pandas", "skimage", "clarabel")
 INSIDE = (
     "pcs_racing/replay.html",
     "pcs_racing/py.typed",
     "pcs_racing/shipped_maps/Tarnfjord/",
     "pcs_racing/shipped_archives/default/archive.npz",
+    "pcs_racing/shipped_drivers/ppo-drive/weights.safetensors",
     "pcs_racing_agents/py.typed",
     "pcs_racing_agents/configs/study_quick.yaml",
     "pcs_racing_agents/shipped_networks/default-paper-regret/weights.safetensors",

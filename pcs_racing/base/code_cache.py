@@ -1,29 +1,25 @@
 """Numba's code on disk: thrown away when the sources behind it change, and written by one process at a time.
 
 Numba looks at the file of the function that it loads, but not at the files of the functions which that one calls: after
-an edit or an update it would go on running parts of the old code. This module knows which file imports which.
+an edit or an update it would go on running parts of the old code. Here the file of every module with compiled functions
+is known together with the files that it imports.
 
 Numba reads the index of a function's code, adds a line and writes it back. Two processes that do so at the same time
-may end with a line of one that points to the code of the other. Here they take turns.
+may end with a line of one that points to the code of the other. Here they take turns; numba offers no setting for that,
+so this module wraps the method that writes.
 """
 
 import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from functools import wraps
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from functools import cache, wraps
 from pathlib import Path
 from typing import Any
 
-from numba.core import caching, config
-from numba.misc.appdirs import AppDirs
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+from numba.core import caching
 
 __all__ = ["forget_stale_code"]
 
@@ -31,84 +27,87 @@ _IMPORT = re.compile(r"^\s*(?:from|import)\s+(pcs_racing[\w.]*)([^\n(]*(?:\([^)]
 _WORD = re.compile(r"\w+")
 
 
-def forget_stale_code(package: Path) -> None:
-    """Delete numba's cached code of those modules whose source, or that of a module they import, has changed.
+def forget_stale_code(source: Path, cache: Path) -> None:
+    """Delete the cached code of a module if its source, or that of a module that it imports, has changed.
 
     Parameters
     ----------
-    package : Path
-        Folder of a package whose compiled functions may call each other and those of ``pcs_racing``.
+    source : Path
+        File of the module.
+    cache : Path
+        Folder where numba keeps its code.
     """
-    note = _place(package) / "numba_sources.json"
+    note = cache / f"{source.stem}.sources.json"
     try:
-        sources = sorted({*package.rglob("*.py"), *Path(__file__).parents[1].rglob("*.py")})
-        stamps = {str(source): [(status := source.stat()).st_size, status.st_mtime_ns] for source in sources}
         noted = _read(note)
-        if noted.get("stamps") == stamps:  # reading them takes a third of a second at every start
-            return
-        now, before = _digests(sources), noted.get("digests", {})
-        for source in sources:
-            module = _module(source)
-            if source.is_relative_to(package) and before.get(module) != now[module]:
-                for cached in _place(source.parent).glob(f"{source.stem}.*.nb[ci]"):
-                    cached.unlink(missing_ok=True)
-        note.parent.mkdir(parents=True, exist_ok=True)
+        stamps = noted.get("stamps", {})
+        if stamps and all(_stamp(Path(file)) == stamp for file, stamp in stamps.items()):
+            return  # reading and searching the files would take a third of a second at every start
+        files = _imported_files(source)
+        digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+        if noted.get("digest") != digest:
+            for cached in cache.glob(f"{source.stem}.*.nb[ci]"):
+                cached.unlink(missing_ok=True)
+        cache.mkdir(parents=True, exist_ok=True)
         temporary = note.with_suffix(f".{os.getpid()}.tmp")
-        temporary.write_text(json.dumps({"stamps": stamps, "digests": now}))
+        temporary.write_text(json.dumps({"digest": digest, "stamps": {str(file): _stamp(file) for file in files}}))
         os.replace(temporary, note)
     except OSError:
         return  # nowhere to write to: then numba keeps nothing either
 
 
-def _place(folder: Path) -> Path:
-    """Where numba keeps the code of the modules in a folder: it looks for the first of three that may be written to."""
-    elsewhere = caching._CacheLocator.get_suitable_cache_subpath(str(folder / "module.py"))
-    named = getattr(config, "CACHE_DIR", "")  # NUMBA_CACHE_DIR
-    if named:
-        return Path(named) / elsewhere
-    beside = folder / "__pycache__"
-    if os.access(beside if beside.exists() else folder, os.W_OK):
-        return beside
-    return Path(AppDirs(appname="numba", appauthor=False).user_cache_dir) / elsewhere
-
-
-def _read(note: Path) -> dict[str, dict[str, Any]]:
+def _read(note: Path) -> dict[str, Any]:
     """What was noted last time; nothing if it can't be read."""
     try:
-        found = json.loads(note.read_text())
+        noted = json.loads(note.read_text())
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) and all(isinstance(part, dict) for part in found.values()) else {}
+    return noted if isinstance(noted, dict) and isinstance(noted.get("stamps"), dict) else {}
 
 
-def _digests(sources: Sequence[Path]) -> dict[str, str]:
-    """For every module: a digest of its source and of all sources that it imports."""
-    texts = {_module(source): source.read_text(encoding="utf-8") for source in sources}
-    imports = {name: _imported(text) & texts.keys() for name, text in texts.items()}
-    digests = {}
-    for name in texts:
-        reached, new = {name}, [name]
-        while new:
-            new = [other for other in {o for n in new for o in imports[n]} if other not in reached]
-            reached.update(new)
-        digests[name] = hashlib.sha256("".join(texts[other] for other in sorted(reached)).encode()).hexdigest()
-    return digests
+@cache
+def _stamp(file: Path) -> list[int] | None:
+    try:
+        status = file.stat()
+    except OSError:
+        return None
+    return [status.st_size, status.st_mtime_ns]
 
 
-def _module(source: Path) -> str:
-    """Dotted name of a source below a folder whose name begins with ``pcs_racing``: ``pcs_racing.race.kernel``."""
-    parts = source.with_suffix("").parts
-    start = max((i for i, part in enumerate(parts[:-1]) if part.startswith("pcs_racing")), default=len(parts) - 1)
-    return ".".join(parts[start:]).removesuffix(".__init__")
+def _imported_files(source: Path) -> list[Path]:
+    """The files of a module and of all modules of these packages that it imports, directly or not."""
+    roots = {source.parents[len(_packages(source))], Path(__file__).parents[2]}
+    reached, new = {source}, [source]
+    while new:
+        names = {name for file in new for name in _imported_names(file)}
+        files = {file for name in names for root in roots if (file := _file_of(root, name)) is not None}
+        new = sorted(files - reached)
+        reached.update(new)
+    return sorted(reached)
 
 
-def _imported(text: str) -> set[str]:
+def _packages(source: Path) -> list[Path]:
+    """The folders above a file that are packages."""
+    return [folder for folder in source.parents if (folder / "__init__.py").is_file()]
+
+
+@cache
+def _imported_names(file: Path) -> frozenset[str]:
     """Dotted names of what a source imports, modules and members alike."""
     names = set()
-    for module, members in _IMPORT.findall(text):
+    for module, members in _IMPORT.findall(file.read_text(encoding="utf-8")):
         names.add(module)
         names.update(f"{module}.{member}" for member in _WORD.findall(members))
-    return names
+    return frozenset(names)
+
+
+@cache
+def _file_of(root: Path, name: str) -> Path | None:
+    place = root.joinpath(*name.split("."))
+    for file in (place.with_name(f"{place.name}.py"), place / "__init__.py"):
+        if file.is_file():
+            return file
+    return None
 
 
 def _one_at_a_time(save: Callable[..., None]) -> Callable[..., None]:
@@ -116,21 +115,14 @@ def _one_at_a_time(save: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(save)
     def save_alone(cache: Any, key: Any, data: Any) -> None:
-        with _turn(Path(cache._cache_path) / ".lock"):
+        from filelock import FileLock
+
+        with ExitStack() as turn:
+            with suppress(OSError):  # a file system without locks
+                turn.enter_context(FileLock(Path(cache._cache_path) / ".lock"))
             save(cache, key, data)
 
     return save_alone
-
-
-@contextmanager
-def _turn(path: Path) -> Iterator[None]:
-    if fcntl is None:
-        yield
-        return
-    with open(path, "ab") as lock:
-        with suppress(OSError):  # a file system without locks
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        yield  # closing the file ends the turn
 
 
 caching.IndexDataCacheFile.save = _one_at_a_time(caching.IndexDataCacheFile.save)

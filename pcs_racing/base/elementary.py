@@ -63,7 +63,7 @@ def sine_cosine(angle):  # type: ignore[no-untyped-def]
 
 @kernel(forceinline=True)
 def rough_sine_cosine(angle):  # type: ignore[no-untyped-def]
-    """Sine and cosine of an angle in rad, |angle| < 3.15, with an error below 2e-7; half as much work as the full ones.
+    """Sine and cosine of an angle in [-pi, pi] rad with an error below 2e-7, for half the work of the full ones.
 
     Polynomials of a quarter of the angle, fitted for the least error, and the angle doubled twice.
     """

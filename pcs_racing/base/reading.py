@@ -9,7 +9,6 @@ import math
 import os
 import stat
 import zipfile
-from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["MAX_YAML", "parse_manifest", "parse_yaml", "plain_yaml", "read_limited", "unpack_arrays"]
+__all__ = ["MAX_YAML", "parse_yaml", "plain_yaml", "read_limited", "unpack_arrays"]
 
 MAX_YAML = 200_000
 """Bytes of a YAML file that people write; more would take seconds to parse."""
@@ -102,40 +101,6 @@ def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputEr
         return plain_yaml(content)
     except InputError as problem:
         raise error(f"{file} is not valid YAML: {problem}") from None
-
-
-def parse_manifest(
-    file: str | os.PathLike[str], content: bytes, what: str, form: str, version: int, keys: Collection[str]
-) -> dict[str, Any]:
-    """Return the manifest of an archive, a network or the like: a mapping with the keys that it must have.
-
-    Parameters
-    ----------
-    file : path
-        For messages.
-    content : bytes
-        Of the file.
-    what : str
-        What it is the manifest of: "an archive".
-    form, version : str, int
-        What its ``format`` and ``version`` must be.
-    keys : collection of str
-        All its keys.
-
-    Raises
-    ------
-    InputError
-        If it is something else. What the other keys hold is not looked at.
-    """
-    manifest = parse_yaml(file, content)
-    if not isinstance(manifest, dict) or manifest.get("format") != form:
-        raise InputError(f"{file} is no manifest of {what}: format must be {form!r}")
-    if manifest.get("version") != version:
-        raise InputError(f"{file} has version {manifest.get('version')!r}; this release reads version {version}")
-    if set(manifest) != set(keys):
-        odd = ", ".join(sorted(map(str, set(manifest) ^ set(keys))))
-        raise InputError(f"{file}: unknown or missing {odd}; a manifest holds {', '.join(keys)}")
-    return manifest
 
 
 def _size(node: yaml.Node, known: dict[int, float], depth: int) -> float:

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_number, check_whole
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import InputError
@@ -40,11 +41,6 @@ def _poses(value: ArrayLike, name: str) -> NDArray[np.float64]:
     return poses
 
 
-def _number(value: float, name: str, low: float, high: float) -> None:
-    if not (isinstance(value, (int, float, np.integer, np.floating)) and low <= value <= high):
-        raise InputError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
-
-
 @dataclass(frozen=True, eq=False)
 class Lidar:
     """A scanning lidar at the pose of a car, on one track.
@@ -76,12 +72,10 @@ class Lidar:
     def __post_init__(self) -> None:
         if not isinstance(self.track, Track):
             raise InputError(f"track must be a Track, as load_track returns it, got {type(self.track).__name__}")
-        if isinstance(self.beams, bool) or not isinstance(self.beams, (int, np.integer)):
-            raise InputError(f"beams must be a whole number, got {self.beams!r}")
-        _number(self.beams, "beams", 1, MOST_BEAMS)
-        _number(self.fov, "fov", 1e-6, 2.0 * np.pi)
-        _number(self.max_range, "max_range", 1e-3, 1e6)
-        _number(self.noise, "noise", 0.0, 1e6)
+        check_whole("beams", self.beams, 1, MOST_BEAMS)
+        check_number("fov", self.fov, 1e-6, 2.0 * np.pi)
+        check_number("max_range", self.max_range, 1e-3, 1e6)
+        check_number("noise", self.noise, 0.0, 1e6)
 
     @cached_property
     def angles(self) -> NDArray[np.float64]:
@@ -139,8 +133,8 @@ class Lidar:
                 message = f"opponents of shape {others.shape} can't be broadcast to poses of shape {at.shape}"
                 raise InputError(message) from error
         length, width = opponent_size
-        _number(length, "the opponent's length", 1e-3, 1e3)
-        _number(width, "the opponent's width", 1e-3, 1e3)
+        check_number("the opponent's length", length, 1e-3, 1e3)
+        check_number("the opponent's width", width, 1e-3, 1e3)
         if self.noise > 0.0 and not isinstance(rng, np.random.Generator):
             raise InputError(f"a lidar with noise needs rng, a numpy.random.Generator, got {rng!r}")
         out = np.empty((at.size // 3, self.beams))

@@ -17,6 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.base.errors import InputError
@@ -95,13 +96,8 @@ class VehicleParams:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if not np.isfinite(value):
-                raise InputError(f"vehicle parameter {field.name} is {value!r}; it must be a finite number")
-            if field.name != "v_min" and value <= 0.0:
-                raise InputError(f"vehicle parameter {field.name} is {value!r}; it must be above 0")
-        if self.v_min > 0.0:
-            raise InputError(f"vehicle parameter v_min is {self.v_min!r}; it must be 0 or below")
+            most, above = (0.0, None) if field.name == "v_min" else (None, 0.0)
+            check_number(f"vehicle parameter {field.name}", getattr(self, field.name), most=most, above=above)
 
     @property
     def wheelbase(self) -> float:

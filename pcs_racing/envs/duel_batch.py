@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive_batch import check_batch
 from pcs_racing.envs.opponents import NEVER_SWITCH, Opponent, as_array, checked_move, choose, parse_opponents
-from pcs_racing.game.archive import PolicyArchive, load_archive
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.game import RaceGame, make_game, with_opponent
 from pcs_racing.game.state import GameState, put_games

@@ -1,27 +1,20 @@
-"""Archives of policies: parameter vectors, their coordinates in the Policy Characteristic Space, and the moves there.
+"""Archives of policies: parameter vectors and their coordinates in the Policy Characteristic Space.
 
-A policy is a point; a move asks for a point a little farther along one axis and gets the nearest policy of the archive.
-Metres and seconds share no scale, so distances and moves are taken in normalised coordinates: 0 at the archive's nadir
-point (the worst value on each axis) and 1 at its ideal point (the best).
+Metres and seconds share no scale, so distances are taken in normalised coordinates: 0 at the archive's nadir point (the
+worst value on each axis) and 1 at its ideal point (the best).
 """
 
 import hashlib
-import io
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.base.files import write_atomically
-from pcs_racing.base.reading import MAX_YAML, parse_manifest, read_limited, unpack_arrays
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
@@ -29,22 +22,10 @@ from pcs_racing.planners.registry import get_planner
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Explored", "PolicyArchive", "check_epsilon", "list_archives", "load_archive"]
+__all__ = ["Explored", "PolicyArchive", "check_indices"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-FORMAT = "pcs-racing archive"
-VERSION = 1
-MAX_BYTES = 256_000_000
-
-EPSILON = 0.5
-"""How far a move goes unless the game says otherwise: half of the archive's range on an axis."""
-_ARRAYS = ("parameters", "coordinates", "ideal", "nadir", "explored_parameters", "explored_coordinates")
-_EXTRA_ARRAYS = ("spread", "own_crash", "explored_own_crash")  # where they were measured
-_TEXTS = ("name", "planner", "preset")
-_NAMES = ("parameter_names", "characteristics")
-_KEYS = ("format", "version", *_TEXTS, *_NAMES, "settings", "arrays_sha256")
 
 
 class Explored(NamedTuple):
@@ -124,11 +105,11 @@ class PolicyArchive:
     explored_own_crash: Floats | None = None
 
     def __post_init__(self) -> None:
-        for key in _TEXTS:
+        for key in ("name", "planner", "preset"):
             if not isinstance(getattr(self, key), str) or not getattr(self, key):
                 raise InputError(f"an archive's {key} is {getattr(self, key)!r}; it must be a non-empty text")
         where = f"archive {self.name!r}"
-        for key in _NAMES:
+        for key in ("parameter_names", "characteristics"):
             names = getattr(self, key)
             if isinstance(names, str) or not all(isinstance(name, str) for name in names) or len(names) == 0:
                 raise InputError(f"{where}: {key} is {names!r}; it must be a list of texts")
@@ -209,7 +190,7 @@ class PolicyArchive:
             digest.update(f"{key} {array.shape};".encode() + array.astype("<f8").tobytes())
         return digest.hexdigest()
 
-    # Coordinates and moves
+    # Coordinates
 
     @property
     def normalised(self) -> Floats:
@@ -237,83 +218,11 @@ class PolicyArchive:
         if not np.isfinite(points).all():
             raise InputError("points hold NaN or infinity; they must be finite")
         flat = points.reshape(-1, axes)
-        found = np.empty(len(flat), np.int64)
+        nearest = np.empty(len(flat), np.int64)
         for first in range(0, len(flat), 4096):  # bounded memory however many points there are
-            part = flat[first : first + 4096, None, :] - self.normalised
-            found[first : first + 4096] = np.argmin(np.sum(part * part, axis=-1), axis=1)
-        return found.reshape(points.shape[:-1])
-
-    def move(self, index: ArrayLike, axis: ArrayLike, sign: ArrayLike, epsilon: ArrayLike) -> Indices:
-        """Index of the policy that a move leads to; all arguments broadcast against each other.
-
-        The target is the policy's own point, moved by ``sign * epsilon`` along one normalised axis. It starts from the
-        policy in use, not from an earlier target, so what the snapping to a policy lost is not carried along.
-
-        Parameters
-        ----------
-        index : int
-            Policy in use.
-        axis : int
-            Characteristic to change.
-        sign : {1, -1}
-            More or less of it.
-        epsilon : float
-            By how much, in normalised units.
-
-        Raises
-        ------
-        InputError
-            If one of them is impossible.
-        """
-        given = np.broadcast_arrays(index, axis, sign, epsilon)
-        policies = _whole(given[0], "index", len(self))
-        axes = _whole(given[1], "axis", len(self.characteristics))
-        signs, steps = np.asarray(given[2], np.float64), np.asarray(given[3], np.float64)
-        if not np.isin(signs, (-1.0, 1.0)).all():
-            raise InputError(f"sign is {signs[~np.isin(signs, (-1.0, 1.0))][0]:g}; it must be 1 or -1")
-        if not np.isfinite(steps).all() or (steps < 0.0).any():
-            raise InputError(f"epsilon is {steps[~(np.isfinite(steps) & (steps >= 0.0))][0]:g}; it must be 0 or above")
-        points = self.normalised[policies]
-        np.put_along_axis(
-            points, axes[..., None], np.take_along_axis(points, axes[..., None], -1) + (signs * steps)[..., None], -1
-        )
-        return self.nearest(points)
-
-    def move_table(self, epsilon: float | Sequence[float] = EPSILON, stay: bool = False) -> Indices:
-        """Where every move leads from every policy, shape (K, M).
-
-        The moves of the first epsilon come first: characteristic 0 more, characteristic 0 less, characteristic 1 more,
-        and so on; then those of the next epsilon; the move that keeps the policy, if there is one, comes last.
-        """
-        here = np.arange(len(self))
-        columns = [
-            self.move(here, axis, sign, step)
-            for step in check_epsilon(epsilon)
-            for axis in range(len(self.characteristics))
-            for sign in (1, -1)
-        ]
-        return np.stack([*columns, here] if stay else columns, axis=1)
-
-    def move_names(self, epsilon: float | Sequence[float] = EPSILON, stay: bool = False) -> tuple[str, ...]:
-        """Names of the moves in the order of :meth:`move_table`: ``"aggressiveness +"``; with several epsilons
-        ``"aggressiveness + 0.5"``; ``"stay"``.
-        """
-        steps = check_epsilon(epsilon)
-        names = [
-            f"{axis} {sign}" if len(steps) == 1 else f"{axis} {sign} {step:g}"
-            for step in steps
-            for axis in self.characteristics
-            for sign in "+-"
-        ]
-        return (*names, "stay") if stay else tuple(names)
-
-    def no_op_share(self, epsilon: float | Sequence[float] = EPSILON) -> float:
-        """Share of all (policy, move) pairs in which the move leads back to the policy itself."""
-        return float(np.mean(self.move_table(epsilon) == np.arange(len(self))[:, None]))
-
-    def duplicate_share(self, epsilon: float | Sequence[float] = EPSILON) -> float:
-        """Share of all (policy, move) pairs in which an earlier move of the same policy leads to the same place."""
-        return float(np.mean(duplicates(self.move_table(epsilon))))
+            offsets = flat[first : first + 4096, None, :] - self.normalised
+            nearest[first : first + 4096] = np.argmin(np.sum(offsets * offsets, axis=-1), axis=1)
+        return nearest.reshape(points.shape[:-1])
 
     # Policies
 
@@ -339,13 +248,13 @@ class PolicyArchive:
 
     def policy(self, index: int) -> Policy:
         """Return one of the policies, named after the archive and its index."""
-        at = int(_whole(np.asarray(index), "policy index", len(self)))
+        at = int(check_indices(np.asarray(index), "policy index", len(self)))
         return Policy(get_planner(self.planner), self.parameters[at], f"{self.name}[{at}]")
 
     def explored_policy(self, index: int) -> Policy:
         """Return one of the policies that were evaluated on the way."""
         explored: Any = self.explored_parameters
-        at = int(_whole(np.asarray(index), "explored policy index", len(explored)))
+        at = int(check_indices(np.asarray(index), "explored policy index", len(explored)))
         return Policy(get_planner(self.planner), explored[at], f"{self.name}:explored[{at}]")
 
     @property
@@ -388,7 +297,7 @@ class PolicyArchive:
         Parameters
         ----------
         explored : bool
-            Whether to tell of everything that was evaluated on the way instead.
+            Whether the rows are all policies that were evaluated on the way instead.
 
         Raises
         ------
@@ -419,146 +328,18 @@ class PolicyArchive:
             )
         return self.characteristics.index(name)
 
-    # Files
 
-    def save(self, folder: str | Path) -> Path:
-        """Write ``archive.npz`` and ``manifest.yaml`` into a folder, which is made if need be.
-
-        The manifest is written last and carries a digest of the arrays: files that do not belong together are noticed.
-        """
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        buffer = io.BytesIO()
-        keys = [*_ARRAYS, *(key for key in _EXTRA_ARRAYS if getattr(self, key) is not None)]
-        np.savez_compressed(buffer, allow_pickle=False, **{key: getattr(self, key) for key in keys})
-        manifest = {
-            "format": FORMAT,
-            "version": VERSION,
-            **{key: getattr(self, key) for key in _TEXTS},
-            **{key: list(getattr(self, key)) for key in _NAMES},
-            "settings": dict(self.settings),
-            "arrays_sha256": hashlib.sha256(buffer.getvalue()).hexdigest(),
-        }
-        text = yaml.safe_dump(manifest, sort_keys=False, allow_unicode=True, width=110)
-        write_atomically(folder / "archive.npz", lambda file: file.write(buffer.getvalue()))
-        write_atomically(folder / "manifest.yaml", lambda file: file.write(text.encode("utf-8")))
-        return folder
-
-    @classmethod
-    def load(cls, folder: str | os.PathLike[str]) -> "PolicyArchive":
-        """Read an archive that :meth:`save` wrote.
-
-        Raises
-        ------
-        InputError
-            If a file is missing, damaged, from another version, or its contents do not fit each other.
-        """
-        folder = Path(folder)
-        manifest = _read_manifest(folder / "manifest.yaml")
-        file = folder / "archive.npz"
-        content = _read(file, MAX_BYTES)
-        if hashlib.sha256(content).hexdigest() != manifest["arrays_sha256"]:
-            raise InputError(f"{file} is not the file that {folder / 'manifest.yaml'} describes: its digest differs")
-        try:
-            arrays: dict[str, Any] = unpack_arrays(content)
-        except InputError as error:
-            raise InputError(f"{file} is no archive: {error}") from None
-        if set(arrays) - set(_EXTRA_ARRAYS) != set(_ARRAYS):
-            raise InputError(
-                f"{file} holds {', '.join(sorted(arrays))}; an archive holds {', '.join(_ARRAYS)} and perhaps "
-                f"{', '.join(_EXTRA_ARRAYS)}"
-            )
-        try:
-            return cls(**{key: manifest[key] for key in (*_TEXTS, *_NAMES, "settings")}, **arrays)
-        except InputError as error:
-            raise type(error)(f"{folder}: {error}") from None
-
-
-def duplicates(table: Indices) -> NDArray[np.bool_]:
-    """Whether an earlier move of the same policy leads to the same place, for a table of moves (K, M)."""
-    same = table[:, :, None] == table[:, None, :]
-    return np.triu(same, 1).any(axis=1)
-
-
-def check_epsilon(epsilon: Any) -> tuple[float, ...]:
-    """Return the step sizes of the moves as a tuple of different positive numbers.
+def check_indices(values: NDArray[Any], what: str, below: int) -> Indices:
+    """Return whole numbers from 0 to ``below - 1`` as int64.
 
     Raises
     ------
     InputError
-        If they are anything else.
+        If they are anything else; ``what`` names them.
     """
-    single = isinstance(epsilon, int | float | np.integer | np.floating)
-    try:
-        given = (epsilon,) if single else tuple(epsilon)
-        steps = tuple(float(e) for e in given)
-        good = all(not isinstance(e, bool | str) for e in given) and all(0.0 < e <= 10.0 for e in steps)
-    except (TypeError, ValueError, OverflowError):
-        steps, good = (), False
-    if not good or not steps or len(set(steps)) != len(steps):
-        raise InputError(f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones")
-    return steps
-
-
-def shipped_folder() -> Path:
-    """Folder of the archives that come with the package."""
-    package = Path(__file__).resolve().parents[1]
-    inside = package / "shipped_archives"  # in an installed package; in a checkout they lie beside it
-    return inside if inside.is_dir() else package.parent / "archives"
-
-
-def list_archives() -> list[str]:
-    """Names of the archives that come with the package, sorted."""
-    folder = shipped_folder()
-    return sorted(path.parent.name for path in folder.glob("*/manifest.yaml")) if folder.is_dir() else []
-
-
-def load_archive(source: str | os.PathLike[str] | PolicyArchive) -> PolicyArchive:
-    """Return an archive from the name of a shipped one, from its folder, or as it is.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name and no such folder.
-    InputError
-        If the folder holds no sound archive.
-    """
-    if isinstance(source, PolicyArchive):
-        return source
-    if not isinstance(source, str | os.PathLike):
-        raise InputError(f"archive {source!r} must be a name, a folder or a PolicyArchive")
-    if source in list_archives():
-        return PolicyArchive.load(shipped_folder() / str(source))
-    if not os.path.isdir(source):
-        known = ", ".join(list_archives()) or "none"
-        raise UnknownNameError(f"unknown archive {str(source)!r}: neither a folder nor one of those shipped ({known})")
-    return PolicyArchive.load(source)
-
-
-def _whole(values: NDArray[Any], what: str, below: int) -> Indices:
-    """Check whole numbers from 0 to ``below - 1``."""
     if values.dtype.kind not in "iu":
         raise InputError(f"{what} is {values!r}; it must be a whole number")
     wrong = (values < 0) | (values >= below)
     if wrong.any():
         raise InputError(f"{what} is {values[wrong].flat[0]}; it must lie in 0 to {below - 1}")
     return values.astype(np.int64)
-
-
-def _read(file: Path, limit: int) -> bytes:
-    try:
-        return read_limited(file, limit, "an archive")
-    except OSError as error:
-        raise InputError(
-            f"can't read {file}: {error.strerror}; an archive is a folder that PolicyArchive.save wrote"
-        ) from None
-
-
-def _read_manifest(file: Path) -> dict[str, Any]:
-    manifest = parse_manifest(file, _read(file, MAX_YAML), "an archive", FORMAT, VERSION, _KEYS)
-    if not isinstance(manifest["settings"], dict):
-        raise InputError(f"{file}: settings is {manifest['settings']!r}; it must be a mapping")
-    for key in _NAMES:
-        if not isinstance(manifest[key], list):
-            raise InputError(f"{file}: {key} is {manifest[key]!r}; it must be a list of texts")
-    return manifest

@@ -1,16 +1,17 @@
 """The rules of the game that is played on top of a race: how long, which moves, and what an outcome is worth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.game.archive import EPSILON, check_epsilon
+from pcs_racing.base.settings import Settings, checked, choice, flag, load_settings, number, setting, tenths, whole
 from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.moves import EPSILON, check_epsilon
 from pcs_racing.race.config import PAPER, RaceConfig, load_race_config
 
-__all__ = ["UTILITIES", "GameConfig", "load_game_config"]
+__all__ = ["EPSILON_RULE", "UTILITIES", "GameConfig", "load_game_config"]
 
 UTILITIES = {
     "lead": "lead in m at the horizon; after a crash 0 for both",
@@ -20,92 +21,78 @@ UTILITIES = {
 """What the outcome of a game is worth to a car; the other car gets minus that."""
 
 
+def _race(value: Any) -> RaceConfig:
+    """Return rules of a race from rules, a preset's name or a YAML file."""
+    if not isinstance(value, str | Path | RaceConfig):
+        raise InputError(f"race is {value!r}; it must be a preset's name, a YAML file or a RaceConfig")
+    return load_race_config(value)
+
+
+def _epsilon(value: Any) -> float | tuple[float, ...]:
+    """Return the step sizes of the moves: a number if there is a single one."""
+    steps = check_epsilon(value)
+    return steps[0] if len(steps) == 1 else steps
+
+
+EPSILON_RULE = checked(_epsilon, "above 0 up to 10")
+"""What settings that state how far moves go may say: a number, or several different ones."""
+
+
+def _axes(value: Any) -> tuple[str, ...]:
+    """Return the names of characteristics."""
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise InputError(f"characteristics is {value!r}; it must be a list of names")
+    get_characteristics(value)
+    return tuple(value)
+
+
 @dataclass(frozen=True)
-class GameConfig:
-    """Rules of the game (Section V of the paper, with the choices that it leaves open as options).
+class GameConfig(Settings):
+    """Rules of the game (Section V of the paper, with the choices that it leaves open as options)."""
 
-    Attributes
-    ----------
-    race : RaceConfig
-        Rules of the race; a preset's name or a YAML file is loaded. Its duration is replaced by ``(moves + 1) *
-        step_seconds``.
-    moves : int
-        Moves of each player, 1 to 100. The game starts with one step of driving in which the players only watch.
-    step_seconds : float
-        Driving per move, s; a multiple of 0.1 in [0.1, 600].
-    epsilon : float or tuple of float
-        How far a move goes, in units of the archive's range; with several values there are moves of each.
-    stay : bool, optional
-        Whether there is a move that keeps the policy; by default as the race's ``stay_move`` says.
-    utility : {"lead", "lead-at-crash", "win"}, optional
-        See :data:`UTILITIES`; by default the paper's "lead", and "win" where the race's crash rule names a loser.
-    fault_penalty : float
-        What the car to blame for a crash pays to the other, in units of the utility; 0 or above.
-    discount : float
-        Factor per move made, in (0, 1]: an early end of the game is worth more.
-    characteristics : tuple of str, optional
-        Axes of the game, out of the archive's; all of them by default.
-    mask_duplicates : bool
-        Whether the action mask forbids moves that lead where an earlier move of the list leads, too.
-
-    Raises
-    ------
-    ConfigError
-        If a value is impossible.
-    """
-
-    race: RaceConfig = PAPER
-    moves: int = 4
-    step_seconds: float = 8.0
-    epsilon: float | tuple[float, ...] = EPSILON
-    stay: bool | None = None
-    utility: str | None = None
-    fault_penalty: float = 0.0
-    discount: float = 1.0
-    characteristics: tuple[str, ...] | None = None
-    mask_duplicates: bool = False
+    race: RaceConfig = setting(
+        PAPER,
+        checked(_race),
+        "Rules of the race, a preset's name or a YAML file; its duration is replaced by (moves + 1) * step_seconds.",
+    )
+    moves: int = setting(
+        4, whole(1, 100), "Moves of each player; before the first, the players only watch for one step of driving."
+    )
+    step_seconds: float = setting(8.0, tenths(0.1, 600.0), "Driving per move, s.")
+    epsilon: float | tuple[float, ...] = setting(
+        EPSILON,
+        EPSILON_RULE,
+        "How far a move goes, in units of the archive's range; with several values there are moves of each.",
+    )
+    stay: bool | None = setting(
+        None, flag(), "Whether there is a move that keeps the policy; None takes the race's stay_move."
+    )
+    utility: str | None = setting(
+        None,
+        choice(tuple(UTILITIES)),
+        'What an outcome is worth; None takes the paper\'s "lead", or "win" where the crash rule names a loser.',
+    )
+    fault_penalty: float = setting(
+        0.0, number(0.0, 1e6), "What the car to blame for a crash pays to the other, in units of the utility."
+    )
+    discount: float = setting(
+        1.0, number(1e-6, 1.0), "Factor per move made: below 1 an early end of the game is worth more."
+    )
+    characteristics: tuple[str, ...] | None = setting(
+        None, checked(_axes), "Axes of the game, out of the archive's; None takes all of them."
+    )
+    mask_duplicates: bool = setting(
+        False, flag(), "Whether the action mask forbids moves that lead where an earlier move of the list leads, too."
+    )
 
     def __post_init__(self) -> None:
-        def put(key: str, value: Any) -> None:
-            object.__setattr__(self, key, value)
-
-        if not isinstance(self.race, RaceConfig):
-            if not isinstance(self.race, str | Path):
-                raise ConfigError(f"race is {self.race!r}; it must be a preset's name, a YAML file or a RaceConfig")
-            put("race", load_race_config(self.race))
-        if isinstance(self.moves, bool) or not isinstance(self.moves, int) or not 1 <= self.moves <= 100:
-            raise ConfigError(f"moves is {self.moves!r}; it must be a whole number from 1 to 100")
-        self._check_number("step_seconds", 0.1, 600.0)
-        if abs(self.step_seconds * 10.0 - round(self.step_seconds * 10.0)) > 1e-9:
-            raise ConfigError(f"step_seconds is {self.step_seconds!r}; it must be a multiple of 0.1 s")
+        super().__post_init__()
         if (self.moves + 1) * self.step_seconds > 3600.0:
             raise ConfigError(f"{self.moves} moves of {self.step_seconds:g} s make a race of over 3600 s; take fewer")
-        try:
-            steps = check_epsilon(self.epsilon)
-        except InputError as error:
-            raise ConfigError(str(error)) from None
-        put("epsilon", steps[0] if len(steps) == 1 else steps)
-        put("stay", self.race.stay_move if self.stay is None else self.stay)
-        for key in ("stay", "mask_duplicates"):
-            if not isinstance(getattr(self, key), bool):
-                raise ConfigError(f"{key} is {getattr(self, key)!r}; it must be true or false")
+        if self.stay is None:
+            object.__setattr__(self, "stay", self.race.stay_move)
         if self.utility is None:
-            put("utility", "lead" if self.race.crash_rule == "nobody" else "win")
-        if not isinstance(self.utility, str) or self.utility not in UTILITIES:
-            raise ConfigError(f"utility is {self.utility!r}; it must be one of {', '.join(UTILITIES)}")
-        self._check_number("fault_penalty", 0.0, 1e6)
-        self._check_number("discount", 1e-6, 1.0)
-        if self.characteristics is not None:
-            names = self.characteristics
-            if isinstance(names, str) or not isinstance(names, Sequence):
-                raise ConfigError(f"characteristics is {names!r}; it must be a list of names")
-            get_characteristics(names)
-            put("characteristics", tuple(names))
-
-    def _check_number(self, key: str, low: float, high: float) -> None:
-        value = getattr(self, key)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise ConfigError(f"{key} is {value!r}; it must be a number from {low:g} to {high:g}")
+            object.__setattr__(self, "utility", "lead" if self.race.crash_rule == "nobody" else "win")
 
     @property
     def horizon(self) -> float:
@@ -136,10 +123,6 @@ def load_game_config(source: "str | Path | RaceConfig | GameConfig" = "paper", *
     >>> load_game_config("contest", moves=2).utility
     'win'
     """
-    known = [field.name for field in fields(GameConfig)]
-    for key in changes:
-        if key not in known:
-            raise ConfigError(f"unknown game setting {key!r}; known are {', '.join(known)}")
-    if isinstance(source, GameConfig):
-        return replace(source, **changes)
-    return GameConfig(**{"race": source, **changes})
+    if not isinstance(source, GameConfig):  # stay and utility follow from the race
+        source = GameConfig(race=changes.pop("race", source))
+    return load_settings("game", source, **changes)

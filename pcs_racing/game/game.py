@@ -16,9 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.archive import PolicyArchive, duplicates, load_archive
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.game.config import UTILITIES, GameConfig, load_game_config
+from pcs_racing.game.moves import duplicate_moves, move_names, move_table
 from pcs_racing.game.state import GameState, empty_game, join_games, load_game, put_games, save_game, take_games
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
@@ -202,7 +204,7 @@ class RaceGame:
     @cached_property
     def table(self) -> Indices:
         """Where every move leads from every policy, shape (K, M)."""
-        return self.archive.move_table(self.config.epsilon, bool(self.config.stay))
+        return move_table(self.archive, self.config.epsilon, bool(self.config.stay))
 
     @cached_property
     def points(self) -> Floats:
@@ -218,7 +220,7 @@ class RaceGame:
     @cached_property
     def move_names(self) -> tuple[str, ...]:
         """Names of the M moves, for people."""
-        return self.archive.move_names(self.config.epsilon, bool(self.config.stay))
+        return move_names(self.archive, self.config.epsilon, bool(self.config.stay))
 
     @cached_property
     def observation_elements(self) -> tuple[ObservationElement, ...]:
@@ -392,7 +394,7 @@ class RaceGame:
 
     @cached_property
     def _duplicates(self) -> NDArray[np.bool_]:
-        return duplicates(self.table)
+        return duplicate_moves(self.table)
 
     # How a game begins, and a step of driving
 

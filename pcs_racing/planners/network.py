@@ -1,4 +1,4 @@
-"""A small neural network as a planner: its weights are the policy's parameter vector.
+"""A small neural network as a planner: its weights are the policy's parameter vector, or constants of its code.
 
 The network sees a handful of numbers of order one (:data:`INPUTS`) and puts out the steering angle and the speed,
 fifty times a second. Every layer is ``tanh(W x + b)``, the output layer included: outputs -1 and 1 stand for the
@@ -8,17 +8,16 @@ imitate or distil a network: its weights are as good a ``theta`` as the lattice 
 
 from collections.abc import Sequence
 from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pcs_racing.base.compilation import compiled
-from pcs_racing.base.elementary import hyperbolic_tangent
+from pcs_racing.base.dense import dense_forward, weight_count
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners import planner as _view
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import COMMAND_SLOTS, Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between
@@ -28,10 +27,11 @@ __all__ = [
     "SIGHT",
     "TOP_SPEED",
     "WEIGHT_LIMIT",
+    "check_driver",
+    "driver_weight_count",
+    "make_network_planner",
     "network_inputs",
     "network_planner",
-    "tanh_layer",
-    "weight_count",
 ]
 
 INPUTS: dict[str, str] = {
@@ -55,6 +55,7 @@ INPUTS: dict[str, str] = {
 """What the network sees, in order, with its unit; all of order one."""
 
 OUTPUTS = 2
+CALL_STEPS = 2  # simulation steps of 0.01 s from one call of a planner's ``control`` to the next
 TOP_SPEED = 8.0  # m/s
 SIGHT = 8.0  # m
 WEIGHT_LIMIT = 10.0
@@ -90,49 +91,64 @@ def network_inputs(track, view, out):  # type: ignore[no-untyped-def]
     out[15] = nearness * (view[_view.OPP_V] - v) / 4.0
 
 
-@compiled
-def tanh_layer(theta, at, x, size, y, width):  # type: ignore[no-untyped-def]
-    """Compute ``y = tanh(W x + b)``, a neuron's b after its row of W; returns where the next layer's weights begin."""
-    for i in range(width):
-        total = theta[at + size]
-        for j in range(size):
-            total += theta[at + j] * x[j]
-        y[i] = hyperbolic_tangent(total)
-        at += size + 1
-    return at
-
-
 @cache
-def _driver(hidden: tuple[int, ...]) -> Any:
-    """Compile the ``control`` of one architecture; the widths are constants of its code."""
-    inputs = len(INPUTS)
-    layers = (*hidden, OUTPUTS)
-    widest = max(inputs, *layers)
+def _control(hidden: tuple[int, ...], hold: int, frozen: bytes | None) -> Any:
+    """Compile a network that decides every ``hold`` steps of 0.01 s, with its own weights or those of ``theta``.
+
+    Sizes and frozen weights are constants of the code.
+    """
+    sizes = (len(INPUTS), *hidden, OUTPUTS)
+    widest = max(sizes)
+    odd = len(sizes) % 2 == 0
+    constant = np.frombuffer(frozen or b"", np.float64)
+    from_theta = frozen is None
+    every_call = hold == CALL_STEPS
 
     @compiled
     def control(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
-        x = scratch[:widest]
-        y = scratch[widest : 2 * widest]
-        network_inputs(track, view, x)
-        size = inputs
-        at = 0
-        for width in layers:
-            at = tanh_layer(theta, at, x, size, y, width)
-            x, y = y, x
-            size = width
-        command[0] = view[_view.STEER_MAX] * x[0]
-        command[1] = 0.5 * TOP_SPEED * (1.0 + x[1])
+        if every_call or int(view[_view.TIME] * 100.0 + 0.5) % hold == 0:
+            x = scratch[:widest]
+            y = scratch[widest : 2 * widest]
+            network_inputs(track, view, x)
+            if from_theta:
+                dense_forward(theta, sizes, x, y, True)
+            else:
+                dense_forward(constant, sizes, x, y, True)
+            outputs = y if odd else x
+            command[0] = view[_view.STEER_MAX] * outputs[0]
+            command[1] = 0.5 * TOP_SPEED * (1.0 + outputs[1])
+            if not every_call:
+                memory[0] = command[0]
+                memory[1] = command[1]
+        else:
+            command[0] = memory[0]
+            command[1] = memory[1]
 
     return control
 
 
-def weight_count(hidden: Sequence[int]) -> int:
+def make_network_planner(
+    name: str, hidden: tuple[int, ...], hold: int, parameters: tuple[Parameter, ...], frozen: bytes | None = None
+) -> Planner:
+    """Return a planner with the weights of its parameters, or with frozen ones (float64, as bytes)."""
+    return Planner(
+        name=name,
+        parameters=parameters,
+        control=_control(hidden, hold, frozen),
+        memory_size=0 if hold == CALL_STEPS else COMMAND_SLOTS,
+        scratch_size=2 * max(len(INPUTS), OUTPUTS, *hidden),
+        sight=SIGHT,
+    )
+
+
+def driver_weight_count(hidden: Sequence[int]) -> int:
     """Return how many weights a network with these hidden layers has."""
-    sizes = [len(INPUTS), *hidden, OUTPUTS]
-    return sum((below + 1) * above for below, above in pairwise(sizes))
+    return weight_count((len(INPUTS), *hidden, OUTPUTS))
 
 
-def network_planner(name: str, hidden: Sequence[int] = (16,), weights: ArrayLike | None = None) -> Planner:
+def network_planner(
+    name: str, hidden: Sequence[int] = (16,), weights: ArrayLike | None = None, hold: int = CALL_STEPS
+) -> Planner:
     """Make a planner whose parameters are the weights of a network.
 
     Parameters
@@ -141,9 +157,11 @@ def network_planner(name: str, hidden: Sequence[int] = (16,), weights: ArrayLike
         Name of the planner.
     hidden : sequence of int
         Widths of the hidden layers, each at least 1; may be empty.
-    weights : array_like, shape (weight_count(hidden),), optional
-        The default policy's weights, layer by layer, neuron by neuron: its weights for each input, then its bias. All 0
-        by default, which drives straight on at 4 m/s.
+    weights : array_like, shape (driver_weight_count(hidden),), optional
+        The default policy's weights (:meth:`pcs_racing.base.dense.DenseLayers.flat`): of each layer its biases, then
+        for each input the weights to all neurons. All 0 by default, which drives straight on at 4 m/s.
+    hold : int
+        Simulation steps of 0.01 s for which a decision holds, an even number: 2 for fifty decisions a second.
 
     Returns
     -------
@@ -157,8 +175,8 @@ def network_planner(name: str, hidden: Sequence[int] = (16,), weights: ArrayLike
 
     Examples
     --------
-    >>> network_planner("tiny", hidden=(4,)).parameter_names[:2]
-    ('layer0_neuron0_speed', 'layer0_neuron0_steering')
+    >>> network_planner("tiny", hidden=(4,)).parameter_names[3:5]
+    ('layer0_bias_neuron3', 'layer0_speed_neuron0')
     """
     for width in hidden:
         if isinstance(width, bool) or not isinstance(width, int | np.integer) or width < 1:
@@ -166,39 +184,63 @@ def network_planner(name: str, hidden: Sequence[int] = (16,), weights: ArrayLike
                 f"network {name!r} has a hidden layer of width {width!r}; it must be a whole number from 1 on"
             )
     widths = tuple(int(width) for width in hidden)
-    count = weight_count(widths)
-    if count > MOST_WEIGHTS:
-        raise InputError(f"network {name!r} would have {count} weights; {MOST_WEIGHTS} is the limit")
-    values = _checked_weights(name, np.zeros(count) if weights is None else weights, count)
-    names = _weight_names(widths)
+    count = driver_weight_count(widths)
+    if weights is None and count <= MOST_WEIGHTS:
+        weights = np.zeros(count)
+    check_driver(name, (len(INPUTS), *widths, OUTPUTS), weights, hold)
     parameters = tuple(
         Parameter(label, -WEIGHT_LIMIT, WEIGHT_LIMIT, float(value), "weight")
-        for label, value in zip(names, values, strict=True)
+        for label, value in zip(_weight_names(widths), np.asarray(weights, np.float64), strict=True)
     )
-    widest = max(len(INPUTS), OUTPUTS, *widths)
-    return Planner(name=name, parameters=parameters, control=_driver(widths), scratch_size=2 * widest)
+    return make_network_planner(name, widths, hold, parameters)
 
 
-def _checked_weights(name: str, weights: ArrayLike, count: int) -> NDArray[np.float64]:
-    values = np.asarray(weights, dtype=np.float64)
+def check_driver(name: str, sizes: Sequence[int], weights: ArrayLike | None, hold: int) -> None:
+    """Check that a network can drive.
+
+    Parameters
+    ----------
+    name : str
+        For messages.
+    sizes : sequence of int
+        :attr:`pcs_racing.base.dense.DenseLayers.sizes`.
+    weights : array_like
+        All of them, :meth:`pcs_racing.base.dense.DenseLayers.flat`.
+    hold : int
+        Simulation steps for which a decision holds.
+
+    Raises
+    ------
+    InputError
+        If the network has other inputs or outputs than a driver, or too many weights, one of them is not finite or
+        too large, or decisions can't hold for so long.
+    """
+    if (sizes[0], sizes[-1]) != (len(INPUTS), OUTPUTS):
+        raise InputError(
+            f"network {name!r} has {sizes[0]} inputs and {sizes[-1]} outputs; a driver has {len(INPUTS)} and "
+            f"{OUTPUTS}, steering and speed"
+        )
+    count = weight_count(sizes)
+    if count > MOST_WEIGHTS:
+        raise InputError(f"network {name!r} would have {count} weights; {MOST_WEIGHTS} is the limit")
+    values = np.asarray(weights, np.float64)
     if values.shape != (count,):
         raise InputError(f"network {name!r} has weights of shape {values.shape}; its layers take ({count},)")
-    if not np.isfinite(values).all():
+    wrong = values[~(np.abs(values) <= WEIGHT_LIMIT)]  # NaN, too
+    if len(wrong):
         raise InputError(
-            f"network {name!r} has a weight that is {values[~np.isfinite(values)][0]}; weights must be finite"
+            f"network {name!r} has a weight of {wrong[0]:g}; it must lie in [{-WEIGHT_LIMIT:g}, {WEIGHT_LIMIT:g}]"
         )
-    if np.abs(values).max() > WEIGHT_LIMIT:
-        worst = values[np.abs(values).argmax()]
+    if isinstance(hold, bool) or not isinstance(hold, int) or not 2 <= hold <= 100 or hold % 2:
         raise InputError(
-            f"network {name!r} has a weight of {worst:g}; it must lie in [{-WEIGHT_LIMIT:g}, {WEIGHT_LIMIT:g}]"
+            f"network {name!r} holds its decisions for {hold!r} steps; it must be an even number, 2 to 100"
         )
-    return values
 
 
 def _weight_names(hidden: tuple[int, ...]) -> list[str]:
     below = list(INPUTS)
     names = []
     for layer, width in enumerate((*hidden, OUTPUTS)):
-        names += [f"layer{layer}_neuron{i}_{source}" for i in range(width) for source in (*below, "bias")]
+        names += [f"layer{layer}_{source}_neuron{i}" for source in ("bias", *below) for i in range(width)]
         below = [f"neuron{i}" for i in range(width)]
     return names

@@ -23,9 +23,10 @@ SHIPPED = {
     "gap-follower": "pcs_racing.planners.gap_follower:GAP_FOLLOWER",
     "lane-switcher": "pcs_racing.planners.lane_switcher:LANE_SWITCHER",
     "lattice": "pcs_racing.planners.lattice:LATTICE",
+    "ppo-drive": "pcs_racing.planners.trained:PPO_DRIVE",
     "pure-pursuit": "pcs_racing.planners.pure_pursuit:PURE_PURSUIT",
 }
-"""The planners of this package: name and place."""
+"""The planners of this package: name and place. A new one is a file and a line here."""
 
 _planners: dict[str, Planner] = {}
 _places: dict[str, str] = dict(SHIPPED)

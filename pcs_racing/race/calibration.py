@@ -23,7 +23,7 @@ from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import CONTEST, PAPER, PRESETS, RaceConfig
 from pcs_racing.race.driving import default_threads, drive, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import DT
-from pcs_racing.race.start_places import PLACE_EVERY, fit_places, places_of
+from pcs_racing.race.start_places import fit_places, places_of, seconds_driven
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.cache import CALIBRATION, cache_folder, cache_key, load_cached, store
 from pcs_racing.track.frenet import SPEED, X, Y
@@ -44,9 +44,8 @@ HAZARD_WITHOUT_NOISE, BELOW_IT, WIDTH_WITHOUT_NOISE = 0.01, 0.09, 0.20
 HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.50, 0.32
 SPACING_STEP, SPACING_STEPS = 0.1, 4  # m; other distances across the track are tried in such steps up and down
 NARROWEST = {"side-by-side": 0.5, "staggered": 0.0, "rolling": 0.0}  # m between the cars' centres
-SIMULATED_PER_SECOND = (
-    9000.0  # s of racing that a core drives in a second, for the forecast alone (benchmarks/race_speed.py)
-)
+SCAN_CARS, SCAN_SECONDS = 160, 40.0
+SIMULATED_PER_SECOND = 9000.0  # s of racing that a core drives in a second, for the forecast (benchmarks/race_speed.py)
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,7 @@ def hazard_scan(
     *,
     policy: Policy | None = None,
     cars: int = 80,
-    seconds: float = 40.0,
+    seconds: float = SCAN_SECONDS,
     seed: int = 0,
     threads: int | None = None,
     enough: float = 1.0,
@@ -173,7 +172,7 @@ def hazard_scan(
 
 
 def calibrate(
-    track: Track, config: RaceConfig, *, cars: int = 160, seed: int = 0, threads: int | None = None
+    track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: int = 0, threads: int | None = None
 ) -> CalibrationReport:
     """Find the speed range of a circuit for a race configuration, and the places to start from.
 
@@ -303,10 +302,8 @@ def _cached(track: Track, config: RaceConfig, what: str, find: Callable[[], Cali
 
 
 def _forecast(track: Track, preset: RaceConfig) -> str:
-    """About how long it takes: the hazard scan, the first seconds at every place, whole races for the balance."""
-    noisy = preset.steering_noise > 0.0
-    simulated = 8 * 80 * 40.0 + (96 if noisy else 32) * 2.5 * track.length / PLACE_EVERY
-    simulated += 60 * 16 * 40.0 if preset.start == "side-by-side" else 0.0
+    """About how long it takes: a hazard scan that ends half-way up its scales, and the start places."""
+    simulated = 0.5 * len(SCALES) * SCAN_CARS // 2 * SCAN_SECONDS + seconds_driven(track, preset)
     return f"about {max(1, round(simulated / SIMULATED_PER_SECOND / default_threads()))} s"
 
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_seed
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.seeds import checked_seed, race_seeds
+from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
@@ -135,7 +136,7 @@ def draw_starts(track: Track, config: RaceConfig, races: int, seed: int, *, spli
 
 def starts_of(track: Track, config: RaceConfig, index: ArrayLike, seed: int, *, split: str = "test") -> Starts:
     """Starts of some races of the batch that :func:`draw_starts` draws, by their indices."""
-    lines = start_lines(track, config, np.random.SeedSequence(checked_seed(seed), spawn_key=(0,)), split=split)
+    lines = start_lines(track, config, np.random.SeedSequence(check_seed(seed), spawn_key=(0,)), split=split)
     index = np.asarray(index, np.int64)
     return Starts(lines[(index // 2) % len(lines)], index % 2)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seed
@@ -71,8 +72,7 @@ def record_race(
     InputError
         If the index is outside its range, or the start is impossible.
     """
-    if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index <= LAST_INDEX:
-        raise InputError(f"index is {index!r}; it must be a whole number from 0 to {LAST_INDEX}")
+    check_whole("index", index, 0, LAST_INDEX)
     setup = RaceSetup(track, config, (ego.planner, opponent.planner), vehicles)
     start = starts_of(track, config, [int(index)], seed)
     theta = pad_parameters([ego, opponent], setup.theta_size)[None]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Union
 import numpy as np
 from PIL import Image, ImageChops, ImageDraw, ImageFont
 
+from pcs_racing.base.checks import check_choice, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.packing import join_segments
@@ -111,13 +112,10 @@ class Renderer:
         half_sizes: np.ndarray | None = None,
         fps: float = 20.0,
     ) -> None:
-        for name, value, known in (("mode", mode, MODES), ("view", view, VIEWS), ("theme", theme, THEMES)):
-            if value not in known:
-                raise InputError(f"{name} must be one of {', '.join(known)}, got {value!r}")
-        for name, size in (("width", width), ("height", height)):
-            if isinstance(size, bool) or not isinstance(size, int | np.integer) or not 64 <= size <= 4096:
-                raise InputError(f"{name} must be a whole number of pixels from 64 to 4096, got {size!r}")
-        self.width, self.height, self.mode, self.view, self.fps = int(width), int(height), mode, view, fps
+        self.mode, self.view = check_choice("mode", mode, MODES), check_choice("view", view, VIEWS)
+        check_choice("theme", theme, THEMES)
+        self.width, self.height = check_whole("width", width, 64, 4096), check_whole("height", height, 64, 4096)
+        self.fps = fps
         self._colours = {name: _rgb(colour) for name, colour in _THEMES[theme].items()}
         walls, self._line, self._line_speed, sizes = _scene(scene)
         self._half_sizes = np.asarray(sizes if half_sizes is None else half_sizes, float)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from pcs_racing.base.checks import check_number, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.packing import (
@@ -151,7 +152,7 @@ class Replay:
             _check_text(name, "car_names")
         self._set("car_names", tuple(self.car_names))
         for name in ("frame_dt", "plan_dt"):
-            self._set(name, _number(getattr(self, name), name, 1e-4, 60.0))
+            self._set(name, float(check_number(name, getattr(self, name), 1e-4, 60.0)))
 
         self._set_array("cars", ("T", 2, 7), {})
         if len(self.cars) == 0:
@@ -416,21 +417,12 @@ def _check_text(value: object, name: str) -> None:
         raise InputError(f"{name} must be text that UTF-8 can hold, got {value!a:.80}") from None
 
 
-def _number(value: object, name: str, low: float, high: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        raise InputError(f"{name} must be a number, got {value!r:.80}")
-    if not low <= value <= high:
-        raise InputError(f"{name} must be from {low:g} to {high:g}, got {value!r:.80}")
-    return float(value)
-
-
 def _checked_events(events: object) -> tuple[ReplayEvent, ...]:
     if not isinstance(events, tuple | list) or not all(isinstance(event, ReplayEvent) for event in events):
         raise InputError("events must be a tuple of ReplayEvent")
     for event in events:
-        _number(event.time, "the time of an event", 0.0, 1e6)
-        if isinstance(event.car, bool) or event.car not in (0, 1):
-            raise InputError(f"the car of an event must be 0 or 1, got {event.car!r:.80}")
+        check_number("the time of an event", event.time, 0.0, 1e6)
+        check_whole("the car of an event", event.car, 0, 1)
         _check_text(event.kind, "the kind of an event")
         _check_text(event.text, "the text of an event")
     return tuple(sorted(events, key=lambda event: event.time))

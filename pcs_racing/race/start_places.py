@@ -26,7 +26,7 @@ from pcs_racing.race.start_grid import Starts, place_on_grid
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track
 
-__all__ = ["PLACE_EVERY", "drive_away", "fit_places", "places_of", "split_places"]
+__all__ = ["PLACE_EVERY", "drive_away", "fit_places", "places_of", "seconds_driven", "split_places"]
 
 Floats = NDArray[np.float64]
 Stretches = tuple[tuple[float, float], ...]
@@ -119,6 +119,14 @@ def drive_away(
         lead = np.sign(left).reshape(len(some), len(pairs), 2)
         favour[first : first + BATCH] = lead[:, EQUALS].mean(axis=(1, 2))
     return crashes, favour
+
+
+def seconds_driven(track: Track, config: RaceConfig) -> float:
+    """About how many seconds of racing :func:`fit_places` simulates if the first spacing works."""
+    races = 2 * (len(PACES) + RANDOM_PAIRS) * (REPEATS if config.steering_noise > 0.0 else 1)
+    away = races * FIRST_SECONDS * track.length / PLACE_EVERY
+    balance = 2 * 2 * BALANCE_PLACES * BALANCE_PAIRS * config.duration if config.start == "side-by-side" else 0.0
+    return away + balance
 
 
 def fit_places(

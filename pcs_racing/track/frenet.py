@@ -259,6 +259,8 @@ def to_cartesian(track, s, d):  # type: ignore[no-untyped-def]
 def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
     """Whether the straight way between two points stays off the walls; in cells from the corner of the grid."""
     rows, cols = distance.shape
+    if not (0.0 <= u0 < cols and 0.0 <= v0 < rows):  # before a number too large for an integer becomes one
+        return False
     steps = int(2.0 * np.sqrt((u1 - u0) * (u1 - u0) + (v1 - v0) * (v1 - v0))) + 1
     for k in range(steps + 1):
         i = int(np.floor(v0 + (v1 - v0) * k / steps))
@@ -272,8 +274,8 @@ def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
 def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # type: ignore[no-untyped-def]
     """Do the work of `locate`; the point is (x, y) in m and (u, v) in cells, ``coarse`` cells to one of the look-up."""
     rows, cols = lookup.shape
-    row = int(np.floor(v / coarse - 0.5))
-    col = int(np.floor(u / coarse - 0.5))
+    row = int(min(max(np.floor(v / coarse - 0.5), -1.0), rows + 0.0))
+    col = int(min(max(np.floor(u / coarse - 0.5), -1.0), cols + 0.0))
     best_s = -1.0
     best_d = 0.0
     best_seen = False

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from pcs_racing.base.checks import check_whole, is_number
 from pcs_racing.base.errors import InputError, MapError
 from pcs_racing.base.reading import plain_yaml
 
@@ -110,9 +111,7 @@ def parse_info(file: Path, data: bytes) -> dict[str, Any]:
     for key in ("description", "license", "style", "direction"):
         if not isinstance(values.get(key, ""), str):
             raise MapError(f"{file}: {key} must be text, got {values[key]!r}")
-    seed = values.get("seed", 0)
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise MapError(f"{file}: seed must be a whole number of at least 0, got {seed!r}")
+    check_whole(f"{file}: seed", values.get("seed", 0), error=MapError)
     for key in ("width", "resolution"):
         if key in values:
             _number(file, key, values[key], 0.0, 1e4)
@@ -146,7 +145,7 @@ def _check_stretches(file: Path, what: str, stretches: Any) -> None:
     before = -1.0
     for stretch in stretches:
         ok = isinstance(stretch, list) and len(stretch) == 2
-        ok = ok and all(isinstance(s, int | float) and not isinstance(s, bool) for s in stretch)
+        ok = ok and all(map(is_number, stretch))
         if not ok or not before < stretch[0] <= stretch[1] <= 1e5:
             raise MapError(f"{file}: {what} must be [first, last] in m, one after the other, got {stretch!r:.80}")
         before = stretch[1]

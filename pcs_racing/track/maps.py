@@ -22,6 +22,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
+from pcs_racing.base import artifacts
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError
 from pcs_racing.base.reading import MAX_YAML, read_limited
 from pcs_racing.track.map_files import (
@@ -108,9 +109,7 @@ class MapFolder(NamedTuple):
 
 def shipped_folder() -> Path:
     """Folder of the circuits that come with the package."""
-    package = Path(__file__).resolve().parents[1]
-    inside = package / "shipped_maps"  # in an installed package; in a checkout they lie beside it
-    return inside if inside.is_dir() else package.parent / "maps"
+    return artifacts.shipped_folder(Path(__file__).resolve().parents[1], "maps")
 
 
 def list_tracks() -> list[str]:

@@ -19,7 +19,7 @@ from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing_agents.agents.drawing import draw
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.chunk_files import fingerprint
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 
 __all__ = ["Agent", "Competitor", "Decider", "Driver", "Strategy", "as_competitor", "competitor_hash"]
 

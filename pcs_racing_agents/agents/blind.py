@@ -1,9 +1,10 @@
-"""Agents that never look at the opponent: the same chances for ever, a plan made beforehand, a walk to one policy.
+"""Agents that never look at the opponent: constant probabilities, an open-loop plan, a walk to one policy.
 
-They are what an adaptive agent must be compared with (:mod:`pcs_racing_agents.tournament.fitting` finds the best plan
-and the best walk). Each is a value with a function from observations (B, D) to chances of the moves (B, M).
+They are what an adaptive agent must be compared with; :mod:`pcs_racing_agents.tournament.fitting` chooses the best plan
+and the best walk.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,33 +12,47 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.fits import FitSource, find_fit, fit_facts
 from pcs_racing_agents.agents.observing import Observations, moves_made, own
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.setting import STAY, Setting
+from pcs_racing_agents.agents.zoo import Entry
 
-__all__ = ["Blend", "Schedule", "Walk", "path_moves", "walk_to"]
+__all__ = [
+    "ConstantStrategy",
+    "OpenLoopStrategy",
+    "WalkStrategy",
+    "always",
+    "best_fixed",
+    "best_schedule",
+    "never_switch",
+    "path_moves",
+    "random_moves",
+    "walk_to",
+]
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Blend:
-    """The same chances in every situation.
+class ConstantStrategy:
+    """The same probabilities in every situation.
 
     Attributes
     ----------
-    chances : ndarray, shape (M,)
+    probabilities : ndarray, shape (M,)
     """
 
-    chances: Floats
+    probabilities: Floats
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
-        return np.tile(self.chances, (len(observation), 1))
+        """Probabilities of the moves, shape (B, M)."""
+        return np.tile(self.probabilities, (len(observation), 1))
 
 
 @dataclass(frozen=True, eq=False)
-class Schedule:
-    """A sequence of moves that was chosen before the race.
+class OpenLoopStrategy:
+    """A plan: a sequence of moves that was chosen before the race.
 
     Attributes
     ----------
@@ -54,14 +69,14 @@ class Schedule:
     axes: int
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
+        """Probabilities of the moves, shape (B, M)."""
         step = np.minimum(moves_made(observation, self.axes), len(self.sequence) - 1)
         return np.eye(self.count)[self.sequence[step]]
 
 
 @dataclass(frozen=True, eq=False)
-class Walk:
-    """From any policy the same way, step by step: the next move depends on the own policy alone.
+class WalkStrategy:
+    """A walk through the archive: the next move depends on the own policy alone.
 
     Attributes
     ----------
@@ -77,12 +92,12 @@ class Walk:
     count: int
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
+        """Probabilities of the moves, shape (B, M)."""
         policy = self.archive.nearest(own(observation, len(self.archive.characteristics)))
         return np.eye(self.count)[self.next_move[policy]]
 
 
-def walk_to(setting: Setting, target: int) -> Walk:
+def walk_to(setting: Setting, target: int) -> WalkStrategy:
     """Return the walk to a policy: a shortest path of moves there, then moves that keep it.
 
     Where no path leads there, it goes to the policy nearest to the target that can be reached. Of several shortest
@@ -100,7 +115,7 @@ def walk_to(setting: Setting, target: int) -> Walk:
             f"{policies - 1}"
         )
     moves = path_moves(setting.table, setting.archive.normalised, int(target))
-    return Walk(moves, setting.archive, len(setting.moves))
+    return WalkStrategy(moves, setting.archive, len(setting.moves))
 
 
 def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.int64]:
@@ -130,7 +145,7 @@ def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.i
         goal = target if steps[k, target] < policies else reached[np.argmin(away[reached])]
         if goal == k:
             first[k] = np.argmin(np.linalg.norm(where[leads_to[k]] - where[k], axis=1))
-            # The move "stay" comes last and is told from a move that fails only by its meaning: prefer it.
+            # The move "stay" comes last; among moves that keep the policy it is preferred.
             if leads_to[k, -1] == k:
                 first[k] = leads_to.shape[1] - 1
         else:
@@ -149,3 +164,108 @@ def _distances(leads_to: NDArray[np.int64]) -> NDArray[np.int64]:
             break
         steps = shorter
     return steps
+
+
+# Agents
+
+
+def always(setting: Setting, move: str, *, name: str | None = None, seed: int = 0) -> Agent:
+    """Make the same move again and again."""
+    chances = np.eye(len(setting.moves))[setting.move(move)]
+    return Agent(name or f"always-{''.join(move.split())}", ConstantStrategy(chances), setting, seed)
+
+
+def never_switch(setting: Setting, *, name: str = "never-switch", seed: int = 0) -> Agent:
+    """Keep the policy of the start: the paper's non-GT agent."""
+    return always(setting, STAY, name=name, seed=seed)
+
+
+def random_moves(setting: Setting, *, name: str = "random-moves", seed: int = 0) -> Agent:
+    """Draw each move, all that the rules offer with the same chance."""
+    chances = np.zeros(len(setting.moves))
+    chances[: setting.offered] = 1.0 / setting.offered
+    return Agent(name, ConstantStrategy(chances), setting, seed)
+
+
+def best_schedule(
+    setting: Setting,
+    *,
+    name: str = "best-schedule",
+    seed: int = 0,
+    moves: Sequence[str] | None = None,
+    fit: FitSource = None,
+) -> Agent:
+    """Make the moves of a plan, one after the other, whatever happens.
+
+    Parameters
+    ----------
+    setting : Setting
+    name : str
+    seed : int
+    moves : sequence of str, optional
+        The sequence: as many names of moves as a game has.
+    fit : Fit or path, optional
+        A sequence selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_schedule`;
+        the shipped one by default.
+    """
+    facts = {}
+    if moves is None:
+        chosen_fit = find_fit("best-schedule", setting, fit)
+        moves, facts = chosen_fit.choice, fit_facts(chosen_fit)
+    elif fit is not None:
+        raise InputError(f"agent {name!r} got moves and a fit; give one of the two")
+    if isinstance(moves, str) or len(moves) != setting.config.moves:
+        raise InputError(f"agent {name!r} got the plan {moves!r}; a game has {setting.config.moves} moves")
+    sequence = np.array([setting.move(move) for move in moves], np.int64)
+    strategy = OpenLoopStrategy(sequence, len(setting.moves), len(setting.archive.characteristics))
+    return Agent(name, strategy, setting, seed, {**facts, "plan": ", ".join(setting.moves[i] for i in sequence)})
+
+
+def best_fixed(
+    setting: Setting,
+    *,
+    name: str = "best-fixed",
+    seed: int = 0,
+    target: int | None = None,
+    fit: FitSource = None,
+) -> Agent:
+    """Walk to one policy of the archive by a shortest path of moves, and keep it.
+
+    Parameters
+    ----------
+    setting : Setting
+    name : str
+    seed : int
+    target : int, optional
+        The policy's index.
+    fit : Fit or path, optional
+        A target selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`; the shipped one by default.
+    """
+    facts = {}
+    if target is None:
+        chosen_fit = find_fit("best-fixed", setting, fit)
+        target, facts = chosen_fit.choice, fit_facts(chosen_fit)
+    elif fit is not None:
+        raise InputError(f"agent {name!r} got a target and a fit; give one of the two")
+    strategy = walk_to(setting, target)
+    point = ", ".join(
+        f"{axis} {value:.2f}"
+        for axis, value in zip(setting.archive.characteristics, setting.archive.normalised[target], strict=True)
+    )
+    return Agent(name, strategy, setting, seed, {**facts, "target": f"policy {target} ({point})"})
+
+
+NEVER_SWITCH = Entry(never_switch, "keeps its start policy for the whole race", "the paper's non-GT agent")
+RANDOM_MOVES = Entry(random_moves, "draws every move, all with the same probability", "baseline")
+BEST_SCHEDULE = Entry(
+    best_schedule,
+    "makes a fixed sequence of moves, the best one on training races",
+    "baseline: open-loop, never observes the race",
+    "fit",
+)
+BEST_FIXED = Entry(
+    best_fixed,
+    "moves to one policy of the archive, the best one on training races, and keeps it",
+    "baseline: never observes the race",
+    "fit",
+)

@@ -1,4 +1,4 @@
-"""From what each move is worth to the chances of the moves: functions from (B, M) to (B, M)."""
+"""From what each move is worth to the probabilities of the moves: functions from (B, M) to (B, M)."""
 
 from collections.abc import Callable
 from typing import Any

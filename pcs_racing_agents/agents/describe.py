@@ -1,57 +1,26 @@
-"""What the zoo says of itself: the pages of docs/zoo.md, and the command ``pcs-racing agents``.
-
-python -m pcs_racing_agents.agents.describe docs/zoo.md     # writes the pages again
-"""
+"""What an agent of the zoo is, what it learned from, how strong it is and what it costs, as text."""
 
 import inspect
 import re
-import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.measured import SETTINGS, Measured, measured
-from pcs_racing_agents.agents.setting import Setting, make_setting
-from pcs_racing_agents.agents.zoo import ALWAYS, ZOO, Entry, build, names, options
+from pcs_racing_agents.agents.measured import Measured, measured
+from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.zoo import Entry, build, entries, options
 
-__all__ = ["describe", "facts_of", "option_meanings", "write_page", "zoo_page"]
+__all__ = ["describe", "facts_of", "microseconds", "option_meanings", "rating_text"]
 
 NEEDS = {
     "": "nothing",
-    "fit": "a choice made on training races, the file `ARCHIVE-RACE-{name}.yaml` or `fit=FILE`",
+    "fit": "a fit to training races, the file `ARCHIVE-RACE-{name}.yaml` or `fit=FILE`",
     "network": "the network `ARCHIVE-RACE-{kind}`, or `network=FOLDER`",
-    "agents": "what the agents need that it is made of",
+    "agents": "what its member agents need",
 }
-
-HEAD = """# The zoo, agent by agent
-
-<!-- Written by `python benchmarks/zoo.py --write`, which measures as well, and by
-`python -m pcs_racing_agents.agents.describe docs/zoo.md`, which does not. -->
-
-What each agent and driver does, where the idea comes from, what it has learned from, how strong it is and what a
-decision costs. How to use them, and to add your own, is told in [agents.md](agents.md). `pcs-racing agents NAME` says
-the same of one of them.
-
-`python benchmarks/zoo.py --write` measures all that race with their defaults:
-
-- **score**: races won, a tie counting half, mean over six opponents (not over itself), {field}, on two circuits,
-  which are named below. In either race some agents learned on the first of them and none on the second; the driver
-  `ppo-drive` learned on Tarnfjord and Kestrelheim. All drive the same races. With {races:.0f} races a score has a
-  standard error of at least {error:.3f};
-- **rating**: Bradley-Terry with ties over the same races, 400 are odds of ten to one, mean 0, with its 95 % interval.
-  It leaves out crashes that pay nobody, as all do in the paper's race: who wins or crashes has a high one, so read
-  score and crashes beside it;
-- **crash**: share of its races that ended in a crash that it is to blame for;
-- **cost**: microseconds of processor time of a decision, for one observation and for each of 1,000 at once, on a shared
-  2-core machine that had other work at the time. A driver decides by planning ten times a second: a plan with 0.1 s of
-  simulation;
-- **hash**: the beginning of the SHA-256 of all that decides what it does: weights or choice, archive, rules.
-  Measurements belong to it: of an agent that has changed nothing is told until the script has run again.
-"""
 
 
 def option_meanings(function: Callable[..., Any]) -> dict[str, str]:
@@ -104,78 +73,15 @@ def facts_of(name: str, setting: Setting) -> list[str]:
     else:
         against = ", ".join(f"{score:.3f} against {rival}" for rival, score in found.against.items())
         lines.append(
-            f"Strength: score {found.score:.3f}, rating {_rating(found)}, on {found.tracks} in {found.races:.0f} races "
-            f"({against}); own crashes {found.own_crash:.1%}."
+            f"Strength: score {found.score:.3f}, rating {rating_text(found)}, on {found.tracks} in {found.races:.0f} "
+            f"races ({against}); own crashes {found.own_crash:.1%}."
         )
         lines.append(f"Cost: {_cost(found)}.")
     return [*lines, f"Hash: {digest[:16]}."]
 
 
-def zoo_page() -> str:
-    """Return the whole page."""
-    settings = [make_setting(*pair) for pair in SETTINGS]
-    every = [list(_table(setting)) for setting in settings]
-    known = [one for rows in every for one in rows if one is not None]
-    races = max((one.races for one in known), default=0.0)
-    field = ", ".join(f"`{name}`" for name in dict.fromkeys(rival for one in known for rival in one.against))
-    error = 0.5 / np.sqrt(races) if races else np.nan
-    blocks = [HEAD.format(field=field or "none measured yet", races=races, error=error).strip(), "## At a glance"]
-    for setting, rows in zip(settings, every, strict=True):
-        blocks.append(f"Archive `{setting.archive.name}`, {setting.race} race:")
-        blocks.append("\n".join(_lines([one for one in rows if one is not None])))
-    blocks.append("## Agents")
-    blocks += [_page(name, describe(name, entry), settings) for name, entry in ZOO.items() if entry.moves]
-    constant = [f"### `{ALWAYS}MOVE`", "", "Makes the same move again and again; one agent for each move.", ""]
-    constant += ["- Source: baseline, never looks at the race.", "- Needs nothing."]
-    blocks.append("\n".join([*constant, *_constant(settings)]))
-    blocks.append("## Drivers")
-    blocks += [_page(name, describe(name, entry), settings) for name, entry in ZOO.items() if not entry.moves]
-    return "\n\n".join(blocks) + "\n"
-
-
-def write_page(path: Path) -> Path:
-    """Write the page to a file."""
-    path.write_text(zoo_page(), encoding="utf-8")
-    return path
-
-
-def _page(name: str, told: str, settings: list[Setting]) -> str:
-    lines = [told]
-    for setting in settings:
-        lines.append(f"- Archive `{setting.archive.name}`, {setting.race} race:")
-        lines += [f"  - {line}" for line in facts_of(name, setting)]
-    return "\n".join(lines)
-
-
-def _constant(settings: list[Setting]) -> Iterator[str]:
-    for setting in settings:
-        for name in (name for name in names(setting.archive, setting.race) if name.startswith(ALWAYS)):
-            yield f"- `{name}`, archive `{setting.archive.name}`, {setting.race} race:"
-            yield from (f"  - {line}" for line in facts_of(name, setting))
-
-
-def _table(setting: Setting) -> Iterator[Measured | None]:
-    """What was measured of the agents as they are, best first."""
-    found = []
-    for name in names(setting.archive, setting.race):
-        try:
-            agent = build(name, setting)
-        except UnknownNameError:
-            continue
-        found.append(measured(setting.archive.name, setting.race, name, competitor_hash(agent)))
-    return iter(sorted(found, key=lambda one: 0.0 if one is None else -one.score))
-
-
-def _lines(rows: list[Measured]) -> Iterator[str]:
-    yield "| agent | score | rating | crash | cost, us | one of 1,000, us | hash |"
-    yield "|---|---|---|---|---|---|---|"
-    for one in rows:
-        costs = [_microseconds(value) for value in (one.one_us, one.many_us)]
-        told = (f"{one.score:.3f}", _rating(one), f"{one.own_crash:.1%}", *costs, f"`{one.sha256[:12]}`")
-        yield f"| `{one.agent}` | {' | '.join(told)} |"
-
-
-def _rating(one: Measured) -> str:
+def rating_text(one: Measured) -> str:
+    """Return a rating with its interval."""
     if np.isnan(one.rating):
         return "unknown"
     interval = "" if np.isnan(one.rating_low) else f" [{one.rating_low:+.0f}, {one.rating_high:+.0f}]"
@@ -183,21 +89,18 @@ def _rating(one: Measured) -> str:
 
 
 def _cost(one: Measured) -> str:
-    first, second = _microseconds(one.one_us), _microseconds(one.many_us)
+    first, second = microseconds(one.one_us), microseconds(one.many_us)
     if second:
         return f"{first} us for one observation, {second} us for each of 1,000 at once"
-    kind = "decision" if one.agent not in ZOO or ZOO[one.agent].moves else "plan with 0.1 s of simulation"
+    kind = "decision" if one.agent not in entries() or entries()[one.agent].moves else "plan with 0.1 s of simulation"
     return f"{first} us for a {kind}"
 
 
-def _microseconds(value: float) -> str:
+def microseconds(value: float) -> str:
+    """Return a time as text; nothing for NaN."""
     return "" if np.isnan(value) else f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _plain(text: str) -> str:
     """Sphinx roles as plain code."""
     return re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text).replace("``", "`")
-
-
-if __name__ == "__main__":
-    write_page(Path(sys.argv[1]))

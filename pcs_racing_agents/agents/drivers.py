@@ -5,8 +5,10 @@ from pathlib import Path
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner
+from pcs_racing.planners.trained import NAME, load_driver, read_driver
 from pcs_racing_agents.agents.agent import Driver
 from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.zoo import Entry
 
 __all__ = ["planner_driver", "random_policy", "trained_driver"]
 
@@ -62,10 +64,8 @@ def trained_driver(
     InputError
         If the folder holds no sound driver.
     """
-    from pcs_racing_agents.networks.driver import NAME, driver_folder, load_driver, read_driver
-
     planner = get_planner(NAME) if network is None else load_driver(network)
-    _, manifest = read_driver(driver_folder(NAME if network is None else network))
+    _, manifest = read_driver(NAME if network is None else network)
     facts = {
         "network": manifest["name"],
         "trained on": ", ".join(f"{key} {value}" for key, value in manifest["training"].items()) or "not said",
@@ -77,3 +77,31 @@ def trained_driver(
 def _variant(planner: str, variant: str) -> Policy:
     called = planner if variant == "default" else f"{planner}:{variant}"
     return get_planner(planner).policy(variant, name=called)
+
+
+RANDOM_POLICY = Entry(
+    random_policy,
+    "keeps one of all policies that synthesis evaluated, in the archive or not",
+    "the paper's random agent",
+    moves=False,
+)
+LANE_SWITCHER = Entry(
+    planner_driver,
+    "race line or overtaking lane; 20 variants. In the paper's race `response`, and with it `adaptive`, learned "
+    "against all of them; in either race `ppo` learned against four (1, 6, 11, 16)",
+    "after the winner of the F1TENTH race at ICRA 2022, which is the unseen opponent in the paper",
+    moves=False,
+)
+PPO_DRIVE = Entry(
+    trained_driver,
+    "a network trained by PPO in races sets steering and speed 25 times a second",
+    "Schulman et al. 2017, with Stable-Baselines3",
+    moves=False,
+)
+GAP_FOLLOWER = Entry(
+    planner_driver,
+    "follows the largest gap in its lidar scan; has no map",
+    "Sezer and Gokasan 2012",
+    moves=False,
+)
+PURE_PURSUIT = Entry(planner_driver, "follows the race line and never overtakes", "baseline", moves=False)

@@ -1,4 +1,4 @@
-"""What was chosen on training races, as small files: a plan of moves, a policy to walk to, the weights of a mixture.
+"""Choices made on training races, as small files: a plan of moves, a policy to walk to, the weights of a mixture.
 
 :mod:`pcs_racing_agents.tournament.fitting` makes them; the agents that follow them read them from here.
 """
@@ -9,18 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from pcs_racing.base.artifacts import ManifestFormat
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.base.files import write_atomically
-from pcs_racing.base.reading import MAX_YAML, parse_yaml, read_limited
 from pcs_racing_agents.agents.setting import Setting
 
-__all__ = ["Fit", "find_fit", "load_fit", "save_fit", "shipped_fits"]
+__all__ = ["Fit", "FitSource", "find_fit", "fit_facts", "load_fit", "make_fit", "save_fit", "shipped_fits"]
 
-FORMAT = "pcs-racing fit"
-VERSION = 1
-_KEYS = ("format", "version", "kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training")
+FIT_FORMAT = ManifestFormat(
+    "fit", ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"), "save_fit"
+)
 KINDS = {"best-schedule": list, "best-fixed": int, "psro": dict}
 """What kinds there are, and what a choice of each is: names of moves, the index of a policy, weights by agent."""
 
@@ -105,10 +102,8 @@ def make_fit(kind: str, choice: Any, setting: Setting, training: Mapping[str, An
 
 def save_fit(fit: Fit, path: str | Path) -> Path:
     """Write a fit as YAML; the file appears whole or not at all."""
-    values = {"format": FORMAT, "version": VERSION, **{key: getattr(fit, key) for key in _KEYS[2:]}}
-    values["training"] = dict(fit.training)
-    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110)
-    write_atomically(Path(path), lambda file: file.write(text.encode("utf-8")))
+    fields = {key: getattr(fit, key) for key in FIT_FORMAT.keys}
+    FIT_FORMAT.write(Path(path), {**fields, "training": dict(fit.training)})
     return Path(path)
 
 
@@ -122,18 +117,9 @@ def load_fit(path: str | Path) -> Fit:
     """
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"fit {path!r} must be the path of a file")
+    fields = FIT_FORMAT.read(path)
     try:
-        content = read_limited(path, MAX_YAML, "a fit")
-    except OSError as error:
-        raise InputError(f"can't read {path}: {error.strerror}; a fit is a file that save_fit wrote") from None
-    values = parse_yaml(path, content)
-    if not isinstance(values, dict) or values.get("format") != FORMAT or values.get("version") != VERSION:
-        raise InputError(f"{path} is no fit: format must be {FORMAT!r} and version {VERSION}")
-    if set(values) != set(_KEYS):
-        odd = ", ".join(sorted(map(str, set(values) ^ set(_KEYS))))
-        raise InputError(f"{path}: unknown or missing {odd}; a fit holds {', '.join(_KEYS)}")
-    try:
-        return Fit(**{key: values[key] for key in _KEYS[2:]})
+        return Fit(**fields)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from None
 
@@ -143,7 +129,11 @@ def shipped_fits() -> Path:
     return Path(__file__).resolve().parent / "fits"
 
 
-def find_fit(kind: str, setting: Setting, source: "str | Path | Fit | None" = None) -> Fit:
+FitSource = str | Path | Fit | None
+"""A fit, its file, or None for the shipped one."""
+
+
+def find_fit(kind: str, setting: Setting, source: FitSource = None) -> Fit:
     """Return a fit for a setting: a given one, one from a file, or the one that is shipped.
 
     Raises
@@ -167,6 +157,12 @@ def find_fit(kind: str, setting: Setting, source: "str | Path | Fit | None" = No
         raise InputError(f"the fit is one of {fit.kind!r}; agent {kind!r} needs its own")
     fit.check_fits(setting)
     return fit
+
+
+def fit_facts(fit: Fit) -> dict[str, str]:
+    """Return what reports say of an agent that follows a fit."""
+    trained = ", ".join(f"{key} {value}" for key, value in fit.training.items())
+    return {"trained on": trained or "not said"}
 
 
 def _epsilon(setting: Setting) -> list[float]:

@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.networks.network import GameIdentity, RegretNetwork
+from pcs_racing_agents.networks.identity import GameIdentity
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.networks.torch_layers import layers_from_torch
 
 __all__ = ["network_from_sb3"]
 
@@ -49,16 +51,14 @@ def network_from_sb3(
     extractor = type(policy.features_extractor).__name__  # type: ignore[union-attr]
     if extractor != "FlattenExtractor" or type(last).__name__ != "Linear":
         raise InputError(f"the model reads observations by {extractor}; only plain observations can be taken over")
-    tensors = [(layer.weight, layer.bias) for layer in (*layers, last)]
-    arrays = [[tensor.detach().cpu().numpy().astype(np.float32) for tensor in pair] for pair in tensors]
+    parameters = [parameter for layer in (*layers, last) for parameter in (layer.weight, layer.bias)]
     size = len(identity.elements)
     return RegretNetwork(
         name=name,
         identity=identity,
         target="ppo",
         clipped=False,
-        weights=tuple(weight for weight, _ in arrays),
-        biases=tuple(bias for _, bias in arrays),
+        layers=layers_from_torch(parameters),
         mean=np.zeros(size, np.float32),
         scale=np.ones(size, np.float32),
         training=training or {},

@@ -1,7 +1,7 @@
 """Looking ahead: where all moves of the next few steps lead from where a game stands, driven in one batch per step.
 
 What is looked into is a *guess* of the game (:func:`guess_games`): what can be seen from one of the cars, with what
-can't be seen replaced. So nobody who decides by it knows the opponent's parameters, its plans, or the noise to come.
+can't be seen replaced: a decision by it uses neither the opponent's parameters nor its plans nor the noise to come.
 """
 
 from collections.abc import Callable

@@ -5,8 +5,6 @@ hash is that of all that decides what the agent does (:func:`pcs_racing_agents.a
 """
 
 import csv
-import io
-from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,16 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
 
-__all__ = ["SETTINGS", "Measured", "measured", "measurements", "write_measurements"]
-
-SETTINGS = (("default", "paper"), ("contest", "contest"))
-"""Archive and rules of the games in which agents are measured: those that networks and choices are shipped for."""
+__all__ = ["AGAINST", "NUMBERS", "TEXTS", "Measured", "measured", "measured_file", "measurements"]
 
 AGAINST = "against "
-_TEXTS = ("archive", "race", "agent", "sha256", "tracks")
-_NUMBERS = ("races", "score", "rating", "rating_low", "rating_high", "own_crash", "one_us", "many_us")
+TEXTS = ("archive", "race", "agent", "sha256", "tracks")
+NUMBERS = ("races", "score", "rating", "rating_low", "rating_high", "own_crash", "one_us", "many_us")
 
 
 class Measured(NamedTuple):
@@ -83,46 +77,27 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
     InputError
         If the file of the package is damaged.
     """
-    path = _file()
+    path = measured_file()
     if not path.is_file():
         return {}
-    found = {}
+    table = {}
     try:
         with open(path, newline="", encoding="utf-8") as file:
             for row in csv.DictReader(file):
-                values: dict[str, Any] = {name: row[name] for name in _TEXTS}
-                values.update({name: float(row[name]) if row[name] else np.nan for name in _NUMBERS})
+                values: dict[str, Any] = {name: row[name] for name in TEXTS}
+                values.update({name: float(row[name]) if row[name] else np.nan for name in NUMBERS})
                 scores = {
                     name.removeprefix(AGAINST): float(value)
                     for name, value in row.items()
                     if name.startswith(AGAINST) and value
                 }
                 one = Measured(**values, against=scores)
-                found[one.archive, one.race, one.agent] = one
+                table[one.archive, one.race, one.agent] = one
     except (KeyError, ValueError, TypeError) as error:
         raise InputError(f"{path} is damaged ({error}); python benchmarks/zoo.py --write makes it again") from None
-    return found
+    return table
 
 
-def write_measurements(rows: Iterable[Measured]) -> Path:
-    """Write the table; measurements of other games or agents are not kept."""
-    lines = list(rows)
-    opponents = list(dict.fromkeys(name for one in lines for name in one.against))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow((*_TEXTS, *_NUMBERS, *(f"{AGAINST}{name}" for name in opponents)))
-    for one in lines:
-        numbers = [_number(getattr(one, name)) for name in _NUMBERS]
-        scores = [_number(one.against.get(name, np.nan)) for name in opponents]
-        writer.writerow((*(getattr(one, name) for name in _TEXTS), *numbers, *scores))
-    write_atomically(_file(), lambda file: file.write(text.getvalue().encode("utf-8")))
-    measurements.cache_clear()
-    return _file()
-
-
-def _file() -> Path:
+def measured_file() -> Path:
+    """Return the path of the table."""
     return Path(__file__).resolve().parent / "measured.csv"
-
-
-def _number(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"

@@ -5,7 +5,7 @@ much as it is likely to have come there. That makes a mixture an ordinary strate
 exploitability can be measured like that of any other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.fits import FitSource, find_fit, fit_facts
 from pcs_racing_agents.agents.observing import Observations, earlier, moves_made, own
 from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.zoo import Entry, build_member
 
-__all__ = ["Mixture", "make_mixture"]
+__all__ = ["Mixture", "make_mixture", "psro", "restricted_response"]
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +41,7 @@ class Mixture:
     setting: Setting
 
     def __call__(self, observation: Observations) -> Floats:
-        """Chances of the moves, shape (B, M)."""
+        """Probabilities of the moves, shape (B, M)."""
         now = moves_made(observation, self._axes)
         chances = np.zeros((len(observation), len(self.setting.moves)))
         for step in np.unique(now):
@@ -94,3 +96,91 @@ def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
             )
     kept = np.flatnonzero(shares > 0.0)
     return Mixture(tuple(members[int(i)] for i in kept), shares[kept] / shares.sum(), members[0].setting)
+
+
+# Agents
+
+
+def restricted_response(
+    setting: Setting,
+    *,
+    name: str = "restricted-response",
+    seed: int = 0,
+    exploit: str | Agent = "static-q",
+    safe: str | Agent = "nash",
+    share: float = 0.5,
+) -> Agent:
+    """Draw for each game whether to exploit or to play safe.
+
+    Parameters
+    ----------
+    setting : Setting
+    name : str
+    seed : int
+    exploit : Agent or str
+        The agent that exploits.
+    safe : Agent or str
+        The agent of the other games.
+    share : float
+        The probability of exploiting, in [0, 1].
+    """
+    if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 <= share <= 1.0:
+        raise InputError(f"the share of agent {name!r} is {share!r}; it must be a number from 0 to 1")
+    members = [build_member(member, setting, seed) for member in (exploit, safe)]
+    facts = {"mixture": f"{share:g} {members[0].name}, {1.0 - share:g} {members[1].name}"}
+    return Agent(name, make_mixture(members, [share, 1.0 - share]), setting, seed, facts)
+
+
+def psro(
+    setting: Setting,
+    *,
+    name: str = "psro",
+    seed: int = 0,
+    weights: Mapping[str, float] | None = None,
+    members: Sequence[Agent] = (),
+    fit: FitSource = None,
+) -> Agent:
+    """Draw an agent for each game, with the chances of an equilibrium of the game of choosing agents.
+
+    Parameters
+    ----------
+    setting : Setting
+    name : str
+    seed : int
+    weights : mapping of str to float, optional
+        The probability of each agent, by name.
+    members : sequence of Agent
+        Agents given as objects instead of by name.
+    fit : Fit or path, optional
+        Weights computed by :func:`pcs_racing_agents.tournament.fitting.fit_psro`; the shipped ones by default.
+    """
+    facts: dict[str, str] = {}
+    if weights is None:
+        chosen_fit = find_fit("psro", setting, fit)
+        weights, facts = chosen_fit.choice, fit_facts(chosen_fit)
+    elif fit is not None:
+        raise InputError(f"agent {name!r} got weights and a fit; give one of the two")
+    own = {member.name: member for member in members}
+    drawn = {key: value for key, value in weights.items() if value}
+    agents = [own[key] if key in own else build_member(key, setting, seed) for key in drawn]
+    mixture = make_mixture(agents, list(drawn.values()))
+    return Agent(name, mixture, setting, seed, {**facts, "mixture": _listed(mixture)})
+
+
+def _listed(mixture: Mixture) -> str:
+    pairs = zip(mixture.weights, mixture.members, strict=True)
+    return ", ".join(f"{weight:.3g} {member.name}" for weight, member in pairs)
+
+
+RESTRICTED_RESPONSE = Entry(
+    restricted_response,
+    "draws for each game whether to exploit a static opponent or to play an equilibrium",
+    "after restricted Nash response (Johanson et al. 2007)",
+    "agents",
+)
+PSRO = Entry(
+    psro,
+    "draws an agent for each game, with the probabilities of an equilibrium of the game of choosing agents",
+    "meta-strategy of PSRO (Lanctot et al. 2017)",
+    "fit",
+)

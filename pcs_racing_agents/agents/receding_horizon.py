@@ -2,7 +2,7 @@
 
 The paper solves the whole game beforehand, and names that as the reason for few decisions: with more of them the tree
 becomes too deep. A search from the present state needs no tree of the whole game. It sees where both cars are and how
-fast, but not what the opponent is made of (:mod:`pcs_racing_agents.agents.lookahead`).
+fast, but not the opponent's parameters (:mod:`pcs_racing_agents.agents.lookahead`).
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.game import LEAD_SCALE, RaceGame, take_games
 from pcs_racing.game.state import GameState
-from pcs_racing_agents.agents.agents import NetworkSource
 from pcs_racing_agents.agents.drawing import draw, hash_rows
+from pcs_racing_agents.agents.from_network import NetworkSource, fitting_network
 from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, root_games, search_game
-from pcs_racing_agents.agents.network import fitting_network
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.chunk_files import fingerprint
+from pcs_racing_agents.agents.zoo import Entry
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.solvers import solve_matrix_games
 
@@ -123,7 +123,7 @@ class RecedingHorizon:
     def content_hash(self) -> str:
         """SHA-256 of all that decides what it does, but not of its name."""
         options = (self.seed, self.depth, self.leaf, self.opponent, self.decision, self.noises)
-        network = self.network and (self.network.weights, self.network.biases, self.network.mean, self.network.scale)
+        network = self.network and (self.network.layers, self.network.mean, self.network.scale)
         return fingerprint("receding horizon", options, network, self.setting.archive.content_hash, self.setting.config)
 
     def decide(self, game: RaceGame, state: GameState, car: int) -> Indices:
@@ -199,7 +199,7 @@ class RecedingHorizon:
         worth = search.worth(state.race, state.step)
         lead = state.race.lead / LEAD_SCALE
         if search.config.utility == "win":
-            # The opponent is a guess: of two races won or lost alike, the one with more lead is won more surely.
+            # The opponent is a guess: of two races with the same result, the one with more lead is won more surely.
             worth = worth + np.where(state.race.crashed, 0.0, LEAD_BONUS * np.clip(lead, -5.0, 5.0))
         if not done.all():
             if self.network is not None:
@@ -243,15 +243,14 @@ def receding_horizon(
     depth : int
         Steps of the game to look ahead.
     leaf : str
-        How the ends of the search are valued: ``rollout`` (both cars keep their policies to the end of the race),
+        How the leaves of the search are valued: ``rollout`` (both cars keep their policies to the end of the race),
         ``now`` (the lead at that moment), or ``network``.
     opponent : str
-        What is expected of the opponent: ``static`` (it keeps the policy that it seems to drive), or ``equilibrium``
-        (it searches as well).
+        The model of the opponent: ``static`` (it keeps its estimated policy), or ``equilibrium`` (it searches as well).
     decision : str
         Which move of an equilibrium strategy to make: ``argmax`` or ``sample``.
     noises : int, optional
-        Courses of the steering noise to average over; by default 4, or 1 where the rules have no noise.
+        Noise realisations to average over; by default 4, or 1 if the rules have no noise.
     network : RegretNetwork, str or path, optional
         For the leaf ``network``, of target ``static-q``: the name of a shipped one or its folder; by default the one
         that is shipped for the game.
@@ -271,3 +270,10 @@ def receding_horizon(
     if noises is None:
         noises = NOISES if setting.config.race.steering_noise > 0.0 else 1
     return RecedingHorizon(name, setting, seed, depth, leaf, opponent, decision, noises, found)
+
+
+RECEDING_HORIZON = Entry(
+    receding_horizon,
+    "simulates some steps ahead at every decision, and solves the small game of their outcomes",
+    "receding horizon control, for the paper's first limitation: trees too deep for many decisions",
+)

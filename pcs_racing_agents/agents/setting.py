@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive import PolicyArchive, load_archive
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.game import RaceGame, observation_elements
+from pcs_racing.game.moves import move_names, move_table
 from pcs_racing.race.config import RaceConfig
 
 __all__ = ["STAY", "Setting", "make_setting"]
@@ -40,12 +42,12 @@ class Setting:
     @cached_property
     def moves(self) -> tuple[str, ...]:
         """Names of the M moves; the last one is "stay"."""
-        return self.archive.move_names(self.config.epsilon, True)
+        return move_names(self.archive, self.config.epsilon, True)
 
     @cached_property
     def table(self) -> NDArray[np.int64]:
         """Where every move leads from every policy, shape (K, M)."""
-        return self.archive.move_table(self.config.epsilon, True)
+        return move_table(self.archive, self.config.epsilon, True)
 
     @cached_property
     def elements(self) -> tuple[str, ...]:
@@ -115,5 +117,5 @@ def make_setting(
     policies = load_archive(archive)
     if config.characteristics is not None and config.characteristics != policies.characteristics:
         policies = policies.project(config.characteristics)
-    count = len(policies.move_names(config.epsilon, bool(config.stay)))
+    count = len(move_names(policies, config.epsilon, bool(config.stay)))
     return Setting(policies, replace(config, stay=True), count)

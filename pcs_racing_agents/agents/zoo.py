@@ -1,8 +1,10 @@
 """The zoo: agents and drivers by name.
 
-A distribution adds its own in the entry point group ``pcs_racing.agents``: ``name = "package.module:function"``. The
-function takes a :class:`pcs_racing_agents.agents.Setting`, the keywords ``name`` and ``seed``, and options of its
-own; it returns an agent, a driver, or any object with ``predict``. A program calls :func:`register_agent`.
+Those of this package are listed in :data:`SHIPPED`. A distribution adds its own in the entry point group
+``pcs_racing.agents``: ``name = "package.module:function"``. The function takes a
+:class:`pcs_racing_agents.agents.Setting`, the keywords ``name`` and ``seed``, and options of its own; it returns an
+agent, a driver, or any object with ``predict``. A program calls :func:`register_agent`. All are imported when they are
+asked for.
 """
 
 import difflib
@@ -21,16 +23,15 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.race.config import RaceConfig
-from pcs_racing_agents.agents import agents, drivers
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor
-from pcs_racing_agents.agents.receding_horizon import receding_horizon
 from pcs_racing_agents.agents.setting import Setting, make_setting
 
 __all__ = [
     "ENTRY_POINTS",
-    "ZOO",
+    "SHIPPED",
     "Entry",
     "build",
+    "build_member",
     "entries",
     "make",
     "names",
@@ -43,6 +44,7 @@ ENTRY_POINTS = "pcs_racing.agents"
 """Entry point group in which a distribution names its agents: ``name = "package.module:function"``."""
 
 ALWAYS = "always-"
+_ALWAYS_PLACE = "pcs_racing_agents.agents.blind:always"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +60,10 @@ class Entry:
     source : str
         Where the idea comes from.
     needs : str
-        What it must have learned before it can race: "", "fit" or "network"; "agents" for what others must that it is
-        made of.
+        What it must have learned before it can race: "", "fit" or "network"; "agents" for what its
+        members must have learned.
     defaults : Mapping
-        Options that tell it from other entries with the same function.
+        Options that differ from those of other entries with the same function.
     moves : bool
         Whether it moves between the policies of the archive; drivers do not.
     """
@@ -74,118 +76,33 @@ class Entry:
     moves: bool = True
 
 
-def _network(kind: str, decision: str, summary: str, source: str) -> Entry:
-    return Entry(agents.from_network, summary, source, "network", {"kind": kind, "decision": decision})
-
-
-def _driver(summary: str, source: str, **defaults: Any) -> Entry:
-    return Entry(drivers.planner_driver, summary, source, defaults=defaults, moves=False)
-
-
-ZOO: dict[str, Entry] = {
-    "never-switch": Entry(agents.never_switch, "keeps the policy of its start", "the paper's non-GT agent"),
-    "random-moves": Entry(agents.random_moves, "draws every move, all with the same chance", "baseline"),
-    "best-schedule": Entry(
-        agents.best_schedule,
-        "makes the moves of a fixed plan, the best one on training races",
-        "baseline: open loop, never looks at the race",
-        "fit",
-    ),
-    "best-fixed": Entry(
-        agents.best_fixed,
-        "walks to one policy of the archive, the best one on training races, and keeps it",
-        "baseline: never looks at the race",
-        "fit",
-    ),
-    "cfr-argmax": _network(
-        "regret",
-        "argmax",
-        "makes the move of highest approximate counterfactual regret",
-        "the paper's GT agent, Equations 8 and 9",
-    ),
-    "cfr-regret-matching": _network(
-        "regret",
-        "regret-matching",
-        "draws a move in proportion to its positive approximate counterfactual regret",
-        "the paper's remark on regret matching (Zinkevich et al. 2007)",
-    ),
-    "normalised-regret": _network(
-        "normalised",
-        "argmax",
-        "makes the move of highest regret, every situation counting alike however rarely the opponent comes there",
-        "cumulative regret over the opponent's cumulative reach",
-    ),
-    "advantage": _network(
-        "advantage",
-        "argmax",
-        "makes the move that gains most, or loses least, against the exact equilibrium",
-        "backward induction over matrix games",
-    ),
-    "static-q": _network(
-        "static-q",
-        "argmax",
-        "plays best against an opponent that does not look at the race",
-        "best response to a static opponent",
-    ),
-    "nash": _network(
-        "nash", "sample", "draws its moves from an approximate equilibrium strategy", "backward induction, sampled"
-    ),
-    "adaptive": Entry(
-        agents.adaptive,
-        "keeps to the best blind strategy and leaves it where a network promises clearly more",
-        "advantage over the best blind strategy, with a margin",
-        "network",
-    ),
-    "response": _network(
-        "gain",
-        "argmax",
-        "makes the move that wins most against the opponents that it has learned to answer",
-        "advantages on branched races, learned from the last step back (`pcs_racing_agents.learning.responses`)",
-    ),
-    "restricted-response": Entry(
-        agents.restricted_response,
-        "for each game draws whether to exploit a static opponent or to play safe",
-        "after restricted Nash response (Johanson et al. 2007)",
-        "agents",
-    ),
-    "psro": Entry(
-        agents.psro,
-        "for each game draws an agent, with the chances of an equilibrium of choosing agents",
-        "meta-strategy of PSRO (Lanctot et al. 2017)",
-        "fit",
-    ),
-    "ppo": _network(
-        "ppo",
-        "argmax",
-        "makes the move that a policy trained by PPO finds most likely",
-        "Schulman et al. 2017, with Stable-Baselines3",
-    ),
-    "receding-horizon": Entry(
-        receding_horizon,
-        "looks some steps ahead with the simulator at every decision, and solves the small game that it finds there",
-        "receding horizon control, for the paper's first limitation: trees too deep for many decisions",
-    ),
-    "random-policy": Entry(
-        drivers.random_policy,
-        "keeps to one of all policies that synthesis looked at, in the archive or not",
-        "the paper's random agent",
-        moves=False,
-    ),
-    "lane-switcher": _driver(
-        "race line or overtaking lane; 20 variants. In the paper's race `response`, and with it `adaptive`, learned "
-        "against all of them; in either race `ppo` learned against four (1, 6, 11, 16)",
-        "after the winner of the F1TENTH race at ICRA 2022, which is the unseen opponent in the paper",
-    ),
-    "ppo-drive": Entry(
-        drivers.trained_driver,
-        "steers and sets its speed 25 times a second, as a network does that PPO trained in races",
-        "Schulman et al. 2017, with Stable-Baselines3",
-        moves=False,
-    ),
-    "gap-follower": _driver("follows the largest gap that its lidar sees; knows no map", "Sezer and Gokasan 2012"),
-    "pure-pursuit": _driver("follows the race line and never overtakes", "baseline"),
+SHIPPED = {
+    "never-switch": "pcs_racing_agents.agents.blind:NEVER_SWITCH",
+    "random-moves": "pcs_racing_agents.agents.blind:RANDOM_MOVES",
+    "best-schedule": "pcs_racing_agents.agents.blind:BEST_SCHEDULE",
+    "best-fixed": "pcs_racing_agents.agents.blind:BEST_FIXED",
+    "cfr-argmax": "pcs_racing_agents.agents.from_network:CFR_ARGMAX",
+    "cfr-regret-matching": "pcs_racing_agents.agents.from_network:CFR_REGRET_MATCHING",
+    "normalised-regret": "pcs_racing_agents.agents.from_network:NORMALISED_REGRET",
+    "advantage": "pcs_racing_agents.agents.from_network:ADVANTAGE",
+    "static-q": "pcs_racing_agents.agents.from_network:STATIC_Q",
+    "nash": "pcs_racing_agents.agents.from_network:NASH",
+    "adaptive": "pcs_racing_agents.agents.from_network:ADAPTIVE",
+    "response": "pcs_racing_agents.agents.from_network:RESPONSE",
+    "restricted-response": "pcs_racing_agents.agents.mixture:RESTRICTED_RESPONSE",
+    "psro": "pcs_racing_agents.agents.mixture:PSRO",
+    "ppo": "pcs_racing_agents.agents.from_network:PPO",
+    "receding-horizon": "pcs_racing_agents.agents.receding_horizon:RECEDING_HORIZON",
+    "random-policy": "pcs_racing_agents.agents.drivers:RANDOM_POLICY",
+    "lane-switcher": "pcs_racing_agents.agents.drivers:LANE_SWITCHER",
+    "ppo-drive": "pcs_racing_agents.agents.drivers:PPO_DRIVE",
+    "gap-follower": "pcs_racing_agents.agents.drivers:GAP_FOLLOWER",
+    "pure-pursuit": "pcs_racing_agents.agents.drivers:PURE_PURSUIT",
 }
-"""What this package brings, by name; besides there is ``always-MOVE`` for every move."""
+"""Agents and drivers of this package: name and place of the entry. A new one is a file and a line here.
+
+Besides there is ``always-MOVE`` for every move.
+"""
 
 _registered: dict[str, Entry] = {}
 
@@ -211,7 +128,7 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
             f"agent name {name!r} must be text without ':', '=', ',' and spaces, not beginning with always-"
         )
     known = _registered.get(name)
-    if name in ZOO or (known is not None and known.build is not build):
+    if name in SHIPPED or (known is not None and known.build is not build):
         raise InputError(f"there is an agent {name!r} already; give yours another name")
     _registered[name] = Entry(build, summary or _first_line(build), source)
 
@@ -219,7 +136,7 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
 def entries() -> dict[str, Entry]:
     """Return everything that has a name, without importing what other distributions declare."""
     declared = {name: Entry(_Place(name, place), f"from {place}") for name, place in _declared().items()}
-    return {**declared, **_registered, **ZOO}
+    return {**declared, **_registered, **{name: resolve_name(place) for name, place in SHIPPED.items()}}
 
 
 def names(
@@ -230,7 +147,7 @@ def names(
     Those that must learn first also need a network or a fit (:class:`Entry`).
     """
     constant = [f"{ALWAYS}{''.join(move.split())}" for move in make_setting(archive, race).moves[:-1]]
-    return sorted([*entries(), *constant])
+    return sorted({*_declared(), *_registered, *SHIPPED, *constant})
 
 
 def make(
@@ -282,7 +199,7 @@ def build(name: str, setting: Setting, *, seed: int = 0, **given: Any) -> Any:
     if name.startswith(ALWAYS):
         for key in given:
             raise InputError(f"agent {name!r} has no option {key!r}; it has none")
-        return agents.always(setting, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
+        return resolve_name(_ALWAYS_PLACE)(setting, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
     if name not in known:
         if name.partition(":")[0] in planner_names() and not given:
             return as_competitor(parse_policy(name))
@@ -297,6 +214,20 @@ def build(name: str, setting: Setting, *, seed: int = 0, **given: Any) -> Any:
         return as_competitor(made, name)
     facts = {"does": entry.summary, "source": entry.source, **made.facts}
     return replace(made, facts={key: value for key, value in facts.items() if value})
+
+
+def build_member(given: str | Agent, setting: Setting, seed: int) -> Agent:
+    """Return an agent that another agent consists of: as it is, or made by name.
+
+    Raises
+    ------
+    InputError
+        If it makes no moves.
+    """
+    made = given if isinstance(given, Agent) else build(given, setting, seed=seed)
+    if not isinstance(made, Agent):
+        raise InputError(f"{given!r} makes no moves; only agents can be part of another one")
+    return made
 
 
 def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:

@@ -12,7 +12,7 @@ import sys
 
 from pcs_racing.game.config import GameConfig
 from pcs_racing.race.driving import default_threads
-from pcs_racing_agents.learning.ppo.settings import DuelSettings, Settings
+from pcs_racing_agents.learning.ppo.settings import DuelSettings, PPOSettings
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, load_response_settings
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.study.config import StudyConfig
@@ -132,7 +132,7 @@ def synthesis_seconds(config: ArchiveConfig) -> float:
     )
 
 
-def ppo_seconds(settings: Settings) -> float:
+def ppo_seconds(settings: PPOSettings) -> float:
     """Processor seconds of a training, of all seeds together; it ends earlier at a plateau."""
     rate = DUEL_MOVE if isinstance(settings, DuelSettings) else DRIVE_STEP
     return rate * settings.steps * len(settings.seeds)

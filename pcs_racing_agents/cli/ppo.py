@@ -40,10 +40,11 @@ def run(arguments: argparse.Namespace) -> None:
     """Train, and print what the policy is worth."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, ppo_seconds
     from pcs_racing_agents.jobs.jobs import executor_from, show_progress
-    from pcs_racing_agents.learning.ppo.curves import write_picture, write_tensorboard
-    from pcs_racing_agents.learning.ppo.scores import score_table
+    from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, mean_score, score_table
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
     from pcs_racing_agents.learning.ppo.train import check_checkpoint_seconds, train_ppo
+    from pcs_racing_agents.pictures.curves import curves_picture, write_tensorboard
+    from pcs_racing_agents.pictures.style import save_picture
 
     changes = {"steps": arguments.steps, "seeds": arguments.seeds and tuple(arguments.seeds)}
     settings = load_ppo_settings(
@@ -69,13 +70,22 @@ def run(arguments: argparse.Namespace) -> None:
             progress=show_progress("steps"),
             checkpoint_seconds=arguments.checkpoint,
         )
+    opponents = settings.opponents
     if arguments.tensorboard:
-        write_tensorboard(trained.curves, settings.opponents, arguments.out / "tensorboard")
+        runs = {
+            f"seed-{curve.seed}": [
+                (steps, {f"evaluation/{key}": value for key, value in mean_score(scores, opponents)._asdict().items()})
+                for steps, scores in zip(curve.steps, curve.scores, strict=True)
+            ]
+            for curve in trained.curves
+        }
+        write_tensorboard(arguments.out / "tensorboard", runs)
     if not arguments.no_picture:
-        title = f"PPO: {trained.level.default_name}"
-        write_picture(trained.curves, settings.opponents, arguments.out / "curve.png", title, trained.level.unit)
+        panels = evaluation_curves(trained.curves, opponents)
+        x_label, title = f"million {trained.task.unit}", f"PPO: {trained.task.default_name}"
+        save_picture(curves_picture(panels, x_label=x_label, title=title), arguments.out / "curve.png")
     steps = ", ".join(f"{curve.steps[-1]} with seed {curve.seed}" for curve in trained.curves)
     print(
         f"{steps}: {trained.seconds:.0f} s of training; kept is seed {trained.seed} after {trained.steps} "
-        f"{trained.level.unit}\n\n{score_table(trained.scores, settings.opponents)}\n\npolicy: {trained.folder}"
+        f"{trained.task.unit}\n\n{score_table(trained.scores, opponents)}\n\npolicy: {trained.folder}"
     )

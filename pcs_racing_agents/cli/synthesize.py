@@ -6,15 +6,17 @@ from collections import deque
 from pathlib import Path
 
 from pcs_racing.base.optional import require
+from pcs_racing.base.settings import add_setting_options, stated_options
 from pcs_racing_agents.cli.estimates import announce, cores_of, synthesis_seconds
 from pcs_racing_agents.cli.options import TRACK_HELP, Commands, add_command
 from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, show_line
-from pcs_racing_agents.synthesis.archive_run import News, Told, make_archive
-from pcs_racing_agents.synthesis.config import SHIPPED_TRACKS, list_archive_configs, load_archive_config
+from pcs_racing_agents.synthesis.archive_run import make_archive
+from pcs_racing_agents.synthesis.archive_search import ArchiveCallback, ArchiveProgress
+from pcs_racing_agents.synthesis.config import SHIPPED_TRACKS, ArchiveConfig, list_archive_configs, load_archive_config
 
-__all__ = ["add", "show_news"]
+__all__ = ["add", "progress_line"]
 
-CHANGES = ("preset", "generations", "population", "method", "seed", "name")
+OPTIONS = ("preset", "generations", "population", "method", "seed", "name")
 
 
 def add(commands: Commands) -> None:
@@ -36,19 +38,14 @@ def add(commands: Commands) -> None:
         metavar="T",
         help=f"{TRACK_HELP}; every policy races on all of them (default: {', '.join(SHIPPED_TRACKS)})",
     )
-    parser.add_argument("--preset", help="rules of the race: paper, contest or a YAML file")
-    parser.add_argument("--generations", type=int, metavar="N", help="how often new policies are proposed")
-    parser.add_argument("--population", type=int, metavar="N", help="policies of a generation")
-    parser.add_argument("--method", help="mo-cma-es (the paper's), nsga2, comocma, cma-mae or random")
-    parser.add_argument("--seed", type=int, metavar="N", help="root of everything that is drawn")
-    parser.add_argument("--name", help="of the archive (default: the configuration's, or the folder's)")
+    add_setting_options(parser, ArchiveConfig, *OPTIONS)
     add_executor_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Search, and say what was found."""
-    changes = {key: getattr(arguments, key) for key in CHANGES if getattr(arguments, key) is not None}
+    changes = stated_options(arguments, ArchiveConfig)
     if arguments.track is not None:
         changes["tracks"] = tuple(arguments.track)
     if arguments.config is None:
@@ -62,7 +59,7 @@ def run(arguments: argparse.Namespace) -> None:
     )
     with executor_from(arguments) as executor:
         announce(synthesis_seconds(config), cores_of(arguments))
-        archive = make_archive(config, arguments.out, executor=executor, told=show_news())
+        archive = make_archive(config, arguments.out, executor=executor, callback=progress_line())
     print(archive)
     for axis, low, high in zip(archive.characteristics, archive.nadir, archive.ideal, strict=True):
         print(f"{axis}: {low:.2f} to {high:.2f}")
@@ -80,20 +77,20 @@ def run(arguments: argparse.Namespace) -> None:
     print(f"archive: {arguments.out}")
 
 
-def show_news() -> Told:
+def progress_line() -> ArchiveCallback:
     """Return a function that keeps a line on stderr up to date: how far, how good, and how long it will take."""
     say = show_line()
     begin = time.monotonic()
     recent = deque([(begin, 0.0)], maxlen=8)  # times and shares done, the last few: a run that goes on begins fast
 
-    def show(news: News) -> None:
-        recent.append((time.monotonic(), news.done))
+    def show(at: ArchiveProgress) -> None:
+        recent.append((time.monotonic(), at.done))
         (earlier, before), (now, after) = recent[0], recent[-1]
         left = f", about {(now - earlier) * (1.0 - after) / (after - before):.0f} s left" if after > before else ""
-        last = news.done >= 1.0
+        last = at.done >= 1.0
         say(
-            f"{news.stage}: generation {news.generation}/{news.generations}, hypervolume {news.hypervolume:.3f}, "
-            f"{news.front} policies, own crashes {news.own_crash:.1%}, {now - begin:.0f} s{'' if last else left}",
+            f"{at.stage}: generation {at.generation}/{at.generations}, hypervolume {at.hypervolume:.3f}, "
+            f"{at.front} policies, own crashes {at.own_crash:.1%}, {now - begin:.0f} s{'' if last else left}",
             last,
         )
 

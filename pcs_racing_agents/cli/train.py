@@ -19,16 +19,16 @@ from pcs_racing_agents.jobs.folders import hold_folder
 
 if TYPE_CHECKING:
     from pcs_racing_agents.networks import RegretNetwork, TrainSettings
-    from pcs_racing_agents.networks.training import Fit
+    from pcs_racing_agents.networks.training import TrainingResult
 
 __all__ = ["add"]
 
 
 class _Outcome(NamedTuple):
-    """A network, how it was fitted, what it is worth as text, and as rows of a table."""
+    """A network, how it was trained, what it is worth as text, and as rows of a table."""
 
     network: "RegretNetwork"
-    fit: "Fit"
+    result: "TrainingResult"
     table: str
     scores: list[dict[str, str | float]]
 
@@ -71,8 +71,11 @@ def run(arguments: argparse.Namespace) -> None:
     """Train, print what the network is worth, and write it."""
     from pcs_racing_agents.cli.estimates import announce, training_seconds
     from pcs_racing_agents.jobs.jobs import executor_from
-    from pcs_racing_agents.networks.curves import write_curves, write_picture, write_tensorboard
+    from pcs_racing_agents.networks.network_files import save_network
     from pcs_racing_agents.networks.settings import load_train_settings
+    from pcs_racing_agents.networks.training import epoch_curves, write_epochs
+    from pcs_racing_agents.pictures.curves import curves_picture, write_tensorboard
+    from pcs_racing_agents.pictures.style import save_picture
 
     changes = {key: getattr(arguments, key) for key in ("target", "epochs", "seed")}
     changes["hidden"] = tuple(arguments.hidden) if arguments.hidden else None
@@ -92,18 +95,22 @@ def run(arguments: argparse.Namespace) -> None:
     with hold_folder(arguments.out), executor_from(arguments) as executor:
         announce(training_seconds(settings), 1, most=True)  # torch learns on one core
         folder = output_folder(arguments.out)
-        network, fit, table, scores = learn(executor)
-        network.save(folder)
-        write_curves(fit, folder / "learning_curves.csv")
+        network, result, table, scores = learn(executor)
+        best = result.epochs[result.best]
+        save_network(network, folder)
+        write_epochs(result, folder / "learning_curves.csv")
         _write_scores(scores, folder / "scores.csv")
         if not arguments.no_tensorboard:
-            write_tensorboard(fit, folder / "tensorboard")
+            values = (epoch._asdict() for epoch in result.epochs)
+            steps = [(row.pop("epoch"), {key.replace("_", "/", 1): row[key] for key in row}) for row in values]
+            write_tensorboard(folder / "tensorboard", {"": steps})
         if not arguments.no_picture:
-            write_picture(fit, folder / "learning_curves.png", f"{name}: {settings.target}")
-    best = fit.epochs[fit.best]
+            title = f"{name}: {settings.target}"
+            figure = curves_picture(epoch_curves(result), log=("loss",), mark=best.epoch, title=title)
+            save_picture(figure, folder / "learning_curves.png")
     print(
         f"{network}\n{network.training['rows']} rows from {network.training['tracks']}; epoch {best.epoch} of "
-        f"{fit.epochs[-1].epoch} kept, validation loss {best.validation_loss:.4f}\n\n{table}\n\nnetwork: {folder}"
+        f"{result.epochs[-1].epoch} kept, validation loss {best.validation_loss:.4f}\n\n{table}\n\nnetwork: {folder}"
     )
 
 
@@ -133,10 +140,10 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
         )
         scores = [
             {"strategy": who, "tree": i, **TreeScore(*row)._asdict()}
-            for who, rows in trained.trees.items()
+            for who, rows in trained.scores.items()
             for i, row in enumerate(rows.tolist())
         ]
-        return _Outcome(trained.network, trained.fit, score_table(trained.rows, trained.trees), scores)
+        return _Outcome(trained.network, trained.result, score_table(trained.rows, trained.scores), scores)
 
     return learn
 
@@ -144,7 +151,7 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
 def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
     """Open folders of ego trees; what is returned learns from them."""
     from pcs_racing_agents.jobs.jobs import show_progress
-    from pcs_racing_agents.jobs.tasks import in_other_processes, run_one
+    from pcs_racing_agents.jobs.tasks import in_other_processes, run_task
     from pcs_racing_agents.networks.from_ego import check_ego_target, ego_score_table, train_on_ego
     from pcs_racing_agents.networks.from_trees import trees_identity
     from pcs_racing_agents.networks.metrics import score_table
@@ -168,14 +175,14 @@ def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> 
             about=_about(made),
             learning=show_progress("epochs") if elsewhere is None else None,
         )
-        trained = run_one(train, trees, elsewhere, "learning")
-        table = ego_score_table(score_table(trained.rows, {}), trained.roots)
+        trained = run_task(train, trees, elsewhere, "learning")
+        table = ego_score_table(score_table(trained.rows, {}), trained.scores)
         scores = [
             {"strategy": who, "root": i, "utility": value}
-            for who, values in trained.roots.items()
+            for who, values in trained.scores.items()
             for i, value in enumerate(values.tolist())
         ]
-        return _Outcome(trained.network, trained.fit, table, scores)
+        return _Outcome(trained.network, trained.result, table, scores)
 
     return learn
 

@@ -16,8 +16,8 @@ from pcs_racing.planners.planner import Policy
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor
-from pcs_racing_agents.agents.blind import Blend, Schedule, Walk
-from pcs_racing_agents.agents.network import OverBlind
+from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, WalkStrategy
+from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, opponent, own
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.tournament.matches import Matches, game_between
@@ -203,7 +203,7 @@ def explain_match(
         replay=mark_moves(recording.replay, match, arena.move_names, config.step_seconds),
         match=match,
         unit=None if network is None else value_unit(network, str(config.utility)),
-        habit=Habit(strategy.blind.name, strategy.margin) if isinstance(strategy, OverBlind) else None,
+        habit=Habit(strategy.blind.name, strategy.margin) if isinstance(strategy, AdaptiveStrategy) else None,
         blind=is_blind(who),
     )
 
@@ -217,7 +217,7 @@ def _steps(
     for k in range(int((match.moves[0, car] >= 0).sum())):
         seen = earlier(match.seen[:, car], axes, k)
         usual = None
-        if isinstance(strategy, OverBlind):
+        if isinstance(strategy, AdaptiveStrategy):
             usual = int(strategy.blind.predict(seen[0])[0])
         steps.append(
             Step(
@@ -244,7 +244,7 @@ def lead_seen(observation: NDArray[np.float32], axes: int, step: int) -> Floats:
 
 def is_blind(who: Competitor) -> bool:
     """Whether an agent's moves are known not to depend on anything but time and its own policy."""
-    return isinstance(getattr(who, "strategy", None), Blend | Schedule | Walk)
+    return isinstance(getattr(who, "strategy", None), ConstantStrategy | OpenLoopStrategy | WalkStrategy)
 
 
 def value_unit(network: RegretNetwork, utility: str) -> Unit:

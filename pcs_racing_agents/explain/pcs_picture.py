@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.moves import move_names, move_table
 from pcs_racing_agents.pictures.style import COLOURS, INK, SOFT, new_figure, picture, place_labels, short, tidy
 
 __all__ = ["archive_picture", "draw_archive", "draw_arrow", "in_units", "plane"]
@@ -110,10 +111,10 @@ def archive_picture(
     points = archive.coordinates
     here = points[start, [right, up]]
     axes.plot(*here, "o", ms=9, mfc="none", mec=COLOURS[1], mew=1.6, zorder=5)
-    leads_to = archive.move_table(epsilon)[start]
+    leads_to = move_table(archive, epsilon)[start]
     nowhere, ends, labels = [], [], []
     for target in dict.fromkeys(leads_to.tolist()):
-        names = [name for name, end in zip(archive.move_names(epsilon), leads_to, strict=True) if end == target]
+        names = [name for name, end in zip(move_names(archive, epsilon), leads_to, strict=True) if end == target]
         if target == start:
             nowhere = names
             continue

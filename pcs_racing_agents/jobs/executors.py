@@ -106,9 +106,18 @@ def tasks_in_flight(executor: Executor | None) -> int:
     """How many tasks to hand to an executor before waiting for the first: enough that no worker waits for the next."""
     if executor is None:
         return 1
-    client = getattr(executor, "_client", None)  # dask's; its workers come and go
-    workers = sum(client.ncores().values()) if client is not None else getattr(executor, "_max_workers", 16)
+    client = _dask_client(executor)  # its workers come and go
+    workers = sum(client.ncores().values()) if client is not None else max(8, default_threads())
     return max(2, 2 * workers)
+
+
+def _dask_client(executor: Executor) -> Any:
+    """Return the client behind an executor of dask's, or None."""
+    if not type(executor).__module__.startswith("distributed."):
+        return None
+    from dask.distributed import Client
+
+    return Client.current()
 
 
 def is_lost(error: BaseException) -> bool:
@@ -123,7 +132,7 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
     Threads get the function itself. Other processes of this machine read it from a temporary file; a dask cluster
     passes it from worker to worker, and makes it again where the worker that had it is gone.
     """
-    client = getattr(executor, "_client", None)
+    client = _dask_client(executor)
     if client is None and not isinstance(executor, ProcessPoolExecutor):
         yield partial(executor.submit, function)
         return

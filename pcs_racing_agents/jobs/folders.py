@@ -2,16 +2,16 @@
 
 import os
 import re
-import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import yaml
+from filelock import FileLock, Timeout
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
@@ -68,10 +68,7 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
             clear_half_written(folder)
         except OSError as error:
             raise _unusable(folder, error) from None
-        try:
-            yield manifest["settings"]
-        finally:
-            lock.truncate(0)
+        yield manifest["settings"]
 
 
 @contextmanager
@@ -90,12 +87,9 @@ def hold_folder(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise _unusable(folder, error) from None
     with lock:
-        try:
-            yield
-        finally:
-            lock.truncate(0)
-            if sys.platform != "win32":
-                (folder / ".lock").unlink(missing_ok=True)
+        yield
+        with suppress(OSError):  # on Windows not while it is locked
+            (folder / ".lock").unlink(missing_ok=True)
 
 
 def clear_half_written(folder: Path) -> None:
@@ -189,35 +183,16 @@ def _plain(value: Any, where: str) -> Any:
     raise InputError(f"{where} is {value!r}; the settings of a job must be texts, numbers, lists and mappings")
 
 
-def _take_lock(folder: Path) -> IO[bytes]:
-    """Lock a file until it is closed or the process ends, however it ends, and write the process's number into it."""
-    lock = open(folder / ".lock", "a+b")  # noqa: SIM115 - it stays open as long as the work lasts
+def _take_lock(folder: Path) -> AbstractContextManager[Any]:
+    """Lock a folder for as long as a ``with`` block lasts or the process lives; the lock's file names the process."""
+    file = folder / ".lock"
     try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            lock.seek(1_000_000)  # beyond the number, which others are to read
-            msvcrt.locking(lock.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if not (folder / ".lock").exists() or not os.path.samestat(
-                os.fstat(lock.fileno()), (folder / ".lock").stat()
-            ):  # whoever held it has just put it away
-                lock.close()
-                return _take_lock(folder)
-        lock.truncate(0)
-        lock.write(f"{os.getpid()}\n".encode())
-        lock.flush()
-    except (BlockingIOError, PermissionError):
-        lock.seek(0)
-        owner = lock.read(20).decode("ascii", "replace").strip()
-        lock.close()
-        raise JobError(
-            f"{folder} is in use by process {owner or '(unknown)'}; wait until it ends, or choose another folder"
-        ) from None
-    except OSError:
-        lock.close()
-        raise
-    return lock
+        held = FileLock(file).acquire(blocking=False)
+    except Timeout:
+        owner = "(unknown)"
+        with suppress(OSError):  # on Windows nobody else can read it
+            owner = file.read_text(encoding="ascii", errors="replace").strip() or owner
+        raise JobError(f"{folder} is in use by process {owner}; wait until it ends, or choose another folder") from None
+    with suppress(OSError):
+        file.write_text(f"{os.getpid()}\n", encoding="ascii")
+    return held

@@ -10,30 +10,29 @@ was left, be it after Ctrl-C, a crash or ``kill -9``; the results are the same t
 
 import logging
 import re
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.jobs.chunk_files import Arrays, fingerprint, read_chunk, write_chunk
+from pcs_racing_agents.jobs.chunks import Arrays, chunk_file, read_chunk, write_chunk
 from pcs_racing_agents.jobs.executors import add_executor_options, executor_from, make_executor
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.folders import GO_ON, JobError, claim_folder, package_version
 from pcs_racing_agents.jobs.progress import Progress, show_line, show_progress
-from pcs_racing_agents.jobs.tasks import Work, completed
+from pcs_racing_agents.jobs.tasks import Task, run_tasks
 
 __all__ = [
     "Arrays",
     "Job",
     "JobError",
-    "Part",
     "Progress",
+    "TaskGroup",
     "add_executor_options",
     "chunk_file",
     "executor_from",
@@ -41,12 +40,12 @@ __all__ = [
     "open_job",
     "package_version",
     "read_chunk",
-    "run_parts",
+    "run_groups",
     "show_line",
     "show_progress",
 ]
 
-T = TypeVar("T")
+A = TypeVar("A")
 
 _log = logging.getLogger("pcs_racing_agents")
 
@@ -75,8 +74,8 @@ class Job:
     def run(
         self,
         name: str,
-        function: Callable[[T], Mapping[str, Any]],
-        tasks: Sequence[T],
+        function: Callable[[A], Mapping[str, Any]],
+        arguments: Sequence[A],
         *,
         executor: Executor | None = None,
         progress: Progress | None = None,
@@ -87,15 +86,15 @@ class Job:
         Parameters
         ----------
         name : str
-            Of this part of the work: small letters, digits, ``-`` and ``_``. Chunks are called ``NAME-00012.npz``.
+            Of the group of tasks: small letters, digits, ``-`` and ``_``. Chunks are called ``NAME-00012.npz``.
         function : callable
-            ``function(task)`` returns arrays (or numbers) by name; for other processes it must be defined in a module.
-        tasks : sequence
-            What tells a task from another must be in the task: a chunk made for another one is not used.
+            ``function(argument)`` returns arrays (or numbers) by name; other processes need one that a module defines.
+        arguments : sequence
+            One for each task. All that the result depends on must be in it: a chunk made for another one is not used.
         executor : Executor, optional
             Where the tasks run (:func:`make_executor`); in this thread by default. It has no influence on the results.
         progress : callable, optional
-            Called as ``progress(done, len(tasks), name)`` when the chunks are counted and after every task.
+            Called as ``progress(done, len(arguments), name)`` when the chunks are counted and after every task.
         keep : bool
             Whether to return the results; without them (an empty list) memory does not grow with the tasks.
 
@@ -111,33 +110,34 @@ class Job:
         InputError
             If the name is impossible or the function returns something else than arrays.
         """
-        return run_parts([Part(self, name, function, tasks)], executor=executor, progress=progress, keep=keep)[0]
+        group = TaskGroup(self, name, function, arguments)
+        return run_groups([group], executor=executor, progress=progress, keep=keep)[0]
 
     def run_chains(
         self,
         name: str,
-        function: Callable[[tuple[T, Arrays | None]], Mapping[str, Any]],
-        tasks: Sequence[T],
+        function: Callable[[tuple[A, Arrays | None]], Mapping[str, Any]],
+        arguments: Sequence[A],
         *,
         executor: Executor | None = None,
-        told: Callable[[int, Arrays], None] | None = None,
+        on_state: Callable[[int, Arrays], None] | None = None,
     ) -> list[Arrays]:
-        """Do work of which each piece goes on where the piece before it has stopped; the chains run side by side.
+        """Run chains of tasks, each of which goes on from the state that the one before it has left.
 
         Parameters
         ----------
         name : str
             As for :meth:`run`; the last state of chain 12 is kept in ``NAME-00012.npz``.
         function : callable
-            ``function((task, state))`` returns the next state: arrays by name, among them ``finished``. The first piece
-            of a chain gets the state None.
-        tasks : sequence
+            ``function((argument, state))`` returns the next state: arrays by name, among them ``finished``. The first
+            task of a chain gets the state None.
+        arguments : sequence
             One for each chain.
         executor : Executor, optional
-            Where the pieces are done. A worker that dies takes at most a piece of each chain with it.
-        told : callable, optional
-            Called as ``told(index, state)`` with the state of every chain that was begun earlier, and after every
-            piece.
+            Where the tasks run. A worker that dies takes at most a task of each chain with it.
+        on_state : callable, optional
+            Called as ``on_state(index, state)`` with the state of every chain that was begun earlier, and after every
+            task.
 
         Returns
         -------
@@ -149,23 +149,27 @@ class Job:
         JobError, InputError
             As for :meth:`run`.
         """
-        marks = self._marks(name, tasks)
-        states = [self._found(name, index, mark) for index, mark in enumerate(marks)]
-        last: list[Arrays] = [{} if state is None else state for state in states]
-        ready: deque[Work[int]] = deque()
+        marks = self._marks(name, arguments)
+        states = [self._stored(name, index, mark) for index, mark in enumerate(marks)]
 
-        def go_on(index: int, state: Arrays | None) -> None:
-            if state is not None and told is not None:
-                told(index, state)
-            if state is None or not state["finished"]:
-                ready.append(Work(index, function, (tasks[index], state)))
+        def next_task(index: int) -> Task[int] | None:
+            state = states[index]
+            if state is not None and state["finished"]:
+                return None
+            return Task(index, function, (arguments[index], state))
 
-        for index, state in enumerate(states):
-            go_on(index, state)
-        for index, value in completed(lambda: ready.popleft() if ready else None, executor, name):
-            last[index] = self._keep(name, index, value, marks[index])
-            go_on(index, last[index])
-        return last
+        def report(index: int) -> None:
+            state = states[index]
+            if state is not None and on_state is not None:
+                on_state(index, state)
+
+        for index in range(len(states)):
+            report(index)
+        first = (task for task in map(next_task, range(len(states))) if task is not None)
+        for index, value in run_tasks(first, executor, name, follow=next_task):
+            states[index] = self._keep(name, index, value, marks[index])
+            report(index)
+        return [state for state in states if state is not None]
 
     def read(self, name: str, index: int) -> Arrays:
         """Read a task's result.
@@ -177,12 +181,12 @@ class Job:
         """
         return read_chunk(self.file(name, index))
 
-    def _marks(self, name: str, tasks: Sequence[Any]) -> list[str]:
+    def _marks(self, name: str, arguments: Sequence[Any]) -> list[str]:
         """Digests of all that the results of tasks depend on."""
         if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
-            raise InputError(f"the name of a part of a job is {name!r}; use small letters, digits, - and _")
+            raise InputError(f"the name of a group of tasks is {name!r}; use small letters, digits, - and _")
         identity = fingerprint(self.kind, self.settings, package_version(), name)
-        return [fingerprint(identity, index, task) for index, task in enumerate(tasks)]
+        return [fingerprint(identity, index, argument) for index, argument in enumerate(arguments)]
 
     def _keep(self, name: str, index: int, value: Any, mark: str) -> Arrays:
         """Write what a task returned to its chunk."""
@@ -195,7 +199,7 @@ class Job:
             raise JobError(f"can't write {path}: {error.strerror}; {GO_ON}") from None
         return arrays
 
-    def _found(self, name: str, index: int, mark: str) -> Arrays | None:
+    def _stored(self, name: str, index: int, mark: str) -> Arrays | None:
         path = self.file(name, index)
         if not path.exists():
             return None
@@ -207,7 +211,7 @@ class Job:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class TaskGroup:
     """Tasks of a job that do not depend on each other; the arguments of :meth:`Job.run` as a value.
 
     Attributes
@@ -215,73 +219,67 @@ class Part:
     job : Job
     name : str
     function : callable
-    tasks : sequence
+    arguments : sequence
     """
 
     job: Job
     name: str
     function: Callable[[Any], Mapping[str, Any]]
-    tasks: Sequence[Any]
+    arguments: Sequence[Any]
 
 
-def run_parts(
-    parts: Sequence[Part],
+def run_groups(
+    groups: Sequence[TaskGroup],
     *,
     executor: Executor | None = None,
     progress: Progress | None = None,
     keep: bool = True,
 ) -> list[list[Arrays]]:
-    """Return the results of several parts of work, of one job or of several, that are done side by side.
+    """Run several groups of tasks, of one job or of several, side by side.
 
-    No worker waits at the end of a part for the others: the tasks of the next one follow at once.
+    No worker waits at the end of a group for the others: the tasks of the next one follow at once.
 
     Parameters
     ----------
-    parts : sequence of Part
+    groups : sequence of TaskGroup
     executor, keep
         As for :meth:`Job.run`.
     progress : callable, optional
-        Called as ``progress(done, total, name of a part)``, counting the tasks of all parts.
+        Called as ``progress(done, total, name of a group)``, counting the tasks of all groups.
 
     Returns
     -------
     list of list of dict of ndarray
-        For each part what :meth:`Job.run` returns.
+        For each group what :meth:`Job.run` returns.
 
     Raises
     ------
     JobError, InputError
         As for :meth:`Job.run`.
     """
-    results: list[list[Arrays]] = [[{}] * len(part.tasks) if keep else [] for part in parts]
-    marks = [part.job._marks(part.name, part.tasks) for part in parts]
+    results: list[list[Arrays]] = [[{}] * len(group.arguments) if keep else [] for group in groups]
+    marks = [group.job._marks(group.name, group.arguments) for group in groups]
     missing = []
-    for i, part in enumerate(parts):
+    for i, group in enumerate(groups):
         for index, mark in enumerate(marks[i]):
-            found = part.job._found(part.name, index, mark)
-            if found is None:
-                missing.append(Work((i, index), part.function, part.tasks[index]))
+            stored = group.job._stored(group.name, index, mark)
+            if stored is None:
+                missing.append(Task((i, index), group.function, group.arguments[index]))
             elif keep:
-                results[i][index] = found
-    total = sum(len(part.tasks) for part in parts)
+                results[i][index] = stored
+    total = sum(len(group.arguments) for group in groups)
     done = total - len(missing)
-    names = list(dict.fromkeys(part.name for part in parts))
+    names = list(dict.fromkeys(group.name for group in groups))
     if progress is not None:
         progress(done, total, names[0] if names else "")
-    what = " to ".join(dict.fromkeys((names[0], names[-1]))) if names else ""
-    for (i, index), value in completed(partial(next, iter(missing), None), executor, what):
-        arrays = parts[i].job._keep(parts[i].name, index, value, marks[i][index])
+    for (i, index), value in run_tasks(missing, executor, " to ".join(dict.fromkeys(names[:1] + names[-1:]))):
+        arrays = groups[i].job._keep(groups[i].name, index, value, marks[i][index])
         if keep:
             results[i][index] = arrays
         done += 1
         if progress is not None:
-            progress(done, total, parts[i].name)
+            progress(done, total, groups[i].name)
     return results
-
-
-def chunk_file(folder: str | Path, name: str, index: int) -> Path:
-    """Return the path of a task's chunk in a job's folder; :func:`read_chunk` reads it."""
-    return Path(folder) / "chunks" / f"{name}-{index:05d}.npz"
 
 
 def _plain_arrays(value: Any, what: str) -> Arrays:

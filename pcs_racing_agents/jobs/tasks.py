@@ -1,52 +1,58 @@
-"""Tasks handed to an executor: a bounded number of them under way, results as they come, one error when workers die."""
+"""Tasks, and how an executor runs them: a bounded number under way, results as they come, one error if workers die."""
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
-from functools import partial
 from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 from pcs_racing_agents.jobs.executors import is_lost, sent_once, tasks_in_flight
 from pcs_racing_agents.jobs.folders import GO_ON, JobError
 
-__all__ = ["Work", "completed", "each", "in_other_processes", "run_one"]
+__all__ = ["Task", "in_other_processes", "numbered_tasks", "run_task", "run_tasks"]
 
+A = TypeVar("A")
 K = TypeVar("K")
 R = TypeVar("R")
-T = TypeVar("T")
 
 
-class Work(NamedTuple, Generic[K]):
-    """A task for a function.
+class Task(NamedTuple, Generic[K]):
+    """One call of a function.
 
     Attributes
     ----------
     key
-        What the result is known by.
+        What its result is known by.
     function : callable
-        ``function(task)``; a large one that is the same object for several tasks travels only once.
-    task
+        ``function(argument)``; a large one that is the same object for several tasks travels only once.
+    argument
     """
 
     key: K
     function: Callable[[Any], Any]
-    task: Any
+    argument: Any
 
 
-def completed(
-    following: Callable[[], Work[K] | None], executor: Executor | None, name: str = "the work"
+def run_tasks(
+    tasks: Iterable[Task[K]],
+    executor: Executor | None = None,
+    name: str = "the work",
+    *,
+    follow: Callable[[K], Task[K] | None] | None = None,
 ) -> Iterator[tuple[K, Any]]:
-    """Do tasks, and return the results as they come in, with a bounded number of tasks under way.
+    """Run tasks, and return their results as they come in, with a bounded number of tasks under way.
 
     Parameters
     ----------
-    following : callable
-        Returns the next task that can be done now, or None. It is asked again after every result: one task may follow
-        from another. Tasks are made when they are asked for, so that they need not all be in memory.
+    tasks : iterable of Task
+        Advanced only when a task can begin, so that not all of them need be in memory.
     executor : Executor, optional
-        Where they are done; in this thread by default.
+        Where they run; in this thread by default.
     name : str
         What is being done, for errors.
+    follow : callable, optional
+        ``follow(key)`` returns the task that follows from the one that has just ended, or None. It is called when the
+        caller has taken the result.
 
     Yields
     ------
@@ -59,9 +65,21 @@ def completed(
     JobError
         If the executor is broken: a worker died, or the cluster is gone.
     """
+    first, following = iter(tasks), deque[Task[K]]()
+
+    def next_task() -> Task[K] | None:
+        task = next(first, None)
+        return following.popleft() if task is None and following else task
+
+    def ended(key: K) -> None:
+        task = follow(key) if follow is not None else None
+        if task is not None:
+            following.append(task)
+
     if executor is None:
-        while (work := following()) is not None:
-            yield work.key, work.function(work.task)
+        while (task := next_task()) is not None:
+            yield task.key, task.function(task.argument)
+            ended(task.key)
         return
     limit = tasks_in_flight(executor)
     under_way: dict[Future[Any], K] = {}
@@ -70,17 +88,18 @@ def completed(
     try:
         with ExitStack() as sent:
             while True:
-                while len(under_way) < limit and (work := following()) is not None:
-                    if id(work.function) not in submit:
-                        functions.append(work.function)  # as long as it lives nothing else has its identity
-                        submit[id(work.function)] = sent.enter_context(sent_once(work.function, executor))
-                    under_way[submit[id(work.function)](work.task)] = work.key
+                while len(under_way) < limit and (task := next_task()) is not None:
+                    if id(task.function) not in submit:
+                        functions.append(task.function)  # as long as it lives nothing else has its identity
+                        submit[id(task.function)] = sent.enter_context(sent_once(task.function, executor))
+                    under_way[submit[id(task.function)](task.argument)] = task.key
                 if not under_way:
                     return
-                ended = wait(under_way, return_when=FIRST_COMPLETED).done
-                for future in sorted(ended, key=_failed):  # what others have done is kept before a failure ends the run
+                done = wait(under_way, return_when=FIRST_COMPLETED).done
+                for future in sorted(done, key=_failed):  # results of others are kept before a failure ends the run
                     key = under_way.pop(future)
                     yield key, future.result()
+                    ended(key)
     except BaseException as error:
         if not is_lost(error):
             raise
@@ -91,14 +110,14 @@ def completed(
             future.cancel()
 
 
-def each(function: Callable[[T], Any], tasks: Iterable[T]) -> Callable[[], Work[int] | None]:
-    """Return what :func:`completed` asks for tasks that do not depend on each other; keys count them from 0."""
-    return partial(next, (Work(i, function, task) for i, task in enumerate(tasks)), None)
+def numbered_tasks(function: Callable[[A], Any], arguments: Iterable[A]) -> Iterator[Task[int]]:
+    """Return tasks of one function, with their numbers from 0 as keys."""
+    return (Task(i, function, argument) for i, argument in enumerate(arguments))
 
 
-def run_one(function: Callable[[T], R], task: T, executor: Executor | None, name: str = "the work") -> R:
-    """Return the result of a single task; see :func:`completed`."""
-    ((_, result),) = completed(each(function, [task]), executor, name)
+def run_task(function: Callable[[A], R], argument: A, executor: Executor | None, name: str = "the work") -> R:
+    """Return the result of a single task; see :func:`run_tasks`."""
+    ((_, result),) = run_tasks(numbered_tasks(function, [argument]), executor, name)
     return cast(R, result)
 
 

@@ -2,7 +2,7 @@
 
 from pcs_racing_agents.networks.identity import GameIdentity, game_identity
 from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.networks.network_files import list_networks, load_network
+from pcs_racing_agents.networks.network_files import list_networks, load_network, save_network
 from pcs_racing_agents.networks.rows import Rows, join_rows
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.networks.targets import TARGETS, best_moves, node_targets, solve_for
@@ -22,6 +22,7 @@ __all__ = [
     "load_network",
     "load_train_settings",
     "node_targets",
+    "save_network",
     "solve_for",
     "train_network",
     "tree_rows",

@@ -1,4 +1,4 @@
-"""What the moves of ego trees are worth, and the training rows made of it.
+"""Values of the moves of ego trees, and training rows with them as targets.
 
 What a move is worth depends on what follows. ``"best"`` takes the best that could have followed: it knows the
 opponent's moves and the noise to come, as no driver does, so it is an upper bound. A continuation policy that sees
@@ -7,16 +7,13 @@ value iteration.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing_agents.networks.rows import Rows, pair_number
 from pcs_racing_agents.trees.ego import EgoTrees
-
-if TYPE_CHECKING:
-    from pcs_racing_agents.networks.rows import Rows
 
 __all__ = ["Continuation", "ego_rows", "ego_values"]
 
@@ -68,7 +65,7 @@ def ego_values(trees: EgoTrees, continuation: Continuation = "best") -> list[tup
     return values[::-1]
 
 
-def ego_rows(trees: EgoTrees, continuation: Continuation = "best") -> "Rows":
+def ego_rows(trees: EgoTrees, continuation: Continuation = "best") -> Rows:
     """Return training rows: what car 0 saw, and what each move was worth (:func:`ego_values`).
 
     Situations that histories of the same policies share are one row; its weight is the probability to get there with
@@ -79,8 +76,6 @@ def ego_rows(trees: EgoTrees, continuation: Continuation = "best") -> "Rows":
     InputError
         If no race goes on after the first step, or the continuation is impossible.
     """
-    from pcs_racing_agents.networks.rows import Rows, pair_number
-
     parts = []
     for level, (q, _) in enumerate(ego_values(trees, continuation)):
         paths = trees.paths[level]

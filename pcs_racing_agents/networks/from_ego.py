@@ -6,58 +6,37 @@ before, the branches go on as that network says, and so on: fitted Q-iteration o
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.jobs.jobs import Progress
+from pcs_racing_agents.networks.ego_rows import ego_rows, ego_values
+from pcs_racing_agents.networks.from_trees import TrainedOnTrees, hold_out
 from pcs_racing_agents.networks.identity import GameIdentity
-from pcs_racing_agents.networks.metrics import Play, RowScore, constant_plays, follow, score_rows
+from pcs_racing_agents.networks.metrics import Play, constant_plays, follow, score_rows
 from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.networks.rows import draw_pairs, pair_number
+from pcs_racing_agents.networks.rows import pair_number
 from pcs_racing_agents.networks.settings import TrainSettings, settings_for_trees
-from pcs_racing_agents.networks.training import Fit, train_network
+from pcs_racing_agents.networks.training import TrainingResult, train_network
+from pcs_racing_agents.trees.ego import EgoTrees
 
-if TYPE_CHECKING:
-    from pcs_racing_agents.trees import EgoTrees
-
-__all__ = ["TrainedOnEgo", "check_ego_target", "ego_score_table", "score_ego", "take_roots", "train_on_ego"]
+__all__ = ["check_ego_target", "ego_score_table", "score_ego", "take_roots", "train_on_ego"]
 
 TARGET = "static-q"
 BEST = "best in hindsight"
 
 
-class TrainedOnEgo(NamedTuple):
-    """A network trained on ego trees.
-
-    Attributes
-    ----------
-    network : RegretNetwork
-    fit : Fit
-        Of the last of its trainings.
-    rows : list of RowScore
-        Choices on the rows of the held-out roots, or of the validation pairs where none is held out.
-    roots : dict of str to ndarray, shape (roots,)
-        What the network and other strategies get in each held-out root; empty if none are.
-    """
-
-    network: RegretNetwork
-    fit: Fit
-    rows: list[RowScore]
-    roots: dict[str, NDArray[np.float64]]
-
-
 def train_on_ego(
-    trees: "EgoTrees",
+    trees: EgoTrees,
     identity: GameIdentity,
     settings: TrainSettings,
     *,
     name: str,
     about: dict[str, str | int | float | bool] | None = None,
     learning: Progress | None = None,
-) -> TrainedOnEgo:
+) -> TrainedOnTrees:
     """Train a network on ego trees and judge it on others.
 
     With ``settings.continuation = "best"`` there is one training, on targets in which the best follows every move; it
@@ -83,23 +62,13 @@ def train_on_ego(
     InputError
         If the target is another one, or the roots come from fewer than three starting pairs.
     """
-    from pcs_racing_agents.trees import ego_rows
-
     check_ego_target(settings)
     settings = settings_for_trees(settings)
     numbers = pair_number(trees.policies)
-    different = len(np.unique(numbers))
-    if different < 3:
-        raise InputError(
-            f"the roots come from {different} starting pairs; it takes 3: to learn, to stop and to judge by"
-        )
-    held_out = np.zeros(len(numbers), np.bool_)
-    if settings.test_share > 0.0:
-        chosen = draw_pairs(numbers, settings.test_share, np.random.SeedSequence(settings.seed, spawn_key=(3,)))
-        held_out = np.isin(numbers, chosen[: different - 2])
+    held_out = hold_out(numbers, settings, 3, "roots")
     learned = take_roots(trees, ~held_out)
 
-    def fit(continuation: str | Play, first: int) -> tuple[RegretNetwork, Fit]:
+    def fit(continuation: str | Play, first: int) -> tuple[RegretNetwork, TrainingResult]:
         rows = ego_rows(learned, continuation)
         return train_network(rows.take(rows.step >= first), identity, settings, name=name, progress=learning)
 
@@ -119,7 +88,7 @@ def train_on_ego(
         plays = {name: follow(network), **constant_plays(identity.moves)}
         roots = score_ego(plays, take_roots(trees, held_out))
         summary["test_utility"] = float(f"{roots[name].mean():.4g}")
-    return TrainedOnEgo(replace(network, training=summary), result, scores, roots)
+    return TrainedOnTrees(replace(network, training=summary), result, scores, roots)
 
 
 def check_ego_target(settings: TrainSettings) -> None:
@@ -134,18 +103,17 @@ def check_ego_target(settings: TrainSettings) -> None:
         raise InputError(f"target is {settings.target!r}; ego trees have one player and give {TARGET!r} alone")
 
 
-def take_roots(trees: "EgoTrees", indices: ArrayLike) -> "EgoTrees":
+def take_roots(trees: EgoTrees, indices: ArrayLike) -> EgoTrees:
     """Return some roots, by index or by a mask over roots."""
     chosen = np.asarray(indices)
     return type(trees).from_arrays({key: array[chosen] for key, array in trees.arrays().items()}, "the roots")
 
 
-def score_ego(plays: dict[str, Play], trees: "EgoTrees") -> dict[str, NDArray[np.float64]]:
+def score_ego(plays: dict[str, Play], trees: EgoTrees) -> dict[str, NDArray[np.float64]]:
     """Return what strategies get in each root against its opponent, shape (R,) each.
 
     Random moves, and the best that could have been done if one had known all that was to come, stand beside them.
     """
-    from pcs_racing_agents.trees import ego_values
 
     def random(observations: NDArray[np.float32]) -> NDArray[np.float64]:
         return np.full((len(observations), trees.options), 1.0 / trees.options)

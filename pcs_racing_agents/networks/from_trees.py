@@ -10,37 +10,38 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.jobs.jobs import Progress
-from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes, run_one
+from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
 from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, draw_pairs, join_rows, pair_number
 from pcs_racing_agents.networks.settings import TrainSettings, settings_for_trees
 from pcs_racing_agents.networks.targets import get_target, solve_for
-from pcs_racing_agents.networks.training import Fit, train_network
+from pcs_racing_agents.networks.training import TrainingResult, train_network
 from pcs_racing_agents.networks.tree_rows import PlayedTree, tree_rows
 
-__all__ = ["Trained", "train_on_trees", "trees_identity"]
+__all__ = ["TrainedOnTrees", "hold_out", "train_on_trees", "trees_identity"]
 
 
-class Trained(NamedTuple):
-    """A network trained on trees.
+class TrainedOnTrees(NamedTuple):
+    """A network trained on game trees or ego trees.
 
     Attributes
     ----------
     network : RegretNetwork
         Its scores on the held-out trees are among what it knows of its training.
-    fit : Fit
+    result : TrainingResult
     rows : list of RowScore
         Choices on the rows of the held-out trees, or of the validation pairs where no tree is held out.
-    trees : dict of str to ndarray, shape (trees, 4)
-        What the network and other strategies lose on the held-out trees, :class:`TreeScore`; empty if none are.
+    scores : dict of str to ndarray
+        Of the network and other strategies on each held-out tree; empty if none are held out. On game trees
+        :class:`TreeScore`, shape (trees, 4); on ego trees the utility, shape (trees,).
     """
 
     network: RegretNetwork
-    fit: Fit
+    result: TrainingResult
     rows: list[RowScore]
-    trees: dict[str, NDArray[np.float64]]
+    scores: dict[str, NDArray[np.float64]]
 
 
 def trees_identity(settings: Any) -> GameIdentity:
@@ -67,7 +68,7 @@ def train_on_trees(
     executor: Executor | None = None,
     solving: Progress | None = None,
     learning: Progress | None = None,
-) -> Trained:
+) -> TrainedOnTrees:
     """Train a network on trees and judge it on others.
 
     Parameters
@@ -99,20 +100,11 @@ def train_on_trees(
     """
     settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
-    held_out = np.zeros(len(numbers), np.bool_)
-    different, least = len(np.unique(numbers)), 3 if settings.test_share > 0.0 else 2
-    if different < least:
-        raise InputError(
-            f"the trees come from {different} starting pairs; it takes {least}: some to learn from, some to stop by"
-            f"{', and some to judge by' if least == 3 else ''}"
-        )
-    if settings.test_share > 0.0:
-        chosen = draw_pairs(numbers, settings.test_share, np.random.SeedSequence(settings.seed, spawn_key=(3,)))
-        held_out = np.isin(numbers, chosen[: different - 2])
+    held_out = hold_out(numbers, settings, 3 if settings.test_share > 0.0 else 2, "trees")
     solve = _Solver(settings, len(identity.moves) - 1 if identity.moves[-1] == "stay" else None)
     rows: list[Rows | None] = [None] * len(held_out)
-    tasks = each(solve, (tree_at(i) for i in range(len(held_out))))
-    for done, (i, found) in enumerate(completed(tasks, executor, "solving trees"), start=1):
+    tasks = numbered_tasks(solve, (tree_at(i) for i in range(len(held_out))))
+    for done, (i, found) in enumerate(run_tasks(tasks, executor, "solving trees"), start=1):
         rows[i] = found
         if solving is not None:
             solving(done, len(held_out), f"solved for {settings.target}")
@@ -121,8 +113,8 @@ def train_on_trees(
     test = [i for i, part in enumerate(rows) if part is not None and held_out[i]]
     elsewhere = in_other_processes(executor)
     learn = _Learner(known, identity, name, learning if elsewhere is None else None)
-    network, fit = run_one(learn, settings, elsewhere, "learning")
-    kept_back = join_rows(judged) if judged else known.take(np.isin(known.pair, fit.validation_pairs))
+    network, result = run_task(learn, settings, elsewhere, "learning")
+    kept_back = join_rows(judged) if judged else known.take(np.isin(known.pair, result.validation_pairs))
     scores, trees = score_rows(network, kept_back), {}
     summary = {"trees": len(held_out), "test_trees": len(test), **dict(network.training), **(about or {})}
     summary["test_agreement"] = float(f"{scores[0].agreement:.4g}")
@@ -130,7 +122,27 @@ def train_on_trees(
         trees = score_trees({name: follow(network), **constant_plays(identity.moves)}, (tree_at(i) for i in test))
         for key, value in zip(TreeScore._fields, trees[name].mean(axis=0), strict=True):
             summary[f"test_{key}"] = float(f"{value:.4g}")
-    return Trained(replace(network, training=summary), fit, scores, trees)
+    return TrainedOnTrees(replace(network, training=summary), result, scores, trees)
+
+
+def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, what: str) -> NDArray[np.bool_]:
+    """Return which trees to judge by, shape (trees,), by the numbers of their starting pairs.
+
+    Raises
+    ------
+    InputError
+        If they come from fewer starting pairs than ``least``.
+    """
+    different = len(np.unique(numbers))
+    if different < least:
+        raise InputError(
+            f"the {what} come from {different} starting pairs; it takes {least}: some to learn from, some to stop by"
+            f"{', and some to judge by' if least == 3 else ''}"
+        )
+    if settings.test_share == 0.0:
+        return np.zeros(len(numbers), np.bool_)
+    drawn = draw_pairs(numbers, settings.test_share, np.random.SeedSequence(settings.seed, spawn_key=(3,)))
+    return np.isin(numbers, drawn[: different - 2])
 
 
 @dataclass(frozen=True)
@@ -175,7 +187,7 @@ class _Learner:
     name: str
     progress: Progress | None
 
-    def __call__(self, settings: TrainSettings) -> tuple[RegretNetwork, Fit]:
+    def __call__(self, settings: TrainSettings) -> tuple[RegretNetwork, TrainingResult]:
         clipped = get_target(settings.target).clipped
         return train_network(
             self.rows, self.identity, settings, name=self.name, clipped=clipped, progress=self.progress

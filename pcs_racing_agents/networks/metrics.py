@@ -1,6 +1,6 @@
 """How well a network plays: agreement with its targets, and the value that following it loses on trees it never saw.
 
-A small error of the values can cost much, and a large one nothing; what counts is the move that is made of them.
+A small error of the values can cost much, and a large one nothing; what counts is the move that they lead to.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -1,31 +1,25 @@
-"""The regret approximator of the paper: a small network from what a driver saw to what each of its moves is worth.
+"""The regret approximator of the paper: a network that predicts from an observation what each move is worth.
 
-It is made for racing: no torch, a few microseconds for a decision, and a value that never changes. How it is trained
-is in :mod:`pcs_racing_agents.networks.training`, how it is stored in
-:mod:`pcs_racing_agents.networks.network_files`.
+It needs no torch, takes a few microseconds for a decision, and never changes. How it is trained is in
+:mod:`pcs_racing_agents.networks.training`, how it is stored in :mod:`pcs_racing_agents.networks.network_files`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.dense import DenseLayers, dense_rows
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.game import RaceGame
-from pcs_racing_agents.networks.forward import forward, pack_layers
 from pcs_racing_agents.networks.identity import GameIdentity, check_same_game, game_identity
 
-__all__ = ["GameIdentity", "RegretNetwork"]
+__all__ = ["RegretNetwork"]
 
 Floats = NDArray[np.float32]
-
-MOST_WEIGHTS = 4_000_000
-MOST_LAYERS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +38,8 @@ class RegretNetwork:
         What it approximates (:data:`pcs_racing_agents.networks.targets.TARGETS`, or something else).
     clipped : bool
         Whether values below 0 are shown as 0, as the paper does with regrets.
-    weights : tuple of ndarray, shape (out, in), float32
-        Of each layer; the first has D inputs, the last A outputs.
-    biases : tuple of ndarray, shape (out,), float32
+    layers : DenseLayers
+        D inputs and A outputs.
     mean, scale : ndarray, shape (D,), float32
         The first layer sees ``(observation - mean) / scale``.
     training : Mapping
@@ -68,8 +61,7 @@ class RegretNetwork:
     identity: GameIdentity
     target: str
     clipped: bool
-    weights: tuple[Floats, ...]
-    biases: tuple[Floats, ...]
+    layers: DenseLayers
     mean: Floats
     scale: Floats
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
@@ -86,34 +78,32 @@ class RegretNetwork:
             if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
                 raise InputError(f"{where}: training {key!r} is {value!r:.80}; it must be texts and numbers by name")
         put("training", MappingProxyType(dict(self.training)))
-        sizes = _check_sizes(where, self.identity, self.weights)
-        if len(self.biases) != len(self.weights):
-            raise InputError(f"{where} has {len(self.weights)} layers but {len(self.biases)} biases; give one for each")
-        for key in ("weights", "biases"):
-            shapes = [(above, below) if key == "weights" else (above,) for below, above in pairwise(sizes)]
-            put(
-                key,
-                tuple(
-                    _array(f"{where}: {key} of layer {i}", value, shape)
-                    for i, (value, shape) in enumerate(zip(getattr(self, key), shapes, strict=True))
-                ),
-            )
+        if not isinstance(self.identity, GameIdentity):
+            raise InputError(f"{where}: identity is {self.identity!r}; it must be a GameIdentity")
+        sizes = self.layers.sizes
+        if sizes[0] != len(self.identity.elements):
+            raise InputError(f"{where} has {sizes[0]} inputs; an observation has {len(self.identity.elements)} numbers")
+        if sizes[-1] != len(self.identity.moves):
+            raise InputError(f"{where} puts out {sizes[-1]} values; there are {len(self.identity.moves)} moves")
         for key in ("mean", "scale"):
-            put(key, _array(f"{where}: {key}", getattr(self, key), (sizes[0],)))
+            array = np.array(getattr(self, key), np.float32)
+            if array.shape != sizes[:1] or not np.isfinite(array).all():
+                raise InputError(f"{where}: {key} is {array!r:.80}; it must be {sizes[0]} finite numbers")
+            array.setflags(write=False)
+            put(key, array)
         if not (self.scale > 0.0).all():
             raise InputError(f"{where}: scale is {self.scale.min():g} at its smallest; it must be above 0")
         # The scaling of the inputs is part of the first layer from here on: one pass less for every decision.
-        first = self.weights[0].astype(np.float64) / self.scale
-        bias = self.biases[0] - (first * self.mean).sum(axis=1)
-        layers = [first.astype(np.float32), *self.weights[1:]], [bias.astype(np.float32), *self.biases[1:]]
-        packed_sizes, packed = pack_layers(*layers)
-        put("_sizes", packed_sizes)
-        put("_packed", packed)
+        first = self.layers.weights[0].astype(np.float64) / self.scale
+        bias = self.layers.biases[0] - (first * self.mean).sum(axis=1)
+        scaled = DenseLayers((first, *self.layers.weights[1:]), (bias, *self.layers.biases[1:]))
+        put("_sizes", np.array(sizes, np.int64))
+        put("_flat", scaled.flat())
         put("_widest", max(sizes))
 
     def __repr__(self) -> str:
         """Show what it is, not its numbers."""
-        shape = "-".join(str(size) for size in self._sizes)  # type: ignore[attr-defined]
+        shape = "-".join(map(str, self.layers.sizes))
         return (
             f"<RegretNetwork {self.name!r}: {shape}, {self.target}, archive {self.identity.archive!r}, "
             f"preset {self.identity.preset!r}>"
@@ -137,9 +127,7 @@ class RegretNetwork:
     @property
     def hidden(self) -> tuple[int, ...]:
         """Widths of the hidden layers."""
-        return tuple(len(bias) for bias in self.biases[:-1])
-
-    # What it is for
+        return self.layers.hidden
 
     def __call__(self, observations: ArrayLike) -> Floats:
         """Value of each move, shape (..., A), for observations (..., D); see :attr:`clipped`.
@@ -163,7 +151,7 @@ class RegretNetwork:
         rows = np.ascontiguousarray(x.reshape(-1, inputs))
         out = np.empty((len(rows), moves), np.float32)
         scratch = np.empty((2, self._widest), np.float32)  # type: ignore[attr-defined]
-        if not forward(rows, self._sizes, self._packed, scratch, out):  # type: ignore[attr-defined]
+        if not dense_rows(rows, self._flat, self._sizes, scratch, out):  # type: ignore[attr-defined]
             raise InputError("observations hold NaN or infinity; they must be finite")
         return out.reshape(*x.shape[:-1], moves)
 
@@ -219,39 +207,3 @@ class RegretNetwork:
             What it belongs to, for the message.
         """
         check_same_game(self.identity, other, f"network {self.name!r}", what)
-
-    def save(self, folder: str | Path) -> Path:
-        """Write ``weights.safetensors`` and ``manifest.yaml`` into a folder, which is made if need be."""
-        from pcs_racing_agents.networks.network_files import save_network
-
-        return save_network(self, folder)
-
-
-def _check_sizes(where: str, identity: GameIdentity, weights: Sequence[Any]) -> list[int]:
-    """Return the numbers going in, and coming out of each layer."""
-    if not isinstance(identity, GameIdentity):
-        raise InputError(f"{where}: identity is {identity!r}; it must be a GameIdentity")
-    if not 1 <= len(weights) <= MOST_LAYERS:
-        raise InputError(f"{where} has {len(weights)} layers; it must have 1 to {MOST_LAYERS}")
-    sizes = [len(identity.elements)]
-    for i, weight in enumerate(weights):
-        shape = np.shape(weight)
-        if len(shape) != 2 or shape[1] != sizes[-1] or shape[0] == 0:
-            raise InputError(f"{where}: weights of layer {i} have shape {shape}; they must have (any, {sizes[-1]})")
-        sizes.append(shape[0])
-    if sizes[-1] != len(identity.moves):
-        raise InputError(f"{where} puts out {sizes[-1]} values; there are {len(identity.moves)} moves")
-    count = sum((below + 1) * above for below, above in pairwise(sizes))
-    if count > MOST_WEIGHTS:
-        raise InputError(f"{where} has {count} weights; {MOST_WEIGHTS} is the limit")
-    return sizes
-
-
-def _array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
-    array = np.array(value, np.float32)
-    if array.shape != shape:
-        raise InputError(f"{what} have shape {array.shape}; they must have {shape}")
-    if not np.isfinite(array).all():
-        raise InputError(f"{what} hold NaN or infinity")
-    array.setflags(write=False)
-    return array

@@ -44,10 +44,10 @@ class Target(NamedTuple):
 
 TARGETS = {
     "regret": Target("cumulative counterfactual regret, clipped at 0 (the paper)", True, "cfr"),
-    "normalised": Target("cumulative regret over the largest of the node's, -1 to 1", False, "cfr"),
-    "advantage": Target("what a move gains or loses against the equilibrium, both playing on by it", False, "exact"),
-    "static-q": Target("utility of a move and best play from then on, against a static opponent", False, "exact"),
-    "nash": Target("probability of the move in an equilibrium, to be drawn from", False, "exact"),
+    "normalised": Target("cumulative regret, divided by its largest magnitude at the node: -1 to 1", False, "cfr"),
+    "advantage": Target("gain or loss of a move against the equilibrium, if both follow it afterwards", False, "exact"),
+    "static-q": Target("utility of a move followed by best play, against a static opponent", False, "exact"),
+    "nash": Target("probability of the move in an equilibrium, from which the agent draws", False, "exact"),
 }
 """Kinds of targets that trees give."""
 

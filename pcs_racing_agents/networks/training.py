@@ -1,17 +1,19 @@
-"""Fitting a small network to rows: AdamW, validation on starting pairs of its own, and an end when that stops helping.
+"""Training a network on rows: AdamW, validation on starting pairs of its own, early stopping.
 
 The same settings and rows give the same network: initial weights and draws come from numpy generators of the
 settings' seed, torch works in one thread meanwhile, and its own random state is neither read nor changed.
 """
 
-from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.jobs.jobs import Progress
 from pcs_racing_agents.networks.goals import row_goals, scale_rows
 from pcs_racing_agents.networks.identity import GameIdentity
@@ -19,9 +21,10 @@ from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, split_by_pair
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.networks.targets import best_moves
-from pcs_racing_agents.networks.torch_alone import torch_alone
+from pcs_racing_agents.networks.torch_layers import initial_layers, layers_from_torch, relu_forward, torch_alone
+from pcs_racing_agents.pictures.curves import Curve
 
-__all__ = ["Epoch", "Fit", "fit", "train_network"]
+__all__ = ["Epoch", "TrainingResult", "epoch_curves", "train_layers", "train_network", "write_epochs"]
 
 Floats = NDArray[np.float32]
 
@@ -53,12 +56,12 @@ class Epoch(NamedTuple):
     validation_shortfall: float
 
 
-class Fit(NamedTuple):
-    """What came of fitting a network.
+class TrainingResult(NamedTuple):
+    """A trained network and how the training went.
 
     Attributes
     ----------
-    weights, biases, mean, scale
+    layers, mean, scale
         See :class:`pcs_racing_agents.networks.RegretNetwork`.
     epochs : tuple of Epoch
     best : int
@@ -67,8 +70,7 @@ class Fit(NamedTuple):
         Starting pairs that were not learned from.
     """
 
-    weights: tuple[Floats, ...]
-    biases: tuple[Floats, ...]
+    layers: DenseLayers
     mean: Floats
     scale: Floats
     epochs: tuple[Epoch, ...]
@@ -85,7 +87,7 @@ def train_network(
     target: str | None = None,
     clipped: bool = False,
     progress: Progress | None = None,
-) -> tuple[RegretNetwork, Fit]:
+) -> tuple[RegretNetwork, TrainingResult]:
     """Train a network for a game.
 
     Parameters
@@ -107,7 +109,7 @@ def train_network(
     Returns
     -------
     network : RegretNetwork
-    fit : Fit
+    result : TrainingResult
 
     Raises
     ------
@@ -120,7 +122,7 @@ def train_network(
         found = getattr(rows, key).shape[1]
         if found != len(names):
             raise InputError(f"the rows' {key} have {found} numbers; the game has {len(names)}")
-    result = fit(rows, settings, clipped=clipped, progress=progress)
+    result = train_layers(rows, settings, clipped=clipped, progress=progress)
     best = result.epochs[result.best]
     summary: dict[str, str | int | float | bool] = {
         "rows": len(rows),
@@ -139,8 +141,7 @@ def train_network(
         identity=identity,
         target=settings.target if target is None else target,
         clipped=clipped,
-        weights=result.weights,
-        biases=result.biases,
+        layers=result.layers,
         mean=result.mean,
         scale=result.scale,
         training=summary,
@@ -148,25 +149,27 @@ def train_network(
     return network, result
 
 
-def fit(rows: Rows, settings: TrainSettings, *, clipped: bool = False, progress: Progress | None = None) -> Fit:
-    """Fit a network to rows; see :func:`train_network`."""
+def train_layers(
+    rows: Rows, settings: TrainSettings, *, clipped: bool = False, progress: Progress | None = None
+) -> TrainingResult:
+    """Train a network on rows of any game; see :func:`train_network`."""
     with torch_alone() as torch:
-        return _fit(torch, rows, settings, clipped, progress)
+        return _train(torch, rows, settings, clipped, progress)
 
 
-def _fit(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progress: Progress | None) -> Fit:
+def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progress: Progress | None) -> TrainingResult:
     held_out, pairs = split_by_pair(rows, settings.validation_share, settings.seed)
     learned, judged = rows.take(~held_out), rows.take(held_out)
     by = scale_rows(learned, settings, clipped)
     draws, start = (np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,))) for key in (1, 2))
 
-    def tensors(part: Rows) -> tuple[Any, Any, Any, Any]:
-        x = (part.observations - by.mean) / by.scale
-        arrays = (x, *row_goals(part, by, clipped, settings.below_zero))
+    def tensors(some: Rows) -> tuple[Any, Any, Any, Any]:
+        x = (some.observations - by.mean) / by.scale
+        arrays = (x, *row_goals(some, by, clipped, settings.below_zero))
         return tuple(torch.from_numpy(array) for array in arrays)
 
     def loss(x: Any, goal: Any, weight: Any, one_sided: Any) -> Any:
-        error = forward(x) - goal
+        error = relu_forward(layers, x) - goal
         # Where the goal is a regret clipped to 0, any value below 0 is as good as 0.
         error = torch.where(one_sided, error.clamp(min=0.0), error)
         if not settings.differences or clipped:
@@ -176,15 +179,10 @@ def _fit(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progres
         apart = error - mean
         return (weight * apart * apart).sum(dim=1) + (by.level * mean[:, 0]) ** 2
 
-    def forward(x: Any) -> Any:
-        for i in range(0, len(layers) - 2, 2):
-            x = torch.relu(torch.nn.functional.linear(x, layers[i], layers[i + 1]))
-        return torch.nn.functional.linear(x, layers[-2], layers[-1])
-
     def judge(number: int, training_loss: float) -> Epoch:
         with torch.no_grad():
             each = loss(*judged_tensors).numpy().astype(np.float64)
-            predicted = forward(judged_tensors[0]).numpy() * by.size + by.centre
+            predicted = relu_forward(layers, judged_tensors[0]).numpy() * by.size + by.centre
         share = judged.weights / judged.weights.sum()
         choice = np.argmax(np.where(judged.mask, predicted, -np.inf), axis=1)
         good, short = best_moves(judged.targets, judged.mask), np.where(judged.mask, judged.targets, -np.inf)
@@ -198,14 +196,7 @@ def _fit(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progres
             float(share @ (short.max(axis=1) - judged.targets[picked]).astype(np.float64)),
         )
 
-    sizes = [rows.observations.shape[1], *settings.hidden, rows.targets.shape[1]]
-    layers = []
-    for i, (below, above) in enumerate(pairwise(sizes)):
-        gain = 2.0 if i < len(sizes) - 2 else 1.0  # He et al. 2015; the last layer has no ReLU behind it
-        weight = start.normal(0.0, np.sqrt(gain / below), (above, below)).astype(np.float32)
-        layers += [torch.from_numpy(weight), torch.zeros(above, dtype=torch.float32)]
-    for layer in layers:
-        layer.requires_grad_(True)
+    layers = initial_layers([rows.observations.shape[1], *settings.hidden, rows.targets.shape[1]], start)
     optimiser = torch.optim.AdamW(layers, lr=settings.learning_rate, weight_decay=settings.weight_decay)
     learned_tensors, judged_tensors = tensors(learned), tensors(judged)
     odds = np.cumsum(learned.weights) / learned.weights.sum()
@@ -239,6 +230,29 @@ def _fit(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progres
             progress(number, total_epochs, f"validation loss {epochs[-1].validation_loss:.4f}")
         if since == settings.patience:
             break
-    weights, biases = [layer.numpy() for layer in kept[::2]], [layer.numpy() for layer in kept[1::2]]
-    weights[-1], biases[-1] = weights[-1] * by.size, biases[-1] * by.size + by.centre
-    return Fit(tuple(weights), tuple(biases), by.mean, by.scale, tuple(epochs), best, pairs)
+    scaled = layers_from_torch(kept)
+    # The last layer's outputs are in the units of training; the network's are in those of the targets.
+    weights = (*scaled.weights[:-1], scaled.weights[-1] * by.size)
+    biases = (*scaled.biases[:-1], scaled.biases[-1] * by.size + by.centre)
+    return TrainingResult(DenseLayers(weights, biases), by.mean, by.scale, tuple(epochs), best, pairs)
+
+
+def write_epochs(result: TrainingResult, file: Path) -> Path:
+    """Write a line for each epoch to a CSV file."""
+    lines = [",".join(Epoch._fields)]
+    lines += [f"{epoch.epoch},{','.join(f'{value:.7g}' for value in epoch[1:])}" for epoch in result.epochs]
+    write_atomically(file, lambda stream: stream.write(("\n".join(lines) + "\n").encode("utf-8")))
+    return file
+
+
+def epoch_curves(result: TrainingResult) -> dict[str, list[Curve]]:
+    """Return losses and agreement over the epochs, as panels of a picture."""
+    columns = dict(zip(Epoch._fields, np.array(result.epochs, np.float64).T, strict=True))
+
+    def curve(key: str) -> Curve:
+        return Curve(columns["epoch"], columns[key], key.partition("_")[0])
+
+    return {
+        "loss": [curve("training_loss"), curve("validation_loss")],
+        "share of choices that are best": [curve("validation_agreement")],
+    }

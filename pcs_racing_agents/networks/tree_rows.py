@@ -34,7 +34,7 @@ class PlayedTree(Protocol):
         """For each level whether the race was over before its decision, shape (S, N_k)."""
 
     def game_tree(self) -> GameTree:
-        """Return the tree with payoffs averaged over the seeds: nobody sees the seed."""
+        """Return the tree with payoffs averaged over the seeds, which no player sees."""
 
     def observations(self, level: int) -> NDArray[np.float32]:
         """Return what both players see at the nodes of a level, shape (S, N_k, 2, D)."""

@@ -1,5 +1,6 @@
 """Solvers of two-player zero-sum games on dense trees: exact, by regret minimisation, and judges of both."""
 
+from pcs_racing_agents.solvers.backward_induction import ExactResult, solve_exact
 from pcs_racing_agents.solvers.cfr import VARIANTS, CFRResult, Variant, cfr
 from pcs_racing_agents.solvers.compare import METHODS, MethodRow, agreement, compare_methods, regret_argmax
 from pcs_racing_agents.solvers.efg import efg_text, infoset_name, write_efg
@@ -17,7 +18,6 @@ from pcs_racing_agents.solvers.evaluation import (
     reach_probabilities,
     uniform_profile,
 )
-from pcs_racing_agents.solvers.exact import ExactResult, solve_exact
 from pcs_racing_agents.solvers.game_tree import GameTree
 from pcs_racing_agents.solvers.matrix_games import MatrixSolution, solve_matrix_games
 from pcs_racing_agents.solvers.sequence_form import SequenceSolution, solve_sequence_form

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.compilation import announce_compilation
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.solvers.cfr_kernels import Layout, State, initial_state, iterate, node_order, tree_layout
@@ -110,10 +111,7 @@ def cfr(
         If there is no such variant.
     """
     rules = _variant(variant)
-    if isinstance(iterations, bool) or not isinstance(iterations, int | np.integer):
-        raise InputError(f"iterations is {iterations!r}; it must be a whole number")
-    if not 1 <= iterations <= MOST_ITERATIONS:
-        raise InputError(f"iterations is {iterations}; it must be 1 to {MOST_ITERATIONS}")
+    check_whole("iterations", iterations, 1, MOST_ITERATIONS)
     tree = tree.averaged
     layout = tree_layout(tree)
     state = initial_state(tree, layout)

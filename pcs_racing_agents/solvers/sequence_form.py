@@ -55,16 +55,11 @@ def solve_sequence_form(tree: GameTree) -> SequenceSolution:
 
     Raises
     ------
-    ModuleNotFoundError
-        Without scipy.
     InputError
         If the program can't be solved.
     """
-    try:
-        from scipy.optimize import linprog
-        from scipy.sparse import coo_array
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError('the sequence form needs scipy: pip install "pcs-racing[synthesis]"') from None
+    from scipy.sparse import coo_array
+
     game = tree.averaged
     scale = float(np.abs(game.payoffs).max()) or 1.0
     weighted = (game.chance[:, None] * game.payoffs / scale).reshape(-1)
@@ -72,7 +67,7 @@ def solve_sequence_form(tree: GameTree) -> SequenceSolution:
     payoffs = coo_array((weighted, (first.leaves, second.leaves)), shape=(first.size, second.size)).tocsr()
     plans = []
     for own, other, gains in ((first, second, payoffs), (second, first, -payoffs.T)):
-        plans.append(_best_plan(linprog, coo_array, own, other, gains))
+        plans.append(_best_plan(own, other, gains))
     profile = [
         (_behaviour(game, k, 0, first, plans[0][1]), _behaviour(game, k, 1, second, plans[1][1]))
         for k in range(game.depth)
@@ -98,8 +93,10 @@ def _sequences(game: GameTree, player: int) -> _Sequences:
     return _Sequences(begin, parents, count, reached)
 
 
-def _flow(coo_array: Any, player: _Sequences) -> Any:
+def _flow(player: _Sequences) -> Any:
     """Matrix E of the plans x >= 0 with E x = (1, 0, 0, ...): each infoset hands on what leads to it."""
+    from scipy.sparse import coo_array
+
     rows: list[Any] = [[0]]
     columns: list[Any] = [[0]]
     values: list[Any] = [[1.0]]
@@ -116,11 +113,12 @@ def _flow(coo_array: Any, player: _Sequences) -> Any:
     return coo_array((np.concatenate(values), places), shape=(line, player.size)).tocsr()
 
 
-def _best_plan(linprog: Any, coo_array: Any, own: _Sequences, other: _Sequences, gains: Any) -> tuple[float, Floats]:
+def _best_plan(own: _Sequences, other: _Sequences, gains: Any) -> tuple[float, Floats]:
     """Maximise, over plans x, what is left after the other's best reply: max q_0 with F' q <= G' x."""
-    from scipy.sparse import block_array
+    from scipy.optimize import linprog
+    from scipy.sparse import block_array, coo_array
 
-    flow, replies = _flow(coo_array, own), _flow(coo_array, other)
+    flow, replies = _flow(own), _flow(other)
     lines = replies.shape[0]
     objective = np.zeros(own.size + lines)
     objective[own.size] = -1.0

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.game.archive import list_archives
-from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.base.settings import Settings, load_settings, names, setting, tenths, text, whole
+from pcs_racing.game.archive_files import list_archives
+from pcs_racing.game.config import EPSILON_RULE, GameConfig, load_game_config
 from pcs_racing.race.config import load_race_config
-from pcs_racing_agents.jobs.configuration import check_wholes, load_settings
+from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.networks.targets import get_target
@@ -22,115 +23,76 @@ BEST_BLIND = ("best-fixed", "best-schedule")
 
 
 @dataclass(frozen=True)
-class StudyConfig:
-    """Everything that decides the results of a study.
+class StudyConfig(Settings):
+    """Everything that decides the results of a study."""
 
-    Attributes
-    ----------
-    race : str
-        Rules: a preset's name or a YAML file.
-    epsilon : float
-        How far a move goes, in the archive's normalised units.
-    moves : int
-        Moves of each car in a game.
-    step_seconds : float
-        Time between two moves, s.
-    synthesis : str or None
-        Configuration of the archive's synthesis; None takes the archive that is named instead of making one.
-    archive : str
-        Shipped archive, or folder of one, where none is made.
-    circuits : tuple of str
-        Where trees are played and answers are learned.
-    pairs : int
-        Game trees on each circuit; 0 for none.
-    seeds : int
-        Seeds of the noise in each tree; 1 where the races have no noise.
-    training : str
-        Settings of the networks' training.
-    targets : tuple of str
-        What networks are trained to say, in this order.
-    responses : tuple of str
-        Settings of the answers to learn: names of :class:`pcs_racing_agents.learning.responses.ResponseSettings`.
-    response_pool : tuple of str
-        Opponents that answers are learned against.
-    fitting_games : int
-        Games against each opponent on each circuit, for the choice of the best blind strategies; even.
-    fixed_targets : int
-        Policies among which the best one to walk to is chosen, spread over the archive; 0 for all.
-    fitting_opponents : tuple of str
-        Opponents in those games.
-    tracks : tuple of str
-        Circuits of the table.
-    opponents : tuple of str
-        Opponents of the table.
-    arms : tuple of str
-        Agents of the table; the first is what the others are compared with. With both of :data:`BEST_BLIND` among them
-        the table has the adaptivity gain; one without the other is refused.
-    best : str
-        Our best agent among them.
-    egos, variants, lines : int
-        Start policies of the ego, variants of the opponent, and start lines of each cell; from both sides.
-    further_tracks, further_opponents, further_arms : tuple of str
-        The second table has these beside those of the first.
-    further_lines : int
-        Start lines of its cells; 0 for no second table.
-    ppo : str or None
-        Settings, of level duel, of a PPO baseline that is trained along the way on the study's circuits, with its
-        archive and by its rules; None for none. Without it the agent "ppo" is the shipped one.
-    rivals : tuple of str
-        Agents that play all against all for the ratings.
-    rival_races : int
-        Races of each pair of them on each circuit of the table; even.
-    seed : int
-        Root of everything that is drawn.
-
-    Raises
-    ------
-    ConfigError
-        If a value is impossible.
-    """
-
-    race: str = "paper"
-    epsilon: float = 0.5
-    moves: int = 4
-    step_seconds: float = 8.0
-    synthesis: str | None = None
-    archive: str = "default"
-    circuits: tuple[str, ...] = ("Tarnfjord",)
-    pairs: int = 12
-    seeds: int = 1
-    training: str = "study"
-    targets: tuple[str, ...] = ("regret", "normalised", "advantage", "static-q")
-    responses: tuple[str, ...] = ()
-    response_pool: tuple[str, ...] = ("never-switch", "random-moves")
-    fitting_games: int = 100
-    fixed_targets: int = 16
-    fitting_opponents: tuple[str, ...] = ("never-switch",)
-    tracks: tuple[str, ...] = ("Tarnfjord",)
-    opponents: tuple[str, ...] = ("never-switch", "random-policy", "lane-switcher")
-    arms: tuple[str, ...] = ("never-switch", "best-fixed", "best-schedule", "cfr-argmax")
-    best: str = "cfr-argmax"
-    egos: int = 20
-    variants: int = 20
-    lines: int = 5
-    further_tracks: tuple[str, ...] = ()
-    further_opponents: tuple[str, ...] = ()
-    further_arms: tuple[str, ...] = ()
-    further_lines: int = 0
-    ppo: str | None = None
-    rivals: tuple[str, ...] = ()
-    rival_races: int = 100
-    seed: int = 0
+    race: str = setting("paper", text(), "Rules: a preset's name or a YAML file.")
+    epsilon: float | tuple[float, ...] = setting(
+        0.5, EPSILON_RULE, "How far a move goes, in the archive's normalised units."
+    )
+    moves: int = setting(4, whole(1, 100), "Moves of each car in a game.")
+    step_seconds: float = setting(8.0, tenths(0.1, 600.0), "Time between two moves, s.")
+    synthesis: str | None = setting(
+        None,
+        text(),
+        "Configuration of the archive's synthesis; None takes the archive that is named instead of making one.",
+    )
+    archive: str = setting("default", text(), "Shipped archive, or folder of one, where none is made.")
+    circuits: tuple[str, ...] = setting(("Tarnfjord",), names(), "Where trees are played and answers are learned.")
+    pairs: int = setting(12, whole(0, 100_000), "Game trees on each circuit; 0 for none.")
+    seeds: int = setting(1, whole(1, 1000), "Seeds of the noise in each tree; 1 where the races have no noise.")
+    training: str = setting("study", text(), "Settings of the networks' training.")
+    targets: tuple[str, ...] = setting(
+        ("regret", "normalised", "advantage", "static-q"), names(), "What networks are trained to say, in this order."
+    )
+    responses: tuple[str, ...] = setting(
+        (), names(0), "Settings of the answers to learn (pcs_racing_agents.learning.responses.ResponseSettings)."
+    )
+    response_pool: tuple[str, ...] = setting(
+        ("never-switch", "random-moves"), names(), "Opponents that answers are learned against."
+    )
+    fitting_games: int = setting(
+        100,
+        whole(2, 1_000_000),
+        "Games against each opponent on each circuit, for the choice of the best blind strategies; even.",
+    )
+    fixed_targets: int = setting(
+        16,
+        whole(0, 1_000_000),
+        "Policies among which the best one to walk to is chosen, spread over the archive; 0 for all.",
+    )
+    fitting_opponents: tuple[str, ...] = setting(("never-switch",), names(), "Opponents in those games.")
+    tracks: tuple[str, ...] = setting(("Tarnfjord",), names(), "Circuits of the table.")
+    opponents: tuple[str, ...] = setting(
+        ("never-switch", "random-policy", "lane-switcher"), names(), "Opponents of the table."
+    )
+    arms: tuple[str, ...] = setting(
+        ("never-switch", "best-fixed", "best-schedule", "cfr-argmax"),
+        names(),
+        "Agents of the table; the first is what the others are compared with. With both best blind agents among them "
+        "the table has the adaptivity gain; one without the other is refused.",
+    )
+    best: str = setting("cfr-argmax", text(), "Our best agent among them.")
+    egos: int = setting(20, whole(2, 1000), "Start policies of the ego in each cell.")
+    variants: int = setting(20, whole(2, 1000), "Variants of the opponent in each cell.")
+    lines: int = setting(5, whole(1, 1000), "Start lines of each cell; races start from both sides.")
+    further_tracks: tuple[str, ...] = setting((), names(0), "Circuits of the second table, beside the first's.")
+    further_opponents: tuple[str, ...] = setting((), names(0), "Opponents of the second table, beside the first's.")
+    further_arms: tuple[str, ...] = setting((), names(0), "Agents of the second table, beside the first's.")
+    further_lines: int = setting(0, whole(0, 1000), "Start lines of its cells; 0 for no second table.")
+    ppo: str | None = setting(
+        None,
+        text(),
+        "Settings, of level duel, of a PPO baseline that is trained along the way on the study's circuits, with its "
+        'archive and by its rules; None for none. Without it the agent "ppo" is the shipped one.',
+    )
+    rivals: tuple[str, ...] = setting((), names(0), "Agents that play all against all for the ratings.")
+    rival_races: int = setting(100, whole(2, 2000), "Races of each pair of them on each circuit of the table; even.")
+    seed: int = setting(0, whole(0, 2**62), "Root of everything that is drawn.")
 
     def __post_init__(self) -> None:
-        for key in ("race", "archive", "training", "best", *(("synthesis",) if self.synthesis is not None else ())):
-            if not isinstance(getattr(self, key), str):
-                raise ConfigError(f"{key} is {getattr(self, key)!r}; it must be a name or a path")
+        super().__post_init__()
         self.game  # noqa: B018 - checks race and epsilon
-        for key in ("circuits", "targets", "response_pool", "fitting_opponents", "tracks", "opponents", "arms"):
-            self._check_names(key, 1)
-        for key in ("responses", "rivals", "further_tracks", "further_opponents", "further_arms"):
-            self._check_names(key, 0)
         for name in self.targets:
             get_target(name)
         for name in self.responses:
@@ -152,30 +114,10 @@ class StudyConfig:
             )
         if self.best not in self.arms:
             raise ConfigError(f"best is {self.best!r}; it must be one of the arms, {', '.join(self.arms)}")
-        check_wholes(
-            self,
-            pairs=(0, 100_000),
-            seeds=(1, 1000),
-            fitting_games=(2, 1_000_000),
-            fixed_targets=(0, 1_000_000),
-            egos=(2, 1000),
-            variants=(2, 1000),
-            lines=(1, 1000),
-            further_lines=(0, 1000),
-            rival_races=(2, 2000),
-            seed=(0, 2**62),
-        )
         if 0 < self.pairs * len(self.circuits) < 3:
             raise ConfigError(
                 f"pairs is {self.pairs}; networks need at least 3 trees: to learn, to stop by, to judge by"
             )
-
-    def _check_names(self, key: str, least: int) -> None:
-        names = getattr(self, key)
-        if not isinstance(names, tuple) or len(names) < least or not all(isinstance(name, str) for name in names):
-            raise ConfigError(f"{key} is {names!r}; it must be a list of names")
-        if len(set(names)) < len(names):
-            raise ConfigError(f"{key} are {', '.join(names)}; name each once")
 
     @property
     def tables(self) -> dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], int]]:
@@ -217,4 +159,4 @@ def load_study_config(source: str | Path | StudyConfig | None = None, **changes:
     UnknownNameError
         If a name stands for nothing.
     """
-    return load_settings("study", StudyConfig(), source, **changes)
+    return load_settings("study", StudyConfig(), source, shipped_configs("study"), **changes)

@@ -1,11 +1,10 @@
 """The pictures of a study's report."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from pcs_racing.base.errors import InputError
+from pcs_racing_agents.pictures.curves import curves_picture
 from pcs_racing_agents.pictures.style import (
     COLOURS,
     INK,
@@ -14,10 +13,9 @@ from pcs_racing_agents.pictures.style import (
     picture,
     place_labels,
     short,
-    spread_labels,
     tidy,
 )
-from pcs_racing_agents.study.report_inputs import Curve, Place
+from pcs_racing_agents.study.report_inputs import Place
 from pcs_racing_agents.study.table import StudyTable, TableRow
 from pcs_racing_agents.tournament.pictures import payoffs_picture, ratings_picture
 
@@ -118,46 +116,6 @@ def adaptivity_picture(table: StudyTable) -> Any:
 
 
 @picture
-def curves_picture(
-    panels: Mapping[str, Sequence[Curve]], *, x_label: str = "epoch", y_label: str = "loss", log: bool = True
-) -> Any:
-    """Draw learning curves: a panel for each learner, lines named at their ends.
-
-    Raises
-    ------
-    InputError
-        If there is no panel, or one without a curve.
-    """
-    if not panels or not all(panels.values()):
-        raise InputError("there are no learning curves to draw; give at least one for each panel")
-    from matplotlib.ticker import LogLocator, StrMethodFormatter
-
-    columns = 3 if len(panels) in (5, 6, 9) else min(4, len(panels))
-    rows = -(-len(panels) // columns)
-    figure = new_figure(2.9 * columns + 0.4, 2.3 * rows + 0.3)
-    grid = figure.subplots(rows, columns, squeeze=False)
-    for axes, (title, curves) in zip(grid.ravel(), panels.items(), strict=False):
-        for i, curve in enumerate(curves):
-            known = np.isfinite(curve.y) & ((curve.y > 0.0) | (not log))
-            axes.plot(curve.x[known], curve.y[known], color=COLOURS[i % len(COLOURS)], lw=1.4)
-        if log:
-            axes.set_yscale("log")
-            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axes.set_title(short(title), fontsize=9)
-        tidy(axes, "y")
-        axes.minorticks_off()
-        _name_ends(axes, curves, log)
-    for axes in grid.ravel()[len(panels) :]:
-        axes.set_visible(False)
-    for axes in grid[-1]:
-        axes.set_xlabel(x_label)
-    for axes in grid[:, 0]:
-        axes.set_ylabel(y_label)
-    return figure
-
-
-@picture
 def exploitability_picture(places: Sequence[Place], *, unit: str = "utility") -> Any:
     """Draw scores against what the agents lose to an opponent that knows them.
 
@@ -231,26 +189,3 @@ def _interval(axes: Any, one: Any, place: float, colour: str) -> None:
     axes.plot(
         result.difference, place, "o", ms=6, mec=colour, mew=1.4, mfc=colour if one.p_holm < 0.05 else "white", zorder=3
     )
-
-
-def _name_ends(axes: Any, curves: Sequence[Curve], log: bool) -> None:
-    """Write the names of lines at their ends, apart from each other."""
-    low, high = (np.log10(axes.get_ylim()) if log else np.array(axes.get_ylim())).tolist()
-    ends = []
-    for i, curve in enumerate(curves):
-        known = np.flatnonzero(np.isfinite(curve.y) & ((curve.y > 0.0) | (not log)))
-        if len(known):
-            value = float(curve.y[known[-1]])
-            ends.append((i, float(np.log10(value)) if log else value))
-    heights = spread_labels([(end - low) / (high - low) for _, end in ends], 0.1)
-    for (i, _), height in zip(ends, heights, strict=True):
-        axes.annotate(
-            curves[i].label,
-            (1.0, height),
-            xycoords="axes fraction",
-            xytext=(4, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-            color=COLOURS[i % len(COLOURS)],
-        )

@@ -13,7 +13,7 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Agent, Competitor, competitor_hash
 from pcs_racing_agents.explain.explain import is_blind
 from pcs_racing_agents.explain.situations import Situations, summarise, write_situations
-from pcs_racing_agents.jobs.chunk_files import fingerprint
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.study.racing import StudyCell
 from pcs_racing_agents.study.run import Study

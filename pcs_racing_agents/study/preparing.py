@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import save_fit
-from pcs_racing_agents.jobs.configuration import plain_settings
-from pcs_racing_agents.jobs.jobs import Progress, open_job, run_parts
-from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes
+from pcs_racing_agents.jobs.jobs import Progress, open_job, run_groups
+from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
 from pcs_racing_agents.networks.identity import GameIdentity
-from pcs_racing_agents.networks.network_files import load_network
+from pcs_racing_agents.networks.network_files import load_network, save_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.study.run import Study
 from pcs_racing_agents.synthesis.diverse import select_diverse
@@ -23,7 +23,7 @@ from pcs_racing_agents.trees.storage import StoredTrees, load_trees, open_trees
 from pcs_racing_agents.trees.tree import RaceTree
 
 if TYPE_CHECKING:
-    from pcs_racing_agents.networks.from_trees import Trained
+    from pcs_racing_agents.networks.from_trees import TrainedOnTrees
 
 __all__ = [
     "choose_blind",
@@ -77,7 +77,7 @@ def play_on_circuits(study: Study, stage: str, pairs: int, seed: int) -> dict[st
     config = study.config
     folders = {name: study.folder / stage / name for name in config.circuits}
     with ExitStack() as opened:
-        parts = [
+        groups = [
             opened.enter_context(
                 open_trees(
                     study.tree_game(name),
@@ -90,7 +90,7 @@ def play_on_circuits(study: Study, stage: str, pairs: int, seed: int) -> dict[st
             )
             for number, (name, folder) in enumerate(folders.items())
         ]
-        run_parts(parts, executor=study.executor, progress=study.progress("trees"), keep=False)
+        run_groups(groups, executor=study.executor, progress=study.progress("trees"), keep=False)
     return {name: load_trees(folder, study.archive) for name, folder in folders.items()}
 
 
@@ -103,8 +103,8 @@ def stored_trees(study: Study) -> list[StoredTrees]:
 
 def train_networks(study: Study) -> None:
     """Train a network for every target, side by side where there are processes; all have the same trees held out."""
-    from pcs_racing_agents.networks.curves import write_curves
     from pcs_racing_agents.networks.from_trees import trees_identity
+    from pcs_racing_agents.networks.training import write_epochs
 
     config = study.config
     missing = [name for name in config.targets if not (study.network(name) / "learning_curves.csv").is_file()]
@@ -121,9 +121,10 @@ def train_networks(study: Study) -> None:
         progress=study.progress if elsewhere is None else None,
     )
     told = None if elsewhere is None else study.progress("networks")
-    for done, (i, trained) in enumerate(completed(each(training, settings), elsewhere, "networks"), start=1):
-        trained.network.save(study.network(missing[i]))
-        write_curves(trained.fit, study.network(missing[i]) / "learning_curves.csv")
+    tasks = numbered_tasks(training, settings)
+    for done, (i, trained) in enumerate(run_tasks(tasks, elsewhere, "networks"), start=1):
+        save_network(trained.network, study.network(missing[i]))
+        write_epochs(trained.result, study.network(missing[i]) / "learning_curves.csv")
         if told is not None:
             told(done, len(missing), missing[i])
 
@@ -151,7 +152,7 @@ class _Training:
     about: dict[str, str | int | float | bool]
     progress: Callable[[str], Progress | None] | None
 
-    def __call__(self, settings: TrainSettings) -> "Trained":
+    def __call__(self, settings: TrainSettings) -> "TrainedOnTrees":
         from pcs_racing_agents.networks.from_trees import train_on_trees
 
         places = [(trees, i) for trees in self.trees for i in range(len(trees))]
@@ -212,7 +213,7 @@ def learn_responses(study: Study) -> None:
                 executor=study.executor,
                 progress=study.progress(f"branch tasks ({name})"),
             )
-        network.save(study.network(name))
+        save_network(network, study.network(name))
 
 
 def train_ppo_baseline(study: Study) -> None:
@@ -223,7 +224,7 @@ def train_ppo_baseline(study: Study) -> None:
     config = study.config
     if config.ppo is None:
         return
-    from pcs_racing_agents.learning.ppo.curves import write_curve
+    from pcs_racing_agents.learning.ppo.evaluation import write_evaluations
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
     from pcs_racing_agents.learning.ppo.train import train_ppo
 
@@ -238,5 +239,5 @@ def train_ppo_baseline(study: Study) -> None:
         rules=config.game,
         seeds=tuple((config.seed + seed) % PPO_SEEDS for seed in settings.seeds),
     )
-    load_network(trained.folder).save(study.network("ppo"))
-    write_curve(trained.curves, study.network("ppo") / "curve.csv")
+    save_network(load_network(trained.folder), study.network("ppo"))
+    write_evaluations(trained.curves, study.network("ppo") / "curve.csv")

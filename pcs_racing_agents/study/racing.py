@@ -4,7 +4,7 @@ import csv
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from itertools import product
 from typing import NamedTuple
 
@@ -17,11 +17,11 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import save_fit
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.tasks import Work, completed
+from pcs_racing_agents.jobs.tasks import Task, run_tasks
 from pcs_racing_agents.networks.metrics import Play, TreeScore, score_trees
 from pcs_racing_agents.study.preparing import play_on_circuits, stored_trees
 from pcs_racing_agents.study.run import Study
-from pcs_racing_agents.tournament.best_reply import best_reply
+from pcs_racing_agents.tournament.best_response import best_response_utility
 from pcs_racing_agents.tournament.cells import Cell, plan_cell, play_cells
 from pcs_racing_agents.trees.storage import StoredTrees
 from pcs_racing_agents.trees.tree import RaceTree
@@ -133,12 +133,12 @@ def judge_on_trees(study: Study) -> None:
     held_out = play_on_circuits(study, "exploitability", max(2, config.pairs // 4), HELD_OUT_SEED)
     agents = [agent for agent in map(study.agent, config.every_arm) if isinstance(agent, Agent)]
     judges = [_Judge.of(study.tree_game(track), agents, trees) for track, trees in held_out.items()]
-    work = (
-        Work((track, i), judge, tree)
+    tasks = (
+        Task((track, i), judge, tree)
         for (track, trees), judge in zip(held_out.items(), judges, strict=True)
         for i, tree in enumerate(trees)
     )
-    lost = dict(completed(partial(next, work, None), study.executor, "judging"))
+    lost = dict(run_tasks(tasks, study.executor, "judging"))
     rows: list[tuple[object, ...]] = [("track", "agent", "tree", *TreeScore._fields)]
     for track, trees in held_out.items():
         rows += [(track, name, i, *lost[track, i][name]) for name in lost[track, 0] for i in range(len(trees))]
@@ -181,7 +181,7 @@ class _Judge:
         """Judge an agent that stays where it is, at the root of a tree; what only the tree could tell is left open."""
         start = Starts(np.array([tree.start_s]), np.array([tree.side]))
         found = [
-            best_reply(self.game, agent, policies=tree.policies, start=start, seeds=tree.seeds, car=car)
+            best_response_utility(self.game, agent, policies=tree.policies, start=start, seeds=tree.seeds, car=car)
             for car in range(2)
         ]
         # The value of the game is what one role wins and the other loses: it is not in the mean of both.

@@ -15,9 +15,10 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.replay import replay_page
 from pcs_racing_agents.explain.situations import Situations, situations_text
+from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.study.highlights import Watched
 from pcs_racing_agents.study.markup import drawn, facts, image, overview, table_of
-from pcs_racing_agents.study.report_inputs import Curve, TreeLoss, mean_losses, mean_scores, places_of
+from pcs_racing_agents.study.report_inputs import TreeLoss, mean_losses, mean_scores, places_of
 from pcs_racing_agents.study.table import StudyTable, TableRow
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
@@ -236,7 +237,7 @@ def _archive(content: ReportContent) -> Iterator[str]:
 
 def _learning(content: ReportContent) -> Iterator[str]:
     if content.curves:
-        yield from drawn("curves_picture", "Loss of the networks by epoch.", content.curves)
+        yield from drawn("curves_picture", "Loss of the networks by epoch.", content.curves, y_label="loss", log=True)
     if content.reward_curves:
         options = {"x_label": "million steps", "y_label": "", "log": False}
         caption = "Reinforcement learning, by steps: means over the circuits and opponents that it was judged on."

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.jobs.folders import package_version
+from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study.table import StudyTable
 
 __all__ = [
-    "Curve",
     "Place",
     "TreeLoss",
     "mean_losses",
@@ -27,22 +27,6 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-
-
-class Curve(NamedTuple):
-    """A learning curve.
-
-    Attributes
-    ----------
-    x, y : ndarray, shape (E,)
-        NaN where nothing was measured.
-    label : str
-        What the line is called.
-    """
-
-    x: Floats
-    y: Floats
-    label: str
 
 
 class Place(NamedTuple):

@@ -9,9 +9,10 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit
-from pcs_racing_agents.jobs.configuration import plain_settings
-from pcs_racing_agents.learning.ppo.curves import read_curve
+from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
+from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study.cell_races import cell_races
 from pcs_racing_agents.study.config import BEST_BLIND
@@ -20,7 +21,7 @@ from pcs_racing_agents.study.moves_made import moves_in_situations
 from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
 from pcs_racing_agents.study.racing import CELL_SEED, HELD_OUT_SEED, MIXING_SEED, RIVAL_SEED, StudyCell, cells
 from pcs_racing_agents.study.report import ReportContent, Sheet, Watched, write_page
-from pcs_racing_agents.study.report_inputs import Curve, TreeLoss, read_curves, read_losses, software
+from pcs_racing_agents.study.report_inputs import TreeLoss, read_curves, read_losses, software
 from pcs_racing_agents.study.run import Study, stage_seconds
 from pcs_racing_agents.study.table import StudyTable, make_table
 from pcs_racing_agents.study.table_text import difference_text, overview_rows, table_markdown, table_text, write_table
@@ -134,7 +135,7 @@ def _reward_curves(study: Study) -> dict[str, list[Curve]]:
     file = study.network("ppo") / "curve.csv"
     if not file.is_file():
         return {}
-    curves = read_curve(file)
+    curves = read_evaluations(file)
     return {
         title: [
             Curve(

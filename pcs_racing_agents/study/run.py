@@ -19,13 +19,14 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.optional import require
 from pcs_racing.base.reading import parse_yaml
-from pcs_racing.game.archive import PolicyArchive, load_archive
+from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.game import RaceGame, make_game
 from pcs_racing.track.track import Track, load_track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import Progress, show_progress
 from pcs_racing_agents.learning.ppo.learner import check_packages

@@ -12,17 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing.planners.registry import get_planner
-from pcs_racing_agents.jobs.chunk_files import Arrays
-from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import package_version
-from pcs_racing_agents.synthesis.archive_search import REFERENCE, News
+from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveProgress
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import Evaluation, summarise
-from pcs_racing_agents.synthesis.explored import Scale
 from pcs_racing_agents.synthesis.indicators import hypervolume
+from pcs_racing_agents.synthesis.pareto_archive import Scale
 from pcs_racing_agents.synthesis.selection import front_layers
 
 __all__ = ["draw_front", "hypervolume_error", "stated_settings", "write_archive"]
@@ -40,7 +42,7 @@ def write_archive(
     scale: Scale,
     parameters: Floats,
     raced: Arrays,
-    history: Sequence[News],
+    history: Sequence[ArchiveProgress],
     notes: Mapping[str, str | float],
 ) -> PolicyArchive:
     """Write an archive's files into a folder and return it.
@@ -57,7 +59,7 @@ def write_archive(
         Of the archive's policies.
     raced : dict of ndarray
         The races that measured them.
-    history : sequence of News
+    history : sequence of ArchiveProgress
     notes : Mapping
         What else the manifest is to say.
     """
@@ -99,7 +101,7 @@ def write_archive(
     )
     for axis, high, low in zip(config.axes, archive.ideal, archive.nadir, strict=True):
         facts[f"ideal_{axis}"], facts[f"nadir_{axis}"] = high, low
-    facts["no_op_share"], facts["duplicate_share"] = archive.no_op_share(), archive.duplicate_share()
+    facts["no_op_share"], facts["duplicate_share"] = no_op_share(archive), duplicate_share(archive)
     if len(parameters) < config.fewest:
         _log.warning("the archive holds %d policies; %d were wanted", len(parameters), config.fewest)
     settings = {**stated_settings(config), **_versions(), **notes, **facts}
@@ -107,7 +109,7 @@ def write_archive(
     write_atomically(folder / "hypervolume.csv", lambda file: file.write(_course(history)))
     if find_spec("matplotlib") is not None:
         draw_front(archive, folder / "front.png")
-    archive.save(folder)
+    save_archive(archive, folder)
     return archive
 
 
@@ -161,14 +163,14 @@ def _with_settings(archive: PolicyArchive, settings: Mapping[str, str | int | fl
     return PolicyArchive(**{**values, "settings": settings})
 
 
-def _course(history: Sequence[News]) -> bytes:
+def _course(history: Sequence[ArchiveProgress]) -> bytes:
     text = io.StringIO(newline="")
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["generation", "evaluations", "hypervolume", "front", "own_crash"])
-    for news in history:
-        if news.stage == "search":
-            volume, crash = f"{news.hypervolume:.6f}", f"{news.own_crash:.4f}"
-            table.writerow([news.generation, news.evaluations, volume, news.front, crash])
+    for step in history:
+        if step.stage == "search":
+            volume, crash = f"{step.hypervolume:.6f}", f"{step.own_crash:.4f}"
+            table.writerow([step.generation, step.evaluations, volume, step.front, crash])
     return text.getvalue().encode()
 
 

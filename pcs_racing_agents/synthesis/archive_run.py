@@ -17,29 +17,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.track.track import load_track
-from pcs_racing_agents.jobs.chunk_files import Arrays
-from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.folders import clear_half_written
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.synthesis.archive_report import write_archive
-from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveSearch, News, Told
+from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveCallback, PolicyRaces
 from pcs_racing_agents.synthesis.config import ArchiveConfig
-from pcs_racing_agents.synthesis.evaluate import Scenarios, draw_scenarios, summarise
+from pcs_racing_agents.synthesis.evaluate import summarise
 from pcs_racing_agents.synthesis.indicators import hypervolume
+from pcs_racing_agents.synthesis.mo_cma_es import latin_hypercube
+from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
 from pcs_racing_agents.synthesis.selection import beaten, difference_errors, spread_first, thin_out
+from pcs_racing_agents.synthesis.synthesize import synthesize
 
-__all__ = ["News", "Told", "choose", "draw_policies", "make_archive", "measure", "stage_scenarios"]
+__all__ = ["choose", "draw_policies", "make_archive", "measure", "stage_scenarios"]
 
 Floats = NDArray[np.float64]
 Notes = Mapping[str, str | float]
 
 
 def make_archive(
-    config: ArchiveConfig, folder: str | Path, *, executor: Executor | None = None, told: Told | None = None
+    config: ArchiveConfig,
+    folder: str | Path,
+    *,
+    executor: Executor | None = None,
+    callback: ArchiveCallback | None = None,
 ) -> PolicyArchive:
     """Make an archive and write it: ``archive.npz``, ``manifest.yaml``, ``hypervolume.csv`` and ``front.png``.
 
@@ -53,8 +60,8 @@ def make_archive(
         A new or empty folder, or one in which the same synthesis was begun.
     executor : Executor, optional
         Where policies race (:func:`pcs_racing_agents.jobs.jobs.make_executor`). It has no influence on the result.
-    told : callable, optional
-        Called with the news as they come.
+    callback : callable, optional
+        Called with the :class:`~pcs_racing_agents.synthesis.archive_search.ArchiveProgress` as the work goes on.
 
     Returns
     -------
@@ -75,13 +82,28 @@ def make_archive(
     settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
     with open_job(folder / "job", "archive", settings) as job:
         clear_half_written(folder)
-        run = ArchiveSearch(config, job, executor, told or (lambda _: None), family, search)
-        run.run(draw_policies(family, config.scouts, scouts), _number(optimiser))
-        chosen, notes = choose(run, choice)
-        kept, raced, more = measure(run, chosen, final)
+        races = PolicyRaces(config, job, executor, callback or (lambda _: None), search)
+        synthesize(
+            races,
+            family.bounds,
+            generations=config.generations,
+            initial=draw_policies(family, config.scouts, scouts),
+            evaluations=config.evaluations,
+            callback=races.after_generation,
+            population=config.population,
+            elite_ratio=config.elite_ratio,
+            loss=config.loss,
+            mean=config.mean,
+            seed=_number(optimiser),
+            method=config.method,
+            reference=REFERENCE,
+            step_size=config.step_size,
+        )
+        candidates, notes = choose(races, choice)
+        kept, raced, more = measure(races, candidates, final)
         content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
         notes = {**notes, **more, "track_hashes": content}
-        return write_archive(folder, config, run.explored(), run.scale, kept, raced, run.history, notes)
+        return write_archive(folder, config, races.explored(), races.scale, kept, raced, races.history, notes)
 
 
 def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenarios]:
@@ -121,13 +143,11 @@ def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
 def draw_policies(family: Planner, count: int, root: np.random.SeedSequence) -> Floats:
     """Policies at random between their bounds, each parameter spread evenly (a Latin hypercube), shape (count, P).
 
-    What a set of opponents is like on average shifts the lead of everybody who races against them; sets of a few that
-    are spread evenly differ less in that than independent draws.
+    The mean strength of a set of opponents shifts the lead of every policy that races against them; small sets that
+    are spread evenly differ less in it than independent draws.
     """
-    rng = np.random.default_rng(root)
     low, high = family.bounds.T
-    cells = np.stack([rng.permutation(count) for _ in low], axis=1)
-    return np.asarray(low + (cells + rng.random(cells.shape)) / count * (high - low), np.float64)
+    return np.asarray(low + latin_hypercube(count, len(low), np.random.default_rng(root)) * (high - low), np.float64)
 
 
 def _number(root: np.random.SeedSequence) -> int:
@@ -143,7 +163,7 @@ def _check_folder(folder: Path) -> None:
             raise InputError(f"{folder} holds {others[0]} but no run of a synthesis; choose a new or an empty folder")
 
 
-def choose(run: ArchiveSearch, scenarios: Scenarios) -> tuple[Floats, Notes]:
+def choose(races: PolicyRaces, scenarios: Scenarios) -> tuple[Floats, Notes]:
     """Race the best of a search once more, elsewhere, and choose.
 
     Returns
@@ -152,29 +172,29 @@ def choose(run: ArchiveSearch, scenarios: Scenarios) -> tuple[Floats, Notes]:
     notes : Mapping
         How many were left out, and why.
     """
-    config = run.config
-    theta, found = run.explored()
-    rows = np.arange(run.comparable, len(theta))
+    config = races.config
+    theta, found = races.explored()
+    rows = np.arange(races.comparable, len(theta))
     rows = rows[np.sort(np.unique(theta[rows], axis=0, return_index=True)[1])]
     crashing = found.own_crash > config.search_crash_limit
-    allowed = rows[run.violation(found)[rows] <= 0.0]
+    allowed = rows[races.violation(found)[rows] <= 0.0]
     if len(allowed) == 0:
         raise InputError(
             f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the races of "
             f"{config.duration:g} s, or lie below least; raise crash_limit or lower least"
         )
     order = allowed[spread_first(_unit(found.coordinates[allowed]), 0.5 * config.spacing, config.candidates)]
-    raced = run.race("choice", "choice", scenarios, theta[order])
+    raced = races.race("choice", "choice", scenarios, theta[order])
     again = summarise(raced)
-    calm = np.flatnonzero(run.violation(again) <= 0.0)
+    calm = np.flatnonzero(races.violation(again) <= 0.0)
     left = calm[~_beaten(config, raced, calm)]
     apart = left[thin_out(_unit(again.coordinates[left]), config.spacing, config.most)]
-    last = run.history[-1]
-    run.tell("choice", last.generation, last.hypervolume, len(apart), again)
+    last = races.history[-1]
+    races.note("choice", last.generation, last.hypervolume, len(apart), again)
     return theta[order[apart]], {
         "search_over_crash_limit": int(crashing.sum()),
-        "search_hypervolume": hypervolume(run.scale(found.coordinates[rows[~crashing[rows]]]), REFERENCE),
-        "search_hypervolume_without_crash_limit": hypervolume(run.scale(found.coordinates[rows]), REFERENCE),
+        "search_hypervolume": hypervolume(races.scale(found.coordinates[rows[~crashing[rows]]]), REFERENCE),
+        "search_hypervolume_without_crash_limit": hypervolume(races.scale(found.coordinates[rows]), REFERENCE),
         "choice_candidates": len(order),
         "choice_outside_limits": len(order) - len(calm),
         "choice_beaten": len(calm) - len(left),
@@ -182,7 +202,7 @@ def choose(run: ArchiveSearch, scenarios: Scenarios) -> tuple[Floats, Notes]:
     }
 
 
-def measure(run: ArchiveSearch, parameters: Floats, scenarios: Scenarios) -> tuple[Floats, Arrays, Notes]:
+def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tuple[Floats, Arrays, Notes]:
     """Race policies in new scenarios, sort them by the first axis, and leave out what does not belong in an archive.
 
     That is: those that crash too often after all, and those that another one clearly beats after all. What is left out
@@ -192,25 +212,25 @@ def measure(run: ArchiveSearch, parameters: Floats, scenarios: Scenarios) -> tup
     -------
     parameters : ndarray, shape (K, P)
     raced : dict of ndarray
-        Their races (:func:`~pcs_racing_agents.synthesis.evaluate.race_block`).
+        Their races (:func:`~pcs_racing_agents.synthesis.evaluate.race_policies`).
     notes : Mapping
         How many were left out.
     """
-    limit = run.config.crash_limit
+    limit = races.config.crash_limit
     calm = kept = np.zeros(0, np.int64)
     if len(parameters):
-        raced = run.race("measurement", "measurement", scenarios, parameters)
+        raced = races.race("measurement", "measurement", scenarios, parameters)
         found = summarise(raced)
         calm = np.flatnonzero(found.own_crash <= limit)
-        kept = calm[~_beaten(run.config, raced, calm)]
+        kept = calm[~_beaten(races.config, raced, calm)]
         kept = kept[np.argsort(found.coordinates[kept, 0], kind="stable")]
     if len(kept) < 2:
         raise InputError(
             f"{len(kept)} policies remain below the crash limit of {limit:.0%}; an archive needs 2 at least: raise "
             "crash_limit, or search longer"
         )
-    last = run.history[-1]
-    run.tell("measurement", last.generation, last.hypervolume, len(kept), found)
+    last = races.history[-1]
+    races.note("measurement", last.generation, last.hypervolume, len(kept), found)
     notes = {
         "measurement_over_crash_limit": len(parameters) - len(calm),
         "measurement_beaten": len(calm) - len(kept),

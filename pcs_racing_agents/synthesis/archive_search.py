@@ -1,10 +1,11 @@
-"""The search of an archive: scouts, then generations of policies that all race in the same scenarios.
+"""The races of a synthesis: what a search evaluates policies by, and the record of all of them.
 
 The opponents are random policies, fixed for the run as in the paper, whose limitation is that random policies are no
-competition. As an option, some of them give way to policies of the archive at stated generations. The archive is then
-raced again, so that old and new policies are compared against the same opponents.
+competition. As an option, some of them give way to policies of the archive before stated generations. The archive is
+then raced again, so that old and new policies are compared against the same opponents.
 """
 
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -14,18 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.planners.planner import Planner
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.diverse import greedy_map, similarity
-from pcs_racing_agents.synthesis.evaluate import Evaluation, Scenarios, blocks, join, race_here, summarise
-from pcs_racing_agents.synthesis.explored import Scale
-from pcs_racing_agents.synthesis.indicators import hypervolume
-from pcs_racing_agents.synthesis.selection import front_layers
-from pcs_racing_agents.synthesis.synthesize import Search
+from pcs_racing_agents.synthesis.evaluate import Evaluation, join, on_worker, summarise
+from pcs_racing_agents.synthesis.pareto_archive import Scale
+from pcs_racing_agents.synthesis.scenarios import Scenarios
+from pcs_racing_agents.synthesis.search import Generation
+from pcs_racing_agents.synthesis.synthesize import Evaluated
 
-__all__ = ["REFERENCE", "ArchiveSearch", "News", "Told"]
+__all__ = ["REFERENCE", "ArchiveCallback", "ArchiveProgress", "PolicyRaces"]
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ BLOCK = 2  # policies of a task: a generation of 32 keeps 16 cores busy
 REFERENCE = -0.1  # worst point of a hypervolume: a tenth of the scouts' range below their worst
 
 
-class News(NamedTuple):
+class ArchiveProgress(NamedTuple):
     """How far a synthesis is.
 
     Attributes
@@ -64,96 +64,86 @@ class News(NamedTuple):
     done: float
 
 
-Told = Callable[[News], None]
-"""``told(news)``: called after the scouts (generation 0), after every generation, and now and then in later stages."""
+ArchiveCallback = Callable[[ArchiveProgress], object]
+"""Called after the scouts (generation 0), after every generation, and now and then in later stages."""
 
 
 @dataclass
-class ArchiveSearch:
-    """The races of a synthesis, and everything that its search raced.
+class PolicyRaces:
+    """Races of policies as work of a job: called with parameters, it is what ``synthesize`` evaluates them by.
 
     Attributes
     ----------
     config : ArchiveConfig
     job : Job
     executor : Executor or None
-    told : Told
-    family : Planner
+    callback : callable
     scenarios : Scenarios
         Of the search, as they are now.
     scale : Scale
         Range of the scouts, once they have raced.
-    parameters : list of ndarray
-        Policies raced, (n, P) each.
-    found : list of Evaluation
-        What came of them.
+    raced : list of (ndarray, Evaluation)
+        Parameters, shape (n, P), and results of all policies of the search, in the order of the races.
     comparable : int
         Policies from here on were raced against the same opponents.
-    history : list of News
+    history : list of ArchiveProgress
     """
 
     config: ArchiveConfig
     job: Job
     executor: Executor | None
-    told: Told
-    family: Planner
+    callback: ArchiveCallback
     scenarios: Scenarios
     scale: Scale = field(init=False)
-    parameters: list[Floats] = field(default_factory=list)
-    found: list[Evaluation] = field(default_factory=list)
+    raced: list[tuple[Floats, Evaluation]] = field(default_factory=list)
     comparable: int = 0
-    history: list[News] = field(default_factory=list)
+    history: list[ArchiveProgress] = field(default_factory=list)
+    _names: deque[str] = field(default_factory=lambda: deque(["scouts"]))  # of the next evaluations
+
+    def __call__(self, parameters: Floats) -> Evaluated:
+        """Race policies in the scenarios of the search; own crashes above the limit violate it."""
+        found = summarise(self.race("search", self._names.popleft(), self.scenarios, parameters))
+        if not self.raced:
+            low, high = found.coordinates.min(axis=0), found.coordinates.max(axis=0)
+            for axis, least, largest in zip(self.config.axes, low, high, strict=True):
+                if not least < largest:
+                    raise InputError(f"all {len(parameters)} scouts have {axis} {least:g}: no scale follows from them")
+            self.scale = Scale(high, low)
+        self.raced.append((parameters, found))
+        return Evaluated(found.coordinates, self.violation(found))
+
+    def after_generation(self, generation: Generation) -> bool:
+        """Note how far the search is, and replace opponents where this is due; return whether that was so."""
+        self.note("search", generation.generation, generation.hypervolume, generation.archive_size, self.raced[-1][1])
+        following = generation.generation + 1
+        replaced = following in self.config.refresh_generations and self._replace_opponents(generation)
+        if replaced:
+            self._names.append(f"refresh-{following:05d}")
+        self._names.append(f"generation-{following:05d}")
+        return replaced
+
+    def _replace_opponents(self, generation: Generation) -> bool:
+        """Put policies spread along the front in the place of the last opponents."""
+        share = round(self.config.refresh_share * len(self.scenarios.opponents))
+        count = min(share, generation.archive_size)
+        if count == 0:
+            return False
+        spread = np.sort(greedy_map(similarity(self.scale(generation.front), 0.2), count))
+        opponents = self.scenarios.opponents.copy()
+        opponents[len(opponents) - count :] = generation.front_parameters[spread]
+        self.scenarios = self.scenarios.against(opponents)
+        self.comparable = self.evaluations
+        return True
 
     def race(self, stage: str, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
-        """Race policies, or read what an earlier run found."""
+        """Race policies, or read what an earlier run of the job has left."""
 
-        def progress(done: int, total: int, what: str) -> None:
+        def progress(done: int, total: int, _: str) -> None:
             if stage != "search":
-                self.told(self.history[-1]._replace(stage=stage, done=self._done(stage, done / total)))
+                self.callback(self.history[-1]._replace(stage=stage, done=self._done(stage, done / total)))
 
-        tasks = blocks(scenarios, parameters, BLOCK)
-        return join(self.job.run(name, race_here(self.executor), tasks, executor=self.executor, progress=progress))
-
-    def run(self, scouts: Floats, seed: int) -> None:
-        """Race the scouts, then generation after generation."""
-        config = self.config
-        found = self._raced("scouts", scouts)
-        low, high = found.coordinates.min(axis=0), found.coordinates.max(axis=0)
-        for axis, least, largest in zip(config.axes, low, high, strict=True):
-            if not least < largest:
-                raise InputError(f"all {config.scouts} scouts have {axis} {least:g}; such an axis tells nothing apart")
-        self.scale = Scale(high, low)
-        search = Search(
-            self.family.bounds,
-            population=config.population,
-            elite_ratio=config.elite_ratio,
-            loss=config.loss,
-            mean=config.mean,
-            seed=seed,
-            method=config.method,
-            reference=REFERENCE,
-            ideal=high,
-            nadir=low,
-            step_size=config.step_size,
-        )
-        search.add(scouts, found.coordinates, self.violation(found))
-        front = self._best(found)
-        self.tell("search", 0, hypervolume(self.scale(front), REFERENCE), len(front), found)
-        for number in range(1, config.generations + 1):
-            if number in config.refresh_generations:
-                self._refresh(search, number)
-            if sum(map(len, self.parameters)) + config.population > config.evaluations:
-                break  # racing the front again has cost as much as the last generations
-            asked = search.ask()
-            found = self._raced(f"generation-{number:05d}", asked)
-            news = search.tell(found.coordinates, self.violation(found))
-            self.tell("search", number, news.hypervolume, news.archive_size, found)
-
-    def _raced(self, name: str, parameters: Floats) -> Evaluation:
-        found = summarise(self.race("search", name, self.scenarios, parameters))
-        self.parameters.append(parameters)
-        self.found.append(found)
-        return found
+        tasks = [(scenarios, parameters[first : first + BLOCK]) for first in range(0, len(parameters), BLOCK)]
+        return join(self.job.run(name, on_worker(self.executor), tasks, executor=self.executor, progress=progress))
 
     def violation(self, found: Evaluation) -> Floats:
         """By how much policies violate the limits, shape (K,): own crashes per race, or parts of the scouts' range."""
@@ -163,41 +153,26 @@ class ArchiveSearch:
         short = (np.array(self.config.least) - found.coordinates) / (self.scale.ideal - self.scale.nadir)
         return np.maximum(crashes, short.max(axis=1))
 
-    def _best(self, found: Evaluation) -> Floats:
-        feasible = found.coordinates[self.violation(found) <= 0.0]
-        return feasible[front_layers(feasible) == 0]
-
-    def _refresh(self, search: Search, number: int) -> None:
-        """Replace opponents by policies spread along the front, and race the front again against the new set."""
-        front = search.archive
-        count = min(round(self.config.refresh_share * len(self.scenarios.opponents)), len(front))
-        if count == 0:
-            return
-        chosen = np.sort(greedy_map(similarity(self.scale(search.result().objectives), 0.2), count))
-        opponents = self.scenarios.opponents.copy()
-        opponents[len(opponents) - count :] = front[chosen]
-        self.scenarios = self.scenarios.against(opponents)
-        self.comparable = sum(map(len, self.parameters))
-        found = self._raced(f"refresh-{number:05d}", front)
-        search.replace(found.coordinates, self.violation(found))
+    @property
+    def evaluations(self) -> int:
+        """Policies raced in the search so far."""
+        return sum(len(parameters) for parameters, _ in self.raced)
 
     def explored(self) -> tuple[Floats, Evaluation]:
         """Everything raced in the search, in that order."""
-        parts = zip(*self.found, strict=True)
-        return np.concatenate(self.parameters), Evaluation(*(np.concatenate(part) for part in parts))
+        parameters, results = zip(*self.raced, strict=True)
+        return np.concatenate(parameters), Evaluation(*(np.concatenate(part) for part in zip(*results, strict=True)))
 
-    def tell(self, stage: str, number: int, volume: float, front: int, found: Evaluation) -> None:
-        """Note and tell how far the synthesis is."""
-        evaluations = sum(map(len, self.parameters))
-        crash = float(found.own_crash.mean())
-        done = self._done(stage, 1.0)
-        news = News(stage, number, self.config.generations, evaluations, volume, front, crash, done)
-        self.history.append(news)
-        self.told(news)
+    def note(self, stage: str, number: int, volume: float, front: int, found: Evaluation) -> None:
+        """Keep in the history how far the synthesis is, and call the callback."""
+        crash, done = float(found.own_crash.mean()), self._done(stage, 1.0)
+        progress = ArchiveProgress(stage, number, self.config.generations, self.evaluations, volume, front, crash, done)
+        self.history.append(progress)
+        self.callback(progress)
 
-    def _done(self, stage: str, part: float) -> float:
-        """Share of all racing that is done when part of a stage is."""
+    def _done(self, stage: str, share: float) -> float:
+        """Share of all racing that is done when a share of a stage is."""
         search, choice, measurement = self.config.work
-        raced = search if stage != "search" else sum(map(len, self.parameters)) / self.config.evaluations * search
-        raced += {"search": 0.0, "choice": part * choice, "measurement": choice + part * measurement}[stage]
+        raced = search if stage != "search" else self.evaluations / self.config.evaluations * search
+        raced += {"search": 0.0, "choice": share * choice, "measurement": choice + share * measurement}[stage]
         return raced / (search + choice + measurement)

@@ -4,13 +4,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.checks import is_number
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.settings import (
+    Settings,
+    checked,
+    choice,
+    load_settings,
+    names,
+    number,
+    setting,
+    text,
+    whole,
+    wholes,
+)
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig, load_race_config
-from pcs_racing_agents.jobs.configuration import check_numbers, check_wholes, load_settings, shipped_configs
+from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS
 from pcs_racing_agents.synthesis.optimisers import METHODS
 
@@ -19,156 +30,96 @@ __all__ = ["ArchiveConfig", "list_archive_configs", "load_archive_config"]
 KIND = "archive"
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
+_SECONDS = number(0.1, 3600.0)
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    """Return a list of numbers as a tuple."""
+    if not isinstance(value, list | tuple) or not all(map(is_number, value)):
+        raise InputError(f"least is {value!r}; it must be a list of numbers")
+    return tuple(value)
+
 
 @dataclass(frozen=True)
-class ArchiveConfig:
+class ArchiveConfig(Settings):
     """How an archive is made: 2,000 policies and 48 races each by default.
 
-    Attributes
-    ----------
-    name : str
-        Of the archive.
-    preset : str
-        Rules of the races: a preset's name or a YAML file.
-    duration, final_duration : float
-        Length of a race while policies are searched and chosen, and when those chosen are measured, s; multiples of
-        ``segment_seconds``.
-    segment_seconds : float
-        Length of the pieces that coordinates are means of, s: a step of the game.
-    tracks : tuple of str
-        Names or folders of the circuits, which all policies race on.
-    planner : str
-    characteristics : tuple of str
-        Axes; by default aggressiveness (or pace, as the rules say) and restraint.
-    method : {"mo-cma-es", "nsga2", "comocma", "cma-mae", "random"}
-        Who proposes policies; the first is the paper's.
-    generations : int
-        0 to 100,000.
-    population : int
-        Policies of a generation, 2 to 10,000.
-    elite_ratio : float
-        Share of a generation that shapes the next one.
-    loss, mean : str
-        Reading of Algorithm 1 (:class:`~pcs_racing_agents.synthesis.synthesize.Search`).
-    step_size : float
-        First standard deviation of CMA-ES, as a share of the parameters' ranges.
-    scouts : int
-        Policies drawn at random before the first generation, 8 to 10,000. Their range is the scale of the axes in the
-        loss and in the hypervolume, and the best of them are the first archive.
-    opponents, starts : int
-        Opponents (policies at random) and start lines on each track: every policy meets all pairs, from both sides.
-    crash_limit : float
-        Share of own crashes in races of ``final_duration`` beyond which a policy stays out of the archive; 1 keeps all.
-        For the shorter races of the search it is converted as if crashes came at a constant rate.
-    least : tuple of float, optional
-        Smallest coordinates of interest, one for each axis: a policy below one of them stays out of the archive, like
-        one that crashes too often. By default there is no such limit.
-    candidates : int
-        Policies that are raced again for the choice of the archive.
-    choice_opponents, choice_starts : int
-        Opponents and start lines of those races; other ones than in the search.
-    error_bars : float
-        A policy is beaten by another if that one is better on all axes by more than so many standard errors of the
-        difference.
-    spacing : float
-        Distance that policies of the archive keep from each other, in units of the archive's ranges; of two that are
-        nearer one is dropped.
-    fewest, most : int
-        Policies wanted in the archive; with more than ``most``, the spacing is widened.
-    final_opponents, final_starts : int
-        Opponents and start lines of the races that give the coordinates; new ones again.
-    refresh_generations : tuple of int
-        Generations before which some opponents are replaced by policies of the archive as it is then. The archive is
-        raced again against them, and as many policies fewer are raced in the end.
-    refresh_share : float
-        Share of the opponents that is replaced, 0 to 1.
-    seed : int
-        Root of everything that is drawn.
-
-    Raises
-    ------
-    ConfigError
-        If a value is impossible.
-    InputError
-        If a name stands for nothing.
+    Durations are multiples of ``segment_seconds``. Every policy meets all pairs of opponents and start lines, from both
+    sides, on every track; the three stages (search, choice, measurement) draw different ones.
     """
 
-    name: str = "archive"
-    preset: str = "paper"
-    duration: float = 16.0
-    final_duration: float = 40.0
-    segment_seconds: float = 8.0
-    tracks: tuple[str, ...] = SHIPPED_TRACKS
-    planner: str = "lattice"
-    characteristics: tuple[str, ...] | None = None
-    method: str = "mo-cma-es"
-    generations: int = 60
-    population: int = 32
-    elite_ratio: float = 0.5
-    loss: str = "uhvi"
-    mean: str = "generation"
-    step_size: float = 0.3
-    scouts: int = 80
-    opponents: int = 4
-    starts: int = 2
-    crash_limit: float = 0.15
-    least: tuple[float, ...] | None = None
-    candidates: int = 240
-    choice_opponents: int = 8
-    choice_starts: int = 2
-    error_bars: float = 1.0
-    spacing: float = 0.015
-    fewest: int = 40
-    most: int = 80
-    final_opponents: int = 12
-    final_starts: int = 3
-    refresh_generations: tuple[int, ...] = ()
-    refresh_share: float = 0.5
-    seed: int = 0
+    name: str = setting("archive", text(), "Of the archive.")
+    preset: str = setting("paper", text(), "Rules of the races: a preset's name or a YAML file.")
+    duration: float = setting(16.0, _SECONDS, "Length of a race while policies are searched and chosen, s.")
+    final_duration: float = setting(40.0, _SECONDS, "Length of a race when those chosen are measured, s.")
+    segment_seconds: float = setting(
+        8.0, _SECONDS, "Length of the pieces that coordinates are means of, s: a step of the game."
+    )
+    tracks: tuple[str, ...] = setting(
+        SHIPPED_TRACKS, names(), "Names or folders of the circuits, which all policies race on."
+    )
+    planner: str = setting("lattice", text(), "Of the policies and of their opponents.")
+    characteristics: tuple[str, ...] | None = setting(
+        None, names(), "Axes; None takes aggressiveness (or pace, as the rules say) and restraint."
+    )
+    method: str = setting("mo-cma-es", choice(METHODS), "Optimiser that proposes policies; the first is the paper's.")
+    generations: int = setting(60, whole(0, 100_000), "How often new policies are proposed.")
+    population: int = setting(32, whole(4, 10_000), "Policies of a generation.")
+    elite_ratio: float = setting(0.5, number(0.01, 1.0), "Share of a generation that shapes the next one.")
+    loss: str = setting("uhvi", choice(LOSSES), "Loss of Algorithm 1, as in synthesize().")
+    mean: str = setting("generation", choice(MEANS), "Mean of Algorithm 1, as in synthesize().")
+    step_size: float = setting(
+        0.3, number(1e-6, 1.0), "First standard deviation of CMA-ES, as a share of the parameters' ranges."
+    )
+    scouts: int = setting(
+        80,
+        whole(8, 10_000),
+        "Policies of the initial sample, drawn at random; their range is the scale of the axes in the loss and in the "
+        "hypervolume, and the best of them are the first archive.",
+    )
+    opponents: int = setting(4, whole(1, 1000), "Opponents (policies at random) in the search.")
+    starts: int = setting(2, whole(1, 1000), "Start lines on each track in the search.")
+    crash_limit: float = setting(
+        0.15,
+        number(0.0, 1.0),
+        "Share of own crashes in races of final_duration beyond which a policy stays out of the archive; 1 keeps all. "
+        "For the shorter races of the search it is converted as if crashes came at a constant rate.",
+    )
+    least: tuple[float, ...] | None = setting(
+        None,
+        checked(_numbers),
+        "Smallest coordinates of interest, one for each axis: a policy below one of them stays out; None for no limit.",
+    )
+    candidates: int = setting(240, whole(2, 10_000), "Policies that are raced again for the choice of the archive.")
+    choice_opponents: int = setting(8, whole(1, 1000), "Opponents in the choice.")
+    choice_starts: int = setting(2, whole(1, 1000), "Start lines on each track in the choice.")
+    error_bars: float = setting(
+        1.0,
+        number(0.0, 10.0),
+        "A policy is beaten by another if that one is better on all axes by more than so many standard errors of the "
+        "difference.",
+    )
+    spacing: float = setting(
+        0.015,
+        number(0.0, 0.5),
+        "Distance that policies of the archive keep from each other, in units of the archive's ranges; of two that are "
+        "nearer one is dropped.",
+    )
+    fewest: int = setting(40, whole(1, 10_000), "Fewest policies wanted in the archive.")
+    most: int = setting(80, whole(2, 10_000), "Most policies in the archive; with more, the spacing is widened.")
+    final_opponents: int = setting(12, whole(1, 1000), "Opponents in the measurement, which gives the coordinates.")
+    final_starts: int = setting(3, whole(1, 1000), "Start lines on each track in the measurement.")
+    refresh_generations: tuple[int, ...] = setting(
+        (),
+        wholes(1, 99_999, different=True),
+        "Generations before which some opponents are replaced by policies of the archive as it is then; the archive is "
+        "raced again against them, and as many policies fewer are raced in the end.",
+    )
+    refresh_share: float = setting(0.5, number(0.0, 1.0), "Share of the opponents that is replaced.")
+    seed: int = setting(0, whole(0, 2**63 - 1), "Root of everything that is drawn.")
 
     def __post_init__(self) -> None:
-        for key in ("name", "preset", "planner", "method", "loss", "mean"):
-            if not isinstance(getattr(self, key), str) or not getattr(self, key):
-                raise ConfigError(f"{key} is {getattr(self, key)!r}; it must be a non-empty text")
-        for key in ("tracks", "characteristics"):
-            names = getattr(self, key)
-            if (key == "tracks" or names is not None) and (
-                not isinstance(names, tuple) or not names or not all(isinstance(name, str) for name in names)
-            ):
-                raise ConfigError(f"{key} is {names!r}; it must be a list of names")
-        if len(set(self.tracks)) < len(self.tracks):
-            raise ConfigError(f"tracks are {', '.join(self.tracks)}; name each once")
-        for key, known in (("method", METHODS), ("loss", LOSSES), ("mean", MEANS)):
-            if getattr(self, key) not in known:
-                raise ConfigError(f"{key} is {getattr(self, key)!r}; it must be one of {', '.join(known)}")
-        check_wholes(
-            self,
-            generations=(0, 100_000),
-            population=(4, 10_000),
-            scouts=(8, 10_000),
-            opponents=(1, 1000),
-            starts=(1, 1000),
-            candidates=(2, 10_000),
-            choice_opponents=(1, 1000),
-            choice_starts=(1, 1000),
-            fewest=(1, 10_000),
-            most=(2, 10_000),
-            final_opponents=(1, 1000),
-            final_starts=(1, 1000),
-            seed=(0, 2**63 - 1),
-        )
-        check_numbers(
-            self,
-            duration=(0.1, 3600.0),
-            final_duration=(0.1, 3600.0),
-            segment_seconds=(0.1, 3600.0),
-            elite_ratio=(0.01, 1.0),
-            step_size=(1e-6, 1.0),
-            crash_limit=(0.0, 1.0),
-            error_bars=(0.0, 10.0),
-            spacing=(0.0, 0.5),
-            refresh_share=(0.0, 1.0),
-        )
+        super().__post_init__()
         for key in ("duration", "final_duration"):
             length = getattr(self, key)
             pieces = round(length / self.segment_seconds)
@@ -178,26 +129,18 @@ class ArchiveConfig:
                 )
         if self.fewest > self.most:
             raise ConfigError(f"fewest is {self.fewest}, above most, {self.most}")
-        stated = self.refresh_generations
-        whole = isinstance(stated, tuple) and all(type(generation) is int for generation in stated)
-        if (
-            not whole
-            or any(not 0 < generation < self.generations for generation in stated)
-            or len(set(stated)) < len(stated)
-        ):
+        if self.refresh_generations and max(self.refresh_generations) >= self.generations:
             raise ConfigError(
-                f"refresh_generations is {stated!r}; it must be a list of different generations from 1 to "
-                f"{self.generations - 1}"
+                f"refresh_generations is {self.refresh_generations!r}; it must be a list of different generations from "
+                f"1 to {self.generations - 1}"
             )
-        object.__setattr__(self, "refresh_generations", tuple(sorted(stated)))
+        object.__setattr__(self, "refresh_generations", tuple(sorted(self.refresh_generations)))
         get_planner(self.planner)
         get_characteristics(self.axes)
-        if self.least is not None:
-            numbers = [type(value) in (int, float) and abs(value) < np.inf for value in self.least]
-            if not isinstance(self.least, tuple) or len(numbers) != len(self.axes) or not all(numbers):
-                raise ConfigError(
-                    f"least is {self.least!r}; it must be a list of numbers, one for each of {', '.join(self.axes)}"
-                )
+        if self.least is not None and len(self.least) != len(self.axes):
+            raise ConfigError(
+                f"least is {self.least!r}; it must be a list of numbers, one for each of {', '.join(self.axes)}"
+            )
 
     @property
     def rules(self) -> RaceConfig:
@@ -252,4 +195,4 @@ def load_archive_config(source: str | Path | ArchiveConfig | None = None, **chan
     InputError
         If a name stands for nothing.
     """
-    return load_settings(KIND, ArchiveConfig(), source, **changes)
+    return load_settings(KIND, ArchiveConfig(), source, shipped_configs(KIND), **changes)

@@ -8,7 +8,7 @@ point processes for machine learning, 2012).
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.checks import check_choice, check_number, check_whole
 from pcs_racing.game.archive import PolicyArchive
 
 __all__ = ["METHODS", "greedy_map", "log_elementary_symmetric", "sample_kdpp", "select_diverse", "similarity"]
@@ -55,12 +55,8 @@ def select_diverse(
     InputError
         If ``k``, ``method`` or ``scale`` is impossible.
     """
-    if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 1 <= k <= len(archive):
-        raise InputError(
-            f"k is {k!r}; archive {archive.name!r} holds {len(archive)} policies: take 1 to {len(archive)}"
-        )
-    if method not in METHODS:
-        raise InputError(f"method is {method!r}; it must be one of {', '.join(METHODS)}")
+    check_whole("k", k, 1, len(archive))
+    check_choice("method", method, METHODS)
     generator = np.random.default_rng(rng)
     if method == "random":
         chosen = generator.choice(len(archive), int(k), replace=False)
@@ -77,8 +73,7 @@ def similarity(points: ArrayLike, scale: float) -> Floats:
     A millionth is added to the diagonal: points that coincide then still make a matrix of full rank, so that as many
     items can be drawn as there are.
     """
-    if not (isinstance(scale, int | float) and 0.0 < scale < np.inf):
-        raise InputError(f"scale is {scale!r}; it must be a number above 0")
+    check_number("scale", scale, above=0.0)
     points = np.asarray(points, np.float64)
     squares = np.sum((points[:, None] - points[None]) ** 2, axis=-1)
     return np.asarray(np.exp(-0.5 * squares / scale**2) + 1e-6 * np.eye(len(points)), np.float64)

@@ -25,20 +25,20 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.optional import require
-from pcs_racing_agents.synthesis.explored import Explored, Scale
 from pcs_racing_agents.synthesis.indicators import (
     contributions,
     hypervolume,
     total_hypervolume,
     uncrowded_improvement,
 )
+from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
 
 __all__ = [
     "LOSSES",
     "MEANS",
     "MOCMAES",
     "CubeCMAES",
-    "Setting",
+    "OptimiserOptions",
     "cma_options",
     "hypervolume_loss",
     "latin_hypercube",
@@ -55,7 +55,7 @@ LEAST_GAIN = 1e-5  # of the normalised hypervolume, in a generation
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class OptimiserOptions:
     """What an optimiser knows beforehand. Optimisers work in the unit cube and maximise.
 
     Attributes
@@ -141,9 +141,9 @@ class CubeCMAES:
         return not SMALLEST_STEP < self.step_size < np.inf or self._es.condition_number > 1e14
 
     def ask(self) -> Floats:
-        """Return a generation of points, shape (n, P)."""
+        """Return a generation of points, shape (n, P), of which some may lie outside the cube."""
         self._samples = self._es.ask()
-        return np.clip(np.stack(self._samples), 0.0, 1.0)
+        return np.stack(self._samples)
 
     def tell(self, ranks: Floats) -> None:
         """Learn which of them are best, by their ranks: CMA-ES asks for nothing else."""
@@ -175,7 +175,7 @@ class MOCMAES:
     restarts : int
     """
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: OptimiserOptions) -> None:
         # Line 2: initialise lambda, mu, sigma, C = I, p_sigma = p_c = 0. The archive is empty.
         self.restarts = 0
         self._setting = setting
@@ -196,7 +196,7 @@ class MOCMAES:
             return latin_hypercube(self._setting.population, self._setting.dimension, self._rng)
         return self._es.ask()
 
-    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
         """Learn from the generation that was asked for, and return the archive with its best points in it."""
         if self._es is None:
             grown = archive.joined(points, objectives, violation)
@@ -221,7 +221,7 @@ class MOCMAES:
         self._restart_if_done(archive, grown, scale)
         return grown
 
-    def _restart_if_done(self, before: Explored, after: Explored, scale: Scale) -> None:
+    def _restart_if_done(self, before: ParetoArchive, after: ParetoArchive, scale: Scale) -> None:
         assert self._es is not None
         # As long as nothing feasible is known, there is no hypervolume to stand still.
         if len(after.front):
@@ -254,7 +254,7 @@ def latin_hypercube(count: int, dimension: int, rng: np.random.Generator) -> Flo
     return np.asarray((parts + rng.random((count, dimension))) / count, np.float64)
 
 
-def middle_of_the_best(explored: Explored) -> Floats:
+def middle_of_the_best(explored: ParetoArchive) -> Floats:
     """Return the mean of the front's parameters; if nothing is feasible, the point that violates least."""
     if len(explored.front):
         return np.asarray(explored.parameters[explored.front].mean(axis=0), np.float64)
@@ -263,7 +263,7 @@ def middle_of_the_best(explored: Explored) -> Floats:
 
 def hypervolume_loss(
     kind: str,
-    archive: Explored,
+    archive: ParetoArchive,
     objectives: Floats,
     violation: Floats,
     scale: Scale,
@@ -276,7 +276,7 @@ def hypervolume_loss(
     Parameters
     ----------
     kind : {"uhvi", "total_hypervolume"}
-    archive : Explored
+    archive : ParetoArchive
     objectives : ndarray, shape (n, G)
     violation : ndarray, shape (n,)
     scale : Scale

@@ -1,7 +1,8 @@
-"""Other people's optimisers behind the same two calls, to compare ours with: all are given the same information.
+"""Optimisers of other libraries behind the same two calls, for comparison.
 
-That is: the bounds, the size of a generation, a seed, and after every generation its objectives and violations. Nobody
-knows the ideal or the nadir point beforehand unless the caller states them.
+All are given the same information: the number of parameters, the size of a generation, a seed, and after every
+generation its objectives and violations. None knows the ideal or the nadir point beforehand unless the caller states
+them.
 
 - ``nsga2``: pymoo's NSGA-II with its default operators.
 - ``comocma``: COMO-CMA-ES, a handful of CMA-ES that look for a place each on the front; two objectives only.
@@ -21,8 +22,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.optional import require
-from pcs_racing_agents.synthesis.explored import Explored, Scale
-from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, Setting, cma_options, middle_of_the_best
+from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, OptimiserOptions, cma_options, middle_of_the_best
+from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
 
 __all__ = ["METHODS", "Optimiser", "make_optimiser"]
 
@@ -30,7 +31,7 @@ Floats = NDArray[np.float64]
 
 
 class Optimiser(Protocol):
-    """What an optimiser offers: points in the unit cube on request, and ears for what came of them."""
+    """An optimiser in the unit cube: asked for points and told what came of them."""
 
     @property
     def restarts(self) -> int:
@@ -41,9 +42,9 @@ class Optimiser(Protocol):
         """Largest standard deviation of a parameter, as a share of its range; NaN where there is no such thing."""
 
     def ask(self) -> Floats:
-        """Return a generation of points, shape (n, P), in the unit cube."""
+        """Return a generation of points, shape (n, P); those outside the unit cube are moved to its border."""
 
-    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
         """Learn from the generation that was asked for, and return the archive with its points in it."""
 
 
@@ -53,7 +54,7 @@ class Random:
     restarts = 0
     step_size = np.nan
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: OptimiserOptions) -> None:
         self._shape = setting.population, setting.dimension
         self._rng = np.random.default_rng(setting.seed)
 
@@ -61,7 +62,7 @@ class Random:
         """Return points drawn uniformly."""
         return self._rng.random(self._shape)
 
-    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
         """Learn nothing."""
         return archive.joined(points, objectives, violation)
 
@@ -72,7 +73,7 @@ class NSGA2:
     restarts = 0
     step_size = np.nan
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: OptimiserOptions) -> None:
         require("pymoo", extra="baselines")
         self._setting = setting
         self._algorithm: Any = None
@@ -93,9 +94,9 @@ class NSGA2:
         if self._algorithm is None:
             self._set_up(2)  # how many objectives there are makes no difference before the first are told
         self._asked = self._algorithm.ask()
-        return np.clip(np.asarray(self._asked.get("X"), np.float64), 0.0, 1.0)
+        return np.asarray(self._asked.get("X"), np.float64)
 
-    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
         """Let the generation compete with its parents."""
         from pymoo.core.evaluator import Evaluator
         from pymoo.problems.static import StaticProblem
@@ -116,7 +117,7 @@ class COMO:
 
     restarts = 0
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: OptimiserOptions) -> None:
         if setting.dimension < 2:
             raise InputError("CMA-ES needs at least 2 parameters; there is 1")
         require("comocma", extra="baselines")
@@ -151,9 +152,9 @@ class COMO:
         """Return the means of all kernels and what they sample around them."""
         self._means = list(self._sofomore._told_indices)
         self._asked = self._sofomore.ask("all")
-        return np.clip(np.stack(self._asked), 0.0, 1.0)
+        return np.stack(self._asked)
 
-    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
         """Update the kernels one after another, each against the means of the others."""
         if objectives.shape[1] != 2:
             raise InputError(f"method 'comocma' handles 2 objectives; there are {objectives.shape[1]}")
@@ -172,14 +173,13 @@ class COMO:
 class CMAMAE:
     """CMA-MAE: M. Fontaine and S. Nikolaidis, Covariance matrix adaptation MAP-annealing, GECCO 2023; pyribs'.
 
-    Points outside the unit cube are moved to its border; pyribs would draw anew until all lie within, if need be for
-    ever.
+    Pyribs itself would draw anew until all points lie within bounds, if need be for ever, so it is given none.
     """
 
     LEARNING_RATE = 0.01  # both as in the paper
     CELLS = 100
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: OptimiserOptions) -> None:
         require("ribs", extra="baselines")
         self._setting = setting
         self._rng = np.random.default_rng(setting.seed)
@@ -201,7 +201,7 @@ class CMAMAE:
         """Return points at random in the first generation, then what the emitters propose."""
         if self._archive is None:
             return self._rng.random((self._setting.population, self._setting.dimension))
-        return np.clip(np.concatenate([emitter.ask() for emitter in self._emitters]), 0.0, 1.0)
+        return np.concatenate([emitter.ask() for emitter in self._emitters])
 
     def _set_up(self, objectives: int, lowest: float, start: Floats) -> None:
         from ribs.archives import GridArchive
@@ -231,12 +231,12 @@ class CMAMAE:
             for part, seed in zip(np.array_split(np.arange(self._setting.population), count), seeds[1:], strict=False)
         ]
 
-    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: Explored) -> Explored:
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
         """Fill the cells, and let the emitters follow what improved them."""
         grown = archive.joined(points, objectives, violation)
         first = self._archive is None
         if first:
-            everything = Explored.nothing(points.shape[1]).joined(points, objectives, violation)
+            everything = ParetoArchive.empty(points.shape[1]).joined(points, objectives, violation)
             self._scale = _whole_range(everything, self._setting)
         assert self._scale is not None
         values = self._scale(_worst(self._scale, objectives, violation))
@@ -270,7 +270,7 @@ def _worst(scale: Scale, objectives: Floats, violation: Floats) -> Floats:
     return np.where(infeasible[:, None], lowest - violation[:, None] * extent, objectives)
 
 
-def _whole_range(explored: Explored, setting: Setting) -> Scale:
+def _whole_range(explored: ParetoArchive, setting: OptimiserOptions) -> Scale:
     if setting.ideal is not None and setting.nadir is not None:
         return Scale(setting.ideal, setting.nadir)
     rows = explored.violation <= 0.0
@@ -279,7 +279,7 @@ def _whole_range(explored: Explored, setting: Setting) -> Scale:
     return Scale(np.where(low < high, high, low + 1.0), low)
 
 
-_METHODS: dict[str, Callable[[Setting], Optimiser]] = {
+_METHODS: dict[str, Callable[[OptimiserOptions], Optimiser]] = {
     "mo-cma-es": MOCMAES,
     "nsga2": NSGA2,
     "comocma": COMO,
@@ -289,7 +289,7 @@ _METHODS: dict[str, Callable[[Setting], Optimiser]] = {
 METHODS = tuple(_METHODS)
 
 
-def make_optimiser(method: str, setting: Setting) -> Optimiser:
+def make_optimiser(method: str, setting: OptimiserOptions) -> Optimiser:
     """Return one of the optimisers by name.
 
     Raises

@@ -7,7 +7,7 @@ difference may well belong to the front, so it stays; all policies drive the sam
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.jobs.chunk_files import Arrays
+from pcs_racing_agents.jobs.chunks import Arrays
 
 __all__ = ["beaten", "difference_errors", "front_layers", "spread_first", "thin_out"]
 
@@ -37,7 +37,7 @@ def difference_errors(raced: Arrays) -> Floats:
     Parameters
     ----------
     raced : dict of ndarray
-        What :func:`~pcs_racing_agents.synthesis.evaluate.race_block` found: the same R races for all of them.
+        What :func:`~pcs_racing_agents.synthesis.evaluate.race_policies` returned: the same R races for all of them.
     """
     totals, pieces = raced["totals"], raced["pieces"].astype(np.float64)
     races = totals.shape[1]

@@ -18,7 +18,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.game import RaceGame
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
-from pcs_racing_agents.agents.agents import best_fixed, best_schedule
+from pcs_racing_agents.agents.blind import best_fixed, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.jobs import Job, Progress

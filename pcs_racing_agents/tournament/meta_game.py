@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.optional import require
+from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 
 __all__ = ["Equilibrium", "alpha_rank", "excess", "zero_sum_equilibrium"]
 
@@ -56,7 +57,7 @@ def excess(scores: ArrayLike) -> Floats:
 
 
 def zero_sum_equilibrium(payoffs: ArrayLike) -> Equilibrium:
-    """Solve a matrix game exactly by linear programming (von Neumann 1928; scipy's HiGHS).
+    """Solve a matrix game exactly (:func:`pcs_racing_agents.solvers.solve_matrix_games`).
 
     Where several equilibria exist, for instance because two agents are alike, it is one of them; the value is the same
     for all.
@@ -74,16 +75,9 @@ def zero_sum_equilibrium(payoffs: ArrayLike) -> Equilibrium:
     ------
     InputError
         If the matrix is empty or an entry is not finite.
-    ModuleNotFoundError
-        If scipy is not installed.
     """
-    matrix = _matrix(payoffs)
-    require("scipy", extra="synthesis")
-    row = _maximin(matrix)
-    column = _maximin(-matrix.T)
-    best_column = float((row @ matrix).min())
-    best_row = float((matrix @ column).max())
-    return Equilibrium(float(row @ matrix @ column), row, column, best_row - best_column)
+    solution = solve_matrix_games(_matrix(payoffs))
+    return Equilibrium(float(solution.values[0]), solution.rows[0], solution.columns[0], float(solution.gaps[0]))
 
 
 def alpha_rank(scores: ArrayLike, *, epsilon: float = 0.001, alike: float = 0.0) -> Floats:
@@ -126,24 +120,6 @@ def alpha_rank(scores: ArrayLike, *, epsilon: float = 0.001, alike: float = 0.0)
 
     decided = np.where(np.abs(gain) > alike, gain, 0.0)
     return np.asarray(alpharank.compute([decided], use_inf_alpha=True, inf_alpha_eps=epsilon)[2], dtype=np.float64)
-
-
-def _maximin(payoffs: Floats) -> Floats:
-    """Return the row player's probabilities that make the worst column best."""
-    from scipy.optimize import linprog
-
-    rows, columns = payoffs.shape
-    scale = float(np.abs(payoffs).max()) or 1.0  # the solver's tolerances are absolute
-    cost = np.zeros(rows + 1)
-    cost[-1] = -1.0  # the last variable is the value
-    at_most = np.column_stack([-payoffs.T / scale, np.ones(columns)])
-    sum_to_one = np.append(np.ones(rows), 0.0)[None]
-    bounds = [*[(0.0, None)] * rows, (None, None)]
-    found = linprog(cost, at_most, np.zeros(columns), sum_to_one, [1.0], bounds, method="highs-ds")
-    if not found.success:
-        raise RuntimeError(f"the linear program of the equilibrium was not solved: {found.message}")
-    chances = np.maximum(found.x[:-1], 0.0)
-    return np.asarray(chances / chances.sum(), dtype=np.float64)
 
 
 def _matrix(values: ArrayLike, *, square: bool = False) -> Floats:

@@ -6,7 +6,6 @@ A rating is one number for each agent; the equilibrium and alpha-rank see that t
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +38,7 @@ class RoundRobin:
     ratings : Ratings, optional
         None where the races do not tell.
     equilibrium : ndarray, shape (N,), optional
-        How often to send whom, if the other side chooses its agent as cleverly; with scipy, where all pairs met.
+        How often to send whom, if the other side chooses its agent as cleverly; where all pairs met.
     alpha_rank : ndarray, shape (N,), optional
         Share of the time that evolution spends at each agent, differences within the noise counting as none; with
         OpenSpiel, where all pairs met on several lines.
@@ -114,7 +113,7 @@ def round_robin(
         scores=scores,
         alike=alike,
         ratings=_ratings(ego, opponent, won, nobody, codes, seed),
-        equilibrium=zero_sum_equilibrium(excess(scores)).row if met and find_spec("scipy") else None,
+        equilibrium=zero_sum_equilibrium(excess(scores)).row if met else None,
         alpha_rank=_alpha_rank(scores, alike) if met else None,
     )
 

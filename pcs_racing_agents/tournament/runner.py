@@ -19,7 +19,7 @@ from pcs_racing.game.game import RaceGame
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track, calibration_values, load_track
 from pcs_racing_agents.agents.agent import Competitor, competitor_hash
-from pcs_racing_agents.jobs.chunk_files import fingerprint
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes
 from pcs_racing_agents.tournament.matches import Matches, join_matches, play_games

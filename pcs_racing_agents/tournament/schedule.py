@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.checks import is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.race.config import RaceConfig
@@ -58,8 +59,7 @@ def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Sc
     InputError
         If a number is impossible, or the track has no place to start.
     """
-    whole = isinstance(races, int) and not isinstance(races, bool)
-    if not whole or races % 2 or not 2 <= races <= MOST_RACES:
+    if not is_whole(races) or races % 2 or not 2 <= races <= MOST_RACES:
         raise InputError(
             f"races_per_pair is {races!r}; it must be an even number from 2 to {MOST_RACES}, since every start line is "
             "driven from both sides"

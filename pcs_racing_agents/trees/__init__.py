@@ -1,6 +1,5 @@
 """Game trees of races: played once, kept in files, and the data that solvers and networks are made of."""
 
-from pcs_racing_agents.networks.ego_rows import ego_rows, ego_values
 from pcs_racing_agents.trees.build import build_tree
 from pcs_racing_agents.trees.ego import EgoTrees, play_ego
 from pcs_racing_agents.trees.ego_storage import build_ego_trees, load_ego_trees
@@ -17,8 +16,6 @@ __all__ = [
     "build_tree",
     "build_trees",
     "choose_pairs",
-    "ego_rows",
-    "ego_values",
     "load_ego_trees",
     "load_trees",
     "play_ego",

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.game import RaceGame, encode_observation
 from pcs_racing_agents.trees.build import check_game
@@ -273,13 +274,9 @@ def check_ego(game: RaceGame, roots: int, opponent: str | ArrayLike, seed: int, 
         If there is no such opponent.
     """
     check_game(game)
-    for what, value, least, most in (
-        ("roots", roots, 1, MOST_ROOTS),
-        ("first", first, 0, 2**40),
-        ("seed", seed, 0, 2**64),
-    ):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
-            raise InputError(f"{what} is {value!r}; it must be a whole number from {least} to {most}")
+    check_whole("roots", roots, 1, MOST_ROOTS)
+    check_whole("first", first, 0, 2**40)
+    check_seed(seed, most=2**64)
     if isinstance(opponent, str) and opponent not in OPPONENTS:
         raise UnknownNameError(f"opponent {opponent!r} is unknown; there are {', '.join(OPPONENTS)}")
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.game import RaceGame
 from pcs_racing.race.start_grid import Starts
@@ -59,9 +59,8 @@ def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
     """
     from pcs_racing_agents.synthesis.diverse import select_diverse
 
-    for what, value, least, most in (("pairs", count, 1, 100_000), ("seed", seed, 0, 2**64)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
-            raise InputError(f"{what} is {value!r}; it must be a whole number from {least} to {most}")
+    check_whole("pairs", count, 1, 100_000)
+    check_seed(seed, most=2**64)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
     size = min(len(archive), int(np.ceil(2.0 * np.sqrt(count))))
     pool = select_diverse(archive, size, rng=rng)

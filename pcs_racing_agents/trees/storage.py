@@ -10,11 +10,12 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.game import RaceGame
 from pcs_racing_agents.jobs.folders import read_job
-from pcs_racing_agents.jobs.jobs import Part, Progress, chunk_file, open_job, read_chunk, run_parts
+from pcs_racing_agents.jobs.jobs import Progress, TaskGroup, chunk_file, open_job, read_chunk, run_groups
 from pcs_racing_agents.trees.build import build_tree, check_game
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
@@ -85,8 +86,8 @@ def build_trees(
     """
     with open_trees(
         game, folder, pairs=pairs, seeds_per_pair=seeds_per_pair, seed=seed, one_thread=executor is not None
-    ) as part:
-        run_parts([part], executor=executor, progress=progress, keep=False)
+    ) as group:
+        run_groups([group], executor=executor, progress=progress, keep=False)
     return load_trees(folder)
 
 
@@ -99,7 +100,7 @@ def open_trees(
     seeds_per_pair: int | None = None,
     seed: int = 0,
     one_thread: bool = True,
-) -> Iterator[Part]:
+) -> Iterator[TaskGroup]:
     """Open the folder of :func:`build_trees` for as long as a ``with`` block lasts.
 
     Parameters
@@ -111,9 +112,9 @@ def open_trees(
 
     Yields
     ------
-    Part
+    TaskGroup
         The trees as tasks, so that those of several folders can be played side by side
-        (:func:`pcs_racing_agents.jobs.jobs.run_parts`).
+        (:func:`pcs_racing_agents.jobs.jobs.run_groups`).
 
     Raises
     ------
@@ -123,15 +124,14 @@ def open_trees(
     check_game(game)
     chosen = _checked_pairs(game.archive, pairs, seed)
     seeds = default_seeds(game) if seeds_per_pair is None else seeds_per_pair
-    if isinstance(seeds, bool) or not isinstance(seeds, int | np.integer) or not 1 <= seeds <= 1000:
-        raise InputError(f"seeds_per_pair is {seeds_per_pair!r}; it must be a whole number from 1 to 1000")
+    check_whole("seeds_per_pair", seeds, 1, 1000)
     if seeds > 1 and game.config.race.steering_noise == 0.0:
         raise InputError(f"seeds_per_pair is {seeds}, but there is no steering noise: every seed drives the same")
     settings = {**game_settings(game), "pairs": chosen, "seeds_per_pair": int(seeds), "seed": int(seed)}
     tasks = [_Task(pair, i, int(seeds), int(seed)) for i, pair in enumerate(chosen)]
     builder = _Builder(replace(game, threads=1) if one_thread else game)
     with open_job(folder, KIND, settings) as job:
-        yield Part(job, NAME, builder, tasks)
+        yield TaskGroup(job, NAME, builder, tasks)
 
 
 def game_settings(game: RaceGame) -> dict[str, Any]:

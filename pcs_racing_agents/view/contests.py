@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive import load_archive
+from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.game import RaceGame
 from pcs_racing.race.config import RaceConfig

@@ -1,7 +1,7 @@
 """The page that lists races and plays them: one file, nothing loaded, nothing sent.
 
-Its parts are ``view.html`` (the list), ``pcs_racing/replay.html`` (the player, as it is, in a frame of its own) and
-``beside.html`` (what the player shows beside the track).
+Its parts are ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the player, as it is, in a frame of its own)
+and ``beside.html`` (what the player shows beside the track).
 """
 
 import html
@@ -109,7 +109,7 @@ def view_page(content: ViewContent) -> str:
 
 _TEMPLATES = (
     ("pcs_racing_agents.view", "view.html"),
-    ("pcs_racing", "replay.html"),
+    ("pcs_racing.race", "replay.html"),
     ("pcs_racing_agents.view", "beside.html"),
 )
 

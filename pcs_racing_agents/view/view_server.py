@@ -12,6 +12,7 @@ from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import safe_json
 from pcs_racing_agents.view.race_replays import RaceDriver
@@ -80,8 +81,7 @@ def make_server(page: str, answer: Callable[[int], tuple[int, bytes]], port: int
     InputError
         If the port is impossible or taken.
     """
-    if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 65536:
-        raise InputError(f"port is {port!r}; it must be a whole number from 0 (any free one) to 65535")
+    check_whole("port", port, 0, 65535)  # 0 takes any free one
     content = page.encode()
 
     class Handler(BaseHTTPRequestHandler):

@@ -3,11 +3,11 @@
 import numpy as np
 
 from pcs_racing import CONTEST, PAPER, draw_starts, get_planner, load_race_config, run_races
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners.network import INPUTS, network_planner
+from pcs_racing.planners.trained import trained_planner
 from pcs_racing_agents.agents.drawing import draw, hash_rows
 from pcs_racing_agents.learning.ppo.drives import Drives
-from pcs_racing_agents.networks.driver import driver_planner, flat_weights
-from pcs_racing_agents.networks.layers import Layers
 from pcs_racing_agents.solvers import GameTree, cfr, exploitability, play_value, solve_exact
 from pcs_racing_agents.solvers.cfr import VARIANTS
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
@@ -18,7 +18,7 @@ def layers(hidden=(5,), seed=0):
     rng = np.random.default_rng(seed)
     sizes = [len(INPUTS), *hidden, 2]
     shapes = list(zip(sizes[1:], sizes[:-1], strict=True))
-    return Layers(
+    return DenseLayers(
         tuple(rng.normal(0.0, 0.3, shape).astype(np.float32) for shape in shapes),
         tuple(rng.normal(0.0, 0.1, shape[0]).astype(np.float32) for shape in shapes),
     )
@@ -58,8 +58,8 @@ def test_a_driver_of_50_hz_is_a_network_planner(stadium):
     rival = get_planner("pure-pursuit").policy()
     starts = draw_starts(stadium, config, 1, 0)
     weights = layers()
-    plain = network_planner("plain", (5,), flat_weights(weights)).policy()
-    ours = driver_planner("ours", weights, 2).policy()
+    plain = network_planner("plain", (5,), weights.flat()).policy()
+    ours = trained_planner("ours", weights, 2).policy()
     one, other = (run_races(stadium, policy, rival, config, starts=starts, threads=1) for policy in (plain, ours))
     np.testing.assert_array_equal(one.state.cars, other.state.cars)
     assert one.state.progress[0, 0] > 0.1

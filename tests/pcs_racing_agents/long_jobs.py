@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from pcs_racing_agents.jobs.chunk_files import fingerprint, read_chunk
+from pcs_racing_agents.jobs.chunks import read_chunk
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 
 SYNTHESIS = (
     "{duration: 4.0, final_duration: 4.0, segment_seconds: 2.0, scouts: 12, opponents: 1, starts: 1, candidates: 12,"

@@ -3,9 +3,9 @@
 import numpy as np
 
 from pcs_racing import GameConfig, PolicyArchive, get_planner
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing_agents.agents import Setting
-from pcs_racing_agents.networks import RegretNetwork
-from pcs_racing_agents.networks.network import GameIdentity
+from pcs_racing_agents.networks import GameIdentity, RegretNetwork
 
 CONFIG = GameConfig(step_seconds=0.8, epsilon=0.5)
 
@@ -42,8 +42,9 @@ def untrained(setting: Setting, target: str = "regret", seed: int = 2, stay: boo
         identity,
         target,
         False,
-        (rng.normal(size=(16, size)), rng.normal(size=(count, 16))),
-        (rng.normal(size=16), rng.normal(size=count)),
+        DenseLayers(
+            (rng.normal(size=(16, size)), rng.normal(size=(count, 16))), (rng.normal(size=16), rng.normal(size=count))
+        ),
         np.zeros(size),
         np.ones(size),
     )

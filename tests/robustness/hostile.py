@@ -20,17 +20,17 @@ import numpy as np
 import yaml
 
 from pcs_racing import InputError, load_archive, load_race_config, load_state, load_track, parse_policy, read_replay
+from pcs_racing.base.settings import read_settings
 from pcs_racing.envs.drive_vector import DriveVectorEnv
 from pcs_racing.envs.duel_vector import DuelVectorEnv
-from pcs_racing.game.archive import shipped_folder
+from pcs_racing.game.archive_files import ARCHIVE_FORMAT
 from pcs_racing.game.state import load_game
 from pcs_racing.track.map_files import parse_csv, parse_grid, parse_ros_yaml
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents.fits import load_fit
-from pcs_racing_agents.jobs.chunk_files import read_chunk, write_chunk
-from pcs_racing_agents.jobs.configuration import read_mapping
+from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
 from pcs_racing_agents.jobs.folders import claim_folder
-from pcs_racing_agents.learning.ppo.curves import read_curve
+from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.study.cell_races import read_races
 from pcs_racing_agents.tournament.result_lines import read_lines
@@ -107,7 +107,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     readers: dict[str, Callable[[Path], object]] = {
         "map": lambda path: parse_ros_yaml(path, path.read_bytes()),
         "race config": load_race_config,
-        "config": read_mapping,
+        "config": read_settings,
         "fit": load_fit,
     }
     for what, text in TEXTS.items():
@@ -142,7 +142,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
         yield f"chunk: {what}", lambda path=path: read_chunk(path)
         place = here / "arrays-folder"
         place.mkdir(exist_ok=True)
-        manifest = yaml.safe_load((shipped_folder() / "default" / "manifest.yaml").read_text())
+        manifest = yaml.safe_load((ARCHIVE_FORMAT.shipped / "default" / "manifest.yaml").read_text())
         manifest["arrays_sha256"] = hashlib.sha256(content).hexdigest()
         (place / "manifest.yaml").write_text(yaml.safe_dump(manifest))
         (place / "archive.npz").write_bytes(content)
@@ -165,7 +165,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     for what, path in (("wide", wide), ("short lines", short), ("without end", zero)):
         yield f"races to view: {what}", lambda path=path: race_columns(read_lines(path))
         yield f"races of a study: {what}", lambda path=path: read_races(path)
-        yield f"learning curves: {what}", lambda path=path: read_curve(path)
+        yield f"learning curves: {what}", lambda path=path: read_evaluations(path)
 
     part = {"per_unit": 1, "differences": [], "data": "A" * 10}
     for shape in ([10**9], [10**5, 10**5], [50_000_000, 0, 10**9], [1] * 1000):

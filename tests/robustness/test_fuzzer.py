@@ -1,13 +1,14 @@
-"""The fuzzer itself: all its engines run, and it tells a finding from an answer."""
+"""The fuzzer itself: it runs, and it tells a finding from an answer."""
 
-import importlib
 import json
+import os
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, load_tool
 
 from pcs_racing import InputError
 
@@ -16,9 +17,7 @@ TOOLS = REPOSITORY / "tools"
 
 @pytest.fixture(scope="module")
 def fuzz():
-    sys.path.insert(0, str(TOOLS))
-    yield importlib.import_module("fuzz")
-    sys.path.remove(str(TOOLS))
+    return load_tool("fuzz")
 
 
 def refuse(data):
@@ -49,22 +48,31 @@ def test_an_answer_is_told_from_a_finding(fuzz, target, data, word, where):
     assert where in place
 
 
-@pytest.mark.parametrize("engine", ["mutations", "hypothesis", "atheris"])
-def test_every_engine_runs_and_writes_its_line(engine, tmp_path):
-    if engine == "atheris":
-        pytest.importorskip("atheris")
-    command = [sys.executable, str(TOOLS / "fuzz.py"), "run", "--engine", engine, "--targets", "map yaml"]
-    options = ["--turns", "1", "--slice", "0.2", "--out", str(tmp_path)]
+def test_a_campaign_writes_a_line_for_each_turn_and_goes_on_where_it_was(tmp_path):
+    command = [sys.executable, str(TOOLS / "fuzz.py"), "run", "--targets", "map yaml"]
+    options = ["--turns", "2", "--slice", "0.2", "--out", str(tmp_path)]
     done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
-    (line,) = (json.loads(text) for text in (tmp_path / "log.jsonl").read_text().splitlines())
-    assert (line["target"], line["engine"]) == ("map yaml", engine)
-    assert line["inputs"] == sum(line["counts"].values()) >= 1
-    assert set(line["counts"]) <= {"accepted", "refused"}, done.stdout
-    assert f"| all | {line['inputs'] if engine == 'mutations' else 0:,} |" in done.stdout
+    lines = [json.loads(text) for text in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [line["target"] for line in lines] == ["map yaml", "map yaml"]
+    assert [line["first"] for line in lines] == [0, lines[0]["inputs"]]
+    for line in lines:
+        assert line["inputs"] == sum(line["counts"].values()) >= 1
+        assert set(line["counts"]) <= {"accepted", "refused"}, done.stdout
 
 
-def test_the_short_table_holds_every_target(fuzz):
-    targets = importlib.import_module("fuzz_targets")
-    listed = [name for names in targets.GROUPS.values() for name in names]
-    assert sorted(listed) == sorted(targets.TARGETS)
+def die(data):
+    os._exit(7)
+
+
+def test_an_input_that_ends_the_process_is_kept(fuzz, tmp_path, monkeypatch):
+    """The valid input ends nothing; the first broken one does."""
+    target = fuzz.TARGETS["map yaml"]
+    (valid,) = target.seeds()[:1]
+    run = lambda data: None if data == valid else die(data)  # noqa: E731
+    monkeypatch.setitem(fuzz.TARGETS, "map yaml", replace(target, run=run, seeds=lambda: [valid]))
+    assert fuzz.take_turn("map yaml", 0, 1.0, tmp_path)
+    (line,) = fuzz.read_log(tmp_path)
+    assert line["counts"]["DEAD"] == 1
+    (kept,) = (tmp_path / "findings").glob("*.bin")
+    assert kept.read_bytes() == fuzz.broken_input("map yaml", 0, line["counts"]["not counted"], [valid])

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pcs_racing.base.checks import is_number
 from pcs_racing.base.elementary import arctangent2, headings, lengths, sine_cosine
 from pcs_racing.base.errors import MapError
 from pcs_racing.base.optional import require
@@ -61,11 +62,11 @@ def centerline_from_grid(
     MapError
         If the seed point is off the map or in a wall, if there is no closed loop, or if there are several.
     """
-    require("scipy", "skimage")
+    require("skimage")
     from scipy import ndimage
 
     grid, resolution, corner = checked_grid(occupied, resolution, origin)
-    if not (direction is None or direction in ("counterclockwise", "clockwise") or _is_number(direction)):
+    if not (direction is None or direction in ("counterclockwise", "clockwise") or is_number(direction)):
         raise MapError(f"direction is {direction!r}: it must be 'counterclockwise', 'clockwise' or a heading in rad")
     seed = None if seed_point is None else _checked_seed(seed_point, grid, resolution, corner)
     region, hole, row, col = _ring(grid, resolution, corner, seed)
@@ -81,10 +82,6 @@ def centerline_from_grid(
     inner, outer = (ndimage.map_coordinates(field, cells, order=1) for field in (to_hole, to_outside))
     left, right = (inner, outer) if signed_area(line) > 0.0 else (outer, inner)
     return np.column_stack([line, right, left])
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _checked_seed(

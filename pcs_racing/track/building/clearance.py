@@ -1,8 +1,8 @@
 """Room between the walls of a grid: exact distances, and how far a line may move; row 0 of a grid is its bottom."""
 
 import numpy as np
-from numba import njit
 
+from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
 
 __all__ = ["checked_grid", "corridor", "room_at", "wall_clearance"]
@@ -38,7 +38,7 @@ def checked_grid(
     return grid, float(resolution), corner
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def wall_clearance(points, occupied, resolution, origin, reach):  # type: ignore[no-untyped-def]
     """Exact distance from points to the nearest wall cell, taken as the full square that it covers.
 
@@ -85,7 +85,7 @@ def wall_clearance(points, occupied, resolution, origin, reach):  # type: ignore
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _look_up(room, u, v):  # type: ignore[no-untyped-def]
     """Bilinear value of the field at column u and row v, counted from cell centres; 0 outside."""
     rows, cols = room.shape
@@ -100,7 +100,7 @@ def _look_up(room, u, v):  # type: ignore[no-untyped-def]
     return low * (1.0 - fv) + high * fv
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
     """Bilinear value of a distance field at points (N, 2); 0 outside it."""
     out = np.empty(line.shape[0])
@@ -111,7 +111,7 @@ def room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def corridor(line, normal, room, resolution, corner, need, reach):  # type: ignore[no-untyped-def]
     """How far points may move along their normals and keep a distance from the walls.
 

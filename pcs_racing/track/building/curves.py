@@ -1,8 +1,8 @@
 """Closed plane curves as arrays of points, the last of which lies one step before the first."""
 
 import numpy as np
-from numba import njit
 
+from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.fourier import transform
@@ -100,7 +100,7 @@ def smooth(xy: np.ndarray, wavelength: float) -> np.ndarray:
     return np.column_stack([x, y])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def first_crossing(xy):  # type: ignore[no-untyped-def]
     """First pair of segments of a closed polyline that cross each other.
 

@@ -79,7 +79,7 @@ def minimum_curvature_raceline(
     MapError
         If the line can't keep that clearance somewhere; the message says where.
     """
-    require("scipy", "clarabel")
+    require("clarabel")
     grid, resolution, corner = checked_grid(occupied, resolution, origin)
     for name, value, least in (("clearance", clearance, 0.0), ("spacing", spacing, 1e-3), ("rounds", rounds, 1)):
         if not (math.isfinite(value) and value >= least):

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import InputError
 
 __all__ = ["ACCELERATION", "BRAKING", "LATERAL", "TOP_SPEED", "lap_time", "speed_profile"]
@@ -100,7 +100,7 @@ def _steps(ds: float | np.ndarray, n: int) -> np.ndarray:
     return np.broadcast_to(steps, (n,)).copy()
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _sweep(cap, ds, acceleration, braking):  # type: ignore[no-untyped-def]
     """Squared speeds below ``cap`` that also respect acceleration and braking.
 

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from pcs_racing.base.checks import check_number, check_seed
+from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError
 from pcs_racing.base.optional import require
@@ -110,21 +111,19 @@ def generate_circuit(
     MapError
         If no draft was accepted; the message counts why.
     """
-    require("scipy", "clarabel")
+    require("clarabel")
     if style not in STYLES:
         raise UnknownNameError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
     if direction not in ("counterclockwise", "clockwise"):
         raise InputError(f"direction is {direction!r}: it must be 'counterclockwise' or 'clockwise'")
     for name, value, low, high in (("width", width, 1.2, 10.0), ("resolution", resolution, 0.02, 0.2)):
-        if not low <= value <= high:
-            raise InputError(f"{name} is {value!r}: it must lie between {low} and {high} m")
+        check_number(name, value, low, high)
     shortest, longest = (float(value) for value in length_range)
     if not 10.0 * width <= shortest < longest <= 1000.0:
         raise InputError(
             f"length_range is {length_range!r}: two lengths are needed, ascending, from 10 widths to 1000 m"
         )
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise InputError(f"seed is {seed!r}: it must be a whole number of at least 0")
+    check_seed(seed)
     refusals: dict[str, int] = {}
     for attempt in range(attempts):
         key = (list(STYLES).index(style), attempt)
@@ -219,7 +218,7 @@ def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np
     return (distance >= 0.5 * width / resolution) & np.isfinite(distance), low * resolution
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _distance_to_points(points, rows, cols, reach):  # type: ignore[no-untyped-def]
     """Distance in cells from each cell's centre to the nearest point; infinite beyond ``reach``."""
     best = np.full((rows, cols), np.inf)
@@ -266,7 +265,7 @@ def _draft(
     return samples.xy, ""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _apart(line, step, distance):  # type: ignore[no-untyped-def]
     """Whether points of a closed line that are no neighbours along it keep a distance.
 

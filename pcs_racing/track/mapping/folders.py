@@ -1,10 +1,5 @@
-"""From a seed, or from a picture of the walls, to a complete map folder.
+"""From a seed, or from a picture of the walls, to a complete map folder."""
 
-``python -m pcs_racing.track.mapping.folders maps`` makes every generated circuit in a folder again, each from its own
-``NAME_track.yaml``.
-"""
-
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,10 +13,7 @@ from pcs_racing.track.mapping.pictures import show_track
 from pcs_racing.track.maps import MapFolder, read_map, write_map
 from pcs_racing.track.track import Track, build_track
 
-__all__ = ["generate_map", "import_map", "regenerate"]
-
-SETTINGS = ("seed", "style", "direction", "width", "length_range", "resolution")
-"""What of ``NAME_track.yaml`` determines a generated circuit: the arguments of ``generate_circuit``."""
+__all__ = ["generate_map", "import_map"]
 
 
 def generate_map(
@@ -74,7 +66,11 @@ def generate_map(
         "resolution": resolution,
     }
     info = {"description": description or f"Generated circuit of style {style}", "license": "MIT"}
-    return _generate(Path(folder), name, settings, info, picture)
+    circuit = generate_circuit(**settings)
+    x, y = circuit.origin.tolist()
+    rows = raceline_rows(circuit.raceline)
+    made = (circuit.occupied, circuit.resolution, (x, y), circuit.centerline, rows, info | settings)
+    return _save(Path(folder), name, made, picture)
 
 
 def import_map(
@@ -133,38 +129,6 @@ def import_map(
     return _save(target, name, made, picture)
 
 
-def regenerate(folder: str | Path) -> Track:
-    """Make a generated circuit again, from the seed and the settings in its ``NAME_track.yaml``.
-
-    What the file holds besides them (such as calibrated speed ranges) is kept.
-
-    Parameters
-    ----------
-    folder : path-like
-        The map folder.
-
-    Raises
-    ------
-    MapError
-        If the folder doesn't say how it was generated.
-    """
-    found = read_map(Path(folder))
-    missing = [key for key in ("seed", "style") if key not in found.info]
-    if missing:
-        raise MapError(f"{folder} was not generated: its {found.name}_track.yaml has no {' and no '.join(missing)}")
-    settings = {key: value for key, value in found.info.items() if key in SETTINGS}
-    rest = {key: value for key, value in found.info.items() if key not in SETTINGS}
-    return _generate(Path(folder), found.name, settings, rest, True)
-
-
-def _generate(folder: Path, name: str | None, settings: dict[str, Any], info: dict[str, Any], picture: bool) -> Track:
-    circuit = generate_circuit(**settings)
-    x, y = circuit.origin.tolist()
-    rows = raceline_rows(circuit.raceline)
-    made = (circuit.occupied, circuit.resolution, (x, y), circuit.centerline, rows, info | settings)
-    return _save(folder, name, made, picture)
-
-
 def _save(folder: Path, name: str | None, made: tuple[Any, ...], picture: bool) -> Track:
     name = folder.name if name is None else name
     occupied, resolution, origin, center, rows, info = made
@@ -174,15 +138,3 @@ def _save(folder: Path, name: str | None, made: tuple[Any, ...], picture: bool) 
     if picture:
         show_track(track, folder / f"{name}.png")
     return track
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Regenerate every generated circuit in the folders named on the command line."""
-    for parent in sys.argv[1:] if arguments is None else arguments:
-        for folder in sorted(path for path in Path(parent).iterdir() if path.is_dir()):
-            track = regenerate(folder)
-            print(f"{track.name}: {track.length:.1f} m", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 
 from pcs_racing.base.elementary import headings, lengths, sine_cosine, sines_cosines
-from pcs_racing.base.optional import require
 
 __all__ = ["STYLES", "hairpin_polygon", "hull_polygon", "rounded", "voronoi_polygon"]
 
@@ -52,7 +51,6 @@ def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
     ndarray, shape (K, 2)
         Counterclockwise polygon, about one unit wide; it may be empty where the cells surround a hole.
     """
-    require("scipy")
     from scipy.spatial import Voronoi
 
     across = 7
@@ -187,7 +185,10 @@ def _direction(angle: float) -> np.ndarray:
 
 
 def _convex_hull(points: np.ndarray) -> np.ndarray:
-    """Counterclockwise convex hull (Andrew's monotone chain, 1979)."""
+    """Counterclockwise convex hull (Andrew's monotone chain, 1979).
+
+    Our own: a circuit's bits depend on the order of the corners, which scipy's ConvexHull leaves open.
+    """
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
 
     def chain(candidates: np.ndarray) -> list[np.ndarray]:

@@ -7,6 +7,7 @@ steering angle and a speed. The mean of a Gaussian policy with tanh layers there
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,26 +17,26 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import kernel
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive_batch import DriveBatch, DriveOptions
-from pcs_racing.planners.network import INPUTS, TOP_SPEED, WEIGHT_LIMIT, network_inputs
-from pcs_racing.planners.planner import VIEW_SIZE, Policy
+from pcs_racing.planners.network import INPUTS, TOP_SPEED, WEIGHT_LIMIT, network_inputs, network_planner
+from pcs_racing.planners.planner import VIEW_SIZE, Planner, Policy
 from pcs_racing.planners.registry import parse_policy
+from pcs_racing.planners.trained import save_driver
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceSetup, run_races
 from pcs_racing.race.state import RaceState, take
 from pcs_racing.track.track import Track, load_track
-from pcs_racing_agents.learning.ppo.parts import PartStep, split_envs
-from pcs_racing_agents.learning.ppo.scores import Cell, Score, score_of
+from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score, score_races
 from pcs_racing_agents.learning.ppo.settings import DriveSettings
-from pcs_racing_agents.networks.driver import flat_weights, learning_planner, save_driver
-from pcs_racing_agents.networks.layers import Layers
+from pcs_racing_agents.learning.ppo.tasks import GroupStep, split_envs
 
-__all__ = ["ACTION_LIMIT", "DriveLevel", "Drives", "DrivesState", "drive_level"]
+__all__ = ["ACTION_LIMIT", "DriveTask", "Drives", "DrivesState", "make_drive_task"]
 
 ACTION_LIMIT = 10.0  # tanh of it is 1 but for 4e-9
-JUDGING = 1_000_003  # root seed of the races to judge by
+EVALUATION_SEED = 1_000_003  # root of the races of evaluations
 
 
 class DrivesState(NamedTuple):
@@ -117,7 +118,7 @@ class Drives:
         self.batch.restart(self._rows, self._rngs)
         return self._observe(self._rows, np.empty((len(self), len(INPUTS)), np.float32))
 
-    def step(self, actions: NDArray[Any]) -> PartStep:
+    def step(self, actions: NDArray[Any]) -> GroupStep:
         """Drive every race one step on; ``actions`` has shape (n, 2)."""
         _, rewards, terminated, truncated = self.batch.step(np.tanh(actions.astype(np.float64)))
         rewards += self._leading * (self.batch.state.lead > 0.0)
@@ -128,7 +129,7 @@ class Drives:
             last = seen.copy()
             self.batch.restart(over, [self._rngs[i] for i in over])
             self._observe(over, seen)
-        return PartStep(seen, rewards, terminated, truncated, last)
+        return GroupStep(seen, rewards, terminated, truncated, last)
 
     def _observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> NDArray[np.float32]:
         batch = self.batch
@@ -147,8 +148,8 @@ class Drives:
 
 
 @dataclass(frozen=True, eq=False)
-class DriveLevel:
-    """Races to learn driving from; made by :func:`drive_level`.
+class DriveTask:
+    """Races to learn driving from; made by :func:`make_drive_task`.
 
     Attributes
     ----------
@@ -174,7 +175,7 @@ class DriveLevel:
         """What the results depend on beside the settings."""
         return {"tracks_sha256": {track.name: track.content_hash for track in self.tracks}}
 
-    def parts(self) -> list[Drives]:
+    def env_groups(self) -> list[Drives]:
         """Make the environments to learn from: for each circuit, rules and planner of opponents."""
         settings = self.settings
         by_planner: dict[str, list[Policy]] = {}
@@ -201,36 +202,41 @@ class DriveLevel:
         """The rules with the duration and the slow opponents of learning."""
         changes: dict[str, Any] = {"duration": self.settings.duration}
         if self.settings.slowest > 0.0:
-            high = RaceSetup(track, config, (learning_planner((), 2),) * 2).speed_range[1]
+            high = RaceSetup(track, config, (_learner_planner((), 2),) * 2).speed_range[1]
             changes["speed_range"] = (self.settings.slowest, high)
         return replace(config, **changes)
 
-    def judge(self, layers: Layers) -> dict[Cell, Score]:
+    def evaluate(self, layers: DenseLayers) -> dict[Matchup, Score]:
         """Race as the planner that a policy becomes does, without exploring, under the unchanged rules."""
-        hidden = tuple(len(bias) for bias in layers.biases[:-1])
-        policy = learning_planner(hidden, self.settings.hold).policy(flat_weights(layers), name="learner")
+        policy = _learner_planner(layers.hidden, self.settings.hold).policy(layers.flat(), name="learner")
         names = list(self.settings.opponents)
         each = 2 * max(1, self.settings.evaluation_races // (2 * len(names)))
         opponents = [opponent for opponent in self.policies for _ in range(each)]
         scores = {}
         for track in self.tracks:
             for config in self.rules:
-                result = run_races(track, policy, opponents, config, seed=JUDGING, threads=1)
+                result = run_races(track, policy, opponents, config, seed=EVALUATION_SEED, threads=1)
                 winner, blamed = result.winner, result.own_crash[:, 0]
                 worth = np.where(winner == 0, 1.0, np.where((winner == 1) | blamed, -1.0, 0.0))
                 for k, name in enumerate(names):
                     rows = np.arange(k * each, (k + 1) * each)
-                    scores[Cell(track.name, config.name, name)] = score_of(
+                    scores[Matchup(track.name, config.name, name)] = score_races(
                         worth[rows], winner[rows], take(result.state, rows)
                     )
         return scores
 
-    def save(self, layers: Layers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
+    def save(self, layers: DenseLayers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
         """Write a policy as a driver."""
         return save_driver(folder, layers, name=name, hold=self.settings.hold, training=about)
 
 
-def drive_level(settings: DriveSettings) -> DriveLevel:
+@cache
+def _learner_planner(hidden: tuple[int, ...], hold: int) -> Planner:
+    """The planner of a network that still learns: its weights are parameters, so that it is compiled once."""
+    return network_planner("learner", hidden, hold=hold)
+
+
+def make_drive_task(settings: DriveSettings) -> DriveTask:
     """Load what settings name, and check that it fits together.
 
     Raises
@@ -243,4 +249,4 @@ def drive_level(settings: DriveSettings) -> DriveLevel:
     if len({config.name for config in rules}) < len(rules):
         raise InputError(f"races is {list(settings.races)}; two of these rules have the same name")
     policies = tuple(parse_policy(name) for name in settings.opponents)
-    return DriveLevel(settings, tracks, rules, policies)
+    return DriveTask(settings, tracks, rules, policies)

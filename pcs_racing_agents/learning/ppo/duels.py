@@ -1,4 +1,4 @@
-"""The level of strategy: games of moves against a mixture of opponents, to learn from and to judge by."""
+"""The task of strategy: games of moves against a mixture of opponents, to learn from and to be evaluated in."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -10,27 +10,30 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.envs.duel_batch import DuelBatch
 from pcs_racing.envs.duel_vector import DuelVectorEnv
 from pcs_racing.envs.opponents import parse_opponents
-from pcs_racing.game.archive import PolicyArchive, load_archive
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.game import RaceGame, make_game
 from pcs_racing.planners.planner import Policy
 from pcs_racing.track.track import Track, load_track
-from pcs_racing_agents.learning.ppo.parts import PartStep, part_seeds, split_envs
-from pcs_racing_agents.learning.ppo.scores import Cell, Score, score_of
+from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score, score_races
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
-from pcs_racing_agents.networks.layers import Layers
-from pcs_racing_agents.networks.network import RegretNetwork, game_identity
+from pcs_racing_agents.learning.ppo.tasks import GroupStep, group_seeds, split_envs
+from pcs_racing_agents.networks.identity import game_identity
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.networks.network_files import save_network
 
-__all__ = ["DuelLevel", "Duels", "duel_level", "play_duels"]
+__all__ = ["DuelTask", "Duels", "make_duel_task", "play_duels"]
 
 Floats = NDArray[np.float32]
 
 
 class Duels:
-    """Games on one circuit against a mixture of opponents, as a part.
+    """Games on one circuit against a mixture of opponents, as a group of environments.
 
     Parameters
     ----------
@@ -60,13 +63,13 @@ class Duels:
         """Begin a new game everywhere, game ``i`` with a generator of seed ``seed + i``."""
         return self.envs.reset(seed=seed)[0]
 
-    def step(self, actions: NDArray[Any]) -> PartStep:
+    def step(self, actions: NDArray[Any]) -> GroupStep:
         """Let both cars of every game move; the reward is what a game that ends is worth."""
         seen, rewards, terminated, truncated, info = self.envs.step(actions.astype(np.int64))
         last = np.zeros_like(seen)
         for i in np.flatnonzero(terminated):
             last[i] = info["final_obs"][i]
-        return PartStep(seen, rewards, terminated, truncated, last)
+        return GroupStep(seen, rewards, terminated, truncated, last)
 
     def get_state(self) -> Any:
         """Return all that the rest of the games, and all later ones, depend on."""
@@ -78,8 +81,8 @@ class Duels:
 
 
 @dataclass(frozen=True, eq=False)
-class DuelLevel:
-    """Games to learn strategy from; made by :func:`duel_level`.
+class DuelTask:
+    """Games to learn strategy from; made by :func:`make_duel_task`.
 
     Attributes
     ----------
@@ -90,8 +93,8 @@ class DuelLevel:
         On the first circuit; archive, moves and observations are the same on all.
     mixtures : tuple of tuple of (weight, name)
         The opponents, those apart that drive with different planners.
-    cells : mapping of Cell to DuelBatch
-        Games to judge by.
+    batches : mapping of Matchup to DuelBatch
+        Games to be evaluated in.
     given : mapping
         Rules that were given beside the settings, as plain values by name.
     """
@@ -101,7 +104,7 @@ class DuelLevel:
     tracks: tuple[Track, ...]
     game: RaceGame
     mixtures: tuple[tuple[tuple[int, str], ...], ...]
-    cells: Mapping[Cell, DuelBatch] = field(repr=False)
+    batches: Mapping[Matchup, DuelBatch] = field(repr=False)
     given: Mapping[str, Any] = field(default_factory=dict)
 
     activation = "relu"
@@ -114,7 +117,7 @@ class DuelLevel:
         tracks = {track.name: track.content_hash for track in self.tracks}
         return {"archive_sha256": self.archive.content_hash, "tracks_sha256": tracks, **self.given}
 
-    def parts(self) -> list[Duels]:
+    def env_groups(self) -> list[Duels]:
         """Make the environments to learn from."""
         shares = split_envs(self.settings.envs, [sum(weight for weight, _ in mixture) for mixture in self.mixtures])
         return [
@@ -123,7 +126,7 @@ class DuelLevel:
             for share, mixture in zip(shares, self.mixtures, strict=True)
         ]
 
-    def network(self, layers: Layers, name: str, about: Mapping[str, Any] | None = None) -> RegretNetwork:
+    def network(self, layers: DenseLayers, name: str, about: Mapping[str, Any] | None = None) -> RegretNetwork:
         """Return a policy as a network that any agent can ask; its values are the logits of the moves."""
         size = len(self.game.observation_elements)
         return RegretNetwork(
@@ -131,25 +134,24 @@ class DuelLevel:
             identity=game_identity(self.game),
             target="ppo",
             clipped=False,
-            weights=layers.weights,
-            biases=layers.biases,
+            layers=layers,
             mean=np.zeros(size, np.float32),
             scale=np.ones(size, np.float32),
             training=dict(about or {}),
         )
 
-    def judge(self, layers: Layers) -> dict[Cell, Score]:
-        """Play the games to judge by, always making the most likely move."""
+    def evaluate(self, layers: DenseLayers) -> dict[Matchup, Score]:
+        """Play the games of the evaluation, always making the most likely move."""
         network = self.network(layers, "learner")
-        seeds = part_seeds(0, len(self.cells), 1)
+        seeds = group_seeds(0, len(self.batches), 1)
         return {
-            cell: play_duels(batch, network, seed)
-            for (cell, batch), seed in zip(self.cells.items(), seeds, strict=True)
+            matchup: play_duels(batch, network, seed)
+            for (matchup, batch), seed in zip(self.batches.items(), seeds, strict=True)
         }
 
-    def save(self, layers: Layers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
+    def save(self, layers: DenseLayers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
         """Write a policy as a network."""
-        return self.network(layers, name, about).save(folder)
+        return save_network(self.network(layers, name, about), folder)
 
     @property
     def default_name(self) -> str:
@@ -157,9 +159,9 @@ class DuelLevel:
         return f"{self.archive.name}-{self.game.config.race.name}-ppo"
 
 
-def duel_level(
+def make_duel_task(
     settings: DuelSettings, archive: PolicyArchive | None = None, rules: GameConfig | None = None
-) -> DuelLevel:
+) -> DuelTask:
     """Load what settings name, and check that it fits together.
 
     Parameters
@@ -186,19 +188,19 @@ def duel_level(
         planner = driver.planner.name if isinstance(driver, Policy) else archive.planner
         by_planner.setdefault(planner, []).append((weight, name))
     each = max(2, settings.evaluation_races // len(settings.opponents))
-    cells = {
-        Cell(track.name, games[0].config.race.name, name): DuelBatch(
+    batches = {
+        Matchup(track.name, games[0].config.race.name, name): DuelBatch(
             each, track=track, archive=archive, race=rules, opponent=name, threads=1
         )
         for track in tracks
         for name in settings.opponents
     }
     mixtures = tuple(tuple(mixture) for mixture in by_planner.values())
-    return DuelLevel(settings, archive, tracks, games[0], mixtures, cells, given)
+    return DuelTask(settings, archive, tracks, games[0], mixtures, batches, given)
 
 
 def play_duels(batch: DuelBatch, network: RegretNetwork, seed: int) -> Score:
-    """Let a network play a game everywhere in a batch, always its most likely move, and count what came of it.
+    """Let a network play a game everywhere in a batch, always its most likely move; returns the score.
 
     Parameters
     ----------
@@ -215,4 +217,4 @@ def play_duels(batch: DuelBatch, network: RegretNetwork, seed: int) -> Score:
         utility, _ = batch.step(network.choose(batch.seen[:, 0])[:, None], rngs)
         worth = utility[:, 0]
     state = batch.started()
-    return score_of(worth, batch.game.winner(state), state.race)
+    return score_races(worth, batch.game.winner(state), state.race)

@@ -1,4 +1,4 @@
-"""PPO of Stable-Baselines3 as a value: made from settings, taken apart into arrays, and put together again.
+"""PPO of Stable-Baselines3: made from settings, and updated step by step.
 
 Stable-Baselines3 draws from the random generators that a whole process shares. :func:`own_randomness` lends them to a
 learner and gives them back as they were.
@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.network import INPUTS
-from pcs_racing_agents.jobs.chunk_files import Arrays
-from pcs_racing_agents.learning.ppo.parts import Part
-from pcs_racing_agents.learning.ppo.plain_state import pack, unpack
-from pcs_racing_agents.learning.ppo.settings import DriveSettings, Settings
-from pcs_racing_agents.networks.layers import Layers
-from pcs_racing_agents.networks.torch_alone import torch_alone
+from pcs_racing_agents.learning.ppo.settings import DriveSettings, PPOSettings
+from pcs_racing_agents.learning.ppo.tasks import EnvGroup
+from pcs_racing_agents.networks.torch_layers import layers_from_torch, torch_alone
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
@@ -31,8 +29,6 @@ __all__ = [
     "learn_once",
     "make_learner",
     "own_randomness",
-    "restore_learner",
-    "store_learner",
 ]
 
 FIGURES = ("approx_kl", "clip_fraction", "entropy_loss", "explained_variance", "value_loss")
@@ -45,20 +41,20 @@ class Learner(NamedTuple):
     Attributes
     ----------
     model : PPO
-    rate : Rate
+    rate : LinearRate
     limit : float
         Largest weight that the policy may have.
     """
 
     model: "PPO"
-    rate: "Rate"
+    rate: "LinearRate"
     limit: float
 
 
-class Rate:
-    """A learning rate that falls in a straight line, by the steps made and not by those of the current call."""
+class LinearRate:
+    """A learning-rate schedule that falls linearly with the steps made so far."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: PPOSettings) -> None:
         self.first, self.last, self.total = settings.learning_rate, settings.final_learning_rate, settings.steps
         self.steps = 0
 
@@ -94,13 +90,15 @@ def own_randomness() -> Iterator[None]:
             torch.set_rng_state(kept[2])
 
 
-def make_learner(settings: Settings, parts: Sequence[Part], seed: int, activation: str, limit: float) -> Learner:
+def make_learner(
+    settings: PPOSettings, groups: Sequence[EnvGroup], seed: int, activation: str, limit: float
+) -> Learner:
     """Make a learner that has learned nothing yet.
 
     Parameters
     ----------
-    settings : Settings
-    parts : sequence of Part
+    settings : PPOSettings
+    groups : sequence of EnvGroup
         What it is to drive in.
     seed : int
     activation : {"relu", "tanh"}
@@ -112,10 +110,10 @@ def make_learner(settings: Settings, parts: Sequence[Part], seed: int, activatio
     from stable_baselines3.common.logger import Logger
     from torch import nn
 
-    from pcs_racing_agents.learning.ppo.vec_env import PartsVecEnv
+    from pcs_racing_agents.learning.ppo.vector_env import GroupedVecEnv
 
-    rate = Rate(settings)
-    envs = PartsVecEnv(parts, seed, settings.reward_scale)
+    rate = LinearRate(settings)
+    envs = GroupedVecEnv(groups, seed, settings.reward_scale)
     policy: dict[str, Any] = {
         "net_arch": {"pi": list(settings.hidden), "vf": list(settings.value_hidden)},
         "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[activation],
@@ -188,77 +186,12 @@ def learn_once(learner: Learner) -> dict[str, float]:
     }
 
 
-def actor_layers(learner: Learner) -> Layers:
+def actor_layers(learner: Learner) -> DenseLayers:
     """Copies of the layers of the policy."""
-    parameters = [parameter.detach().numpy().copy() for parameter in _actor(learner.model)]
-    return Layers(tuple(parameters[::2]), tuple(parameters[1::2]))
+    return layers_from_torch(_actor(learner.model))
 
 
 def _actor(model: "PPO") -> list[Any]:
     """Weights and biases of the policy in turn, from the first layer to the last."""
     policy: Any = model.policy
     return [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]
-
-
-# As arrays
-
-
-def store_learner(learner: Learner) -> Arrays:
-    """Everything that the rest of the training depends on, between two updates."""
-    import torch
-
-    model = learner.model
-    keys, position, has_gauss, gauss = np.random.get_state()[1:]  # type: ignore[index]  # noqa: NPY002
-    arrays: Arrays = {
-        "steps": np.array(model.num_timesteps),
-        "updates": np.array(model._n_updates),
-        "observations": np.asarray(model._last_obs),
-        "episode_starts": np.asarray(model._last_episode_starts),
-        "random.torch": torch.get_rng_state().numpy().copy(),
-        "random.numpy": np.asarray(keys),
-        "random.numpy_rest": np.array([position, has_gauss, gauss], np.float64),
-    }
-    arrays |= {f"policy.{key}": tensor.numpy().copy() for key, tensor in model.policy.state_dict().items()}
-    for i, state in model.policy.optimizer.state_dict()["state"].items():
-        arrays |= {f"adam.{i}.{key}": np.asarray(tensor.numpy()).copy() for key, tensor in state.items()}
-    envs: Any = model.env
-    return arrays | {f"envs.{key}": array for key, array in pack(envs.get_state()).items()}
-
-
-def restore_learner(learner: Learner, arrays: Arrays) -> None:
-    """Go on from what :func:`store_learner` returned, in a learner made with equal settings.
-
-    Raises
-    ------
-    InputError
-        If it is the state of another learner.
-    """
-    import torch
-
-    model = learner.model
-    envs: Any = model.env
-    envs.reset()
-    envs.set_state(unpack(_under(arrays, "envs"), envs.get_state()))
-    try:
-        model.policy.load_state_dict({key: torch.from_numpy(value) for key, value in _under(arrays, "policy").items()})
-    except RuntimeError as error:
-        raise InputError(f"the state is one of another network: {error}") from None
-    optimiser = model.policy.optimizer
-    state: dict[int, dict[str, Any]] = {}
-    for key, value in _under(arrays, "adam").items():
-        index, _, name = key.partition(".")
-        state.setdefault(int(index), {})[name] = torch.from_numpy(value)
-    optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
-    model.num_timesteps = int(arrays["steps"])
-    model._n_updates = int(arrays["updates"])
-    model._last_obs = arrays["observations"]
-    model._last_episode_starts = arrays["episode_starts"]
-    # The generators last: what was done above may have drawn from them.
-    position, has_gauss, gauss = arrays["random.numpy_rest"]
-    np.random.set_state(("MT19937", arrays["random.numpy"], int(position), int(has_gauss), gauss))  # noqa: NPY002
-    torch.set_rng_state(torch.from_numpy(arrays["random.torch"]))
-
-
-def _under(arrays: Arrays, prefix: str) -> Arrays:
-    """Those arrays whose names begin with a prefix, without it."""
-    return {key.removeprefix(f"{prefix}."): value for key, value in arrays.items() if key.startswith(f"{prefix}.")}

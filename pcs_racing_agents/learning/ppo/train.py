@@ -13,64 +13,65 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
-from pcs_racing_agents.jobs.chunk_files import Arrays
-from pcs_racing_agents.jobs.configuration import plain_settings
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Progress, open_job
 from pcs_racing_agents.jobs.tasks import in_other_processes
-from pcs_racing_agents.learning.ppo.curves import Curve, write_curve
+from pcs_racing_agents.learning.ppo.drives import make_drive_task
+from pcs_racing_agents.learning.ppo.duels import make_duel_task
+from pcs_racing_agents.learning.ppo.evaluation import EvaluationCurve, Matchup, Score, mean_score, write_evaluations
 from pcs_racing_agents.learning.ppo.learner import FIGURES, check_packages
-from pcs_racing_agents.learning.ppo.level import Level, make_level
-from pcs_racing_agents.learning.ppo.scores import Cell, Score, total
-from pcs_racing_agents.learning.ppo.seed_run import Record, Trainer
-from pcs_racing_agents.learning.ppo.settings import DuelSettings, Settings, load_ppo_settings
-from pcs_racing_agents.networks.layers import Layers
+from pcs_racing_agents.learning.ppo.seed_training import SeedRecord, SeedTraining
+from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, PPOSettings, load_ppo_settings
+from pcs_racing_agents.learning.ppo.tasks import LearningTask
 
-__all__ = ["Trained", "check_checkpoint_seconds", "train_ppo"]
+__all__ = ["PPOResult", "check_checkpoint_seconds", "make_task", "train_ppo"]
 
 CHECKPOINT_SECONDS = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Trained:
-    """What came of a training.
+class PPOResult:
+    """A trained policy and how the training went.
 
     Attributes
     ----------
-    settings : Settings
-    level : Level
-    curves : tuple of Curve
+    settings : PPOSettings
+    task : LearningTask
+    curves : tuple of EvaluationCurve
         Of each seed.
-    layers : Layers
+    layers : DenseLayers
         The policy: of all evaluations of all seeds the one of highest worth.
     seed : int
         That it is from.
     steps : int
         After which it was evaluated.
-    scores : mapping of Cell to Score
+    scores : mapping of Matchup to Score
         That evaluation. It is a little flattering: the best of many, in the same races every time.
     seconds : float
         That all seeds took, with all interruptions left out.
     folder : Path
-        What was written: weights, what describes them, and the curves.
+        Holds the weights, what describes them, and the curves.
     """
 
-    settings: Settings
-    level: Level
-    curves: tuple[Curve, ...]
-    layers: Layers
+    settings: PPOSettings
+    task: LearningTask
+    curves: tuple[EvaluationCurve, ...]
+    layers: DenseLayers
     seed: int
     steps: int
-    scores: Mapping[Cell, Score]
+    scores: Mapping[Matchup, Score]
     seconds: float
     folder: Path
 
 
 def train_ppo(
-    config: str | Path | Settings,
+    config: str | Path | PPOSettings,
     folder: str | Path,
     *,
     name: str | None = None,
@@ -80,12 +81,12 @@ def train_ppo(
     policies: PolicyArchive | None = None,
     rules: GameConfig | None = None,
     **changes: Any,
-) -> Trained:
+) -> PPOResult:
     """Train by PPO, or go on with a training that was stopped.
 
     Parameters
     ----------
-    config : str, Path or Settings
+    config : str, Path or PPOSettings
         A shipped configuration's name, a YAML file, or settings.
     folder : str or Path
         A new or empty folder, or that of the same training. It gets ``policy/`` (the weights, what describes them, and
@@ -108,11 +109,11 @@ def train_ppo(
     rules : GameConfig, optional
         Of the game, in place of the race and the size of moves that the settings of a duel name.
     **changes
-        Settings that are to be others.
+        PPOSettings that are to be others.
 
     Returns
     -------
-    Trained
+    PPOResult
 
     Raises
     ------
@@ -132,32 +133,37 @@ def train_ppo(
             epsilon = rules.epsilon if isinstance(rules.epsilon, float) else settings.epsilon
             settings = replace(settings, race=rules.race.name, epsilon=epsilon)
     check_packages()
-    level = make_level(settings, archive=policies, rules=rules)
-    identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **level.identity}
+    task = make_task(settings, archive=policies, rules=rules)
+    identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **task.identity}
     elsewhere = in_other_processes(executor)
     steps = dict.fromkeys(settings.seeds, 0)
 
-    def tell(record: Record) -> None:
-        steps[record.seed] = settings.steps if record.finished else min(record.made, settings.steps)
+    def report(record: SeedRecord) -> None:
+        steps[record.seed] = settings.steps if record.finished else min(record.steps_made, settings.steps)
         if progress is not None:
             what = f"seed {record.seed}, worth {record.last_worth:.3f}"
             progress(sum(steps.values()), settings.steps * len(steps), what)
 
-    def read(index: int, state: Arrays) -> Record:
-        return Record.from_arrays(settings.seeds[index], settings.opponents, state)
+    def read(index: int, state: Arrays) -> SeedRecord:
+        return SeedRecord.from_arrays(settings.seeds[index], settings.opponents, state)
 
-    trainer = Trainer(level, settings, checkpoint_seconds, tell if elsewhere is None else None)
+    trainer = SeedTraining(task, settings, checkpoint_seconds, report if elsewhere is None else None)
     with open_job(folder, "ppo", identity) as job:
         states = job.run_chains(
-            "seed", trainer, settings.seeds, executor=elsewhere, told=lambda index, state: tell(read(index, state))
+            "seed",
+            trainer,
+            settings.seeds,
+            executor=elsewhere,
+            on_state=lambda index, state: report(read(index, state)),
         )
         runs = [read(index, state) for index, state in enumerate(states)]
         run = max(runs, key=lambda run: run.best_worth)  # of equals the first
         curves = tuple(run.curve for run in runs)
         _write_updates(runs, job.folder / "updates.csv")
-        trained = Trained(
+        assert run.best is not None  # there is an evaluation before the first update
+        trained = PPOResult(
             settings=settings,
-            level=level,
+            task=task,
             curves=curves,
             layers=run.best,
             seed=run.seed,
@@ -166,9 +172,33 @@ def train_ppo(
             seconds=sum(run.seconds for run in runs),
             folder=job.folder / "policy",
         )
-        level.save(run.best, trained.folder, name or level.default_name, _about(trained))
-        write_curve(curves, trained.folder / "curve.csv")
+        task.save(trained.layers, trained.folder, name or task.default_name, _about(trained))
+        write_evaluations(curves, trained.folder / "curve.csv")
     return trained
+
+
+def make_task(
+    settings: PPOSettings, *, archive: PolicyArchive | None = None, rules: GameConfig | None = None
+) -> LearningTask:
+    """Load circuits, archive and opponents, and check that they fit together.
+
+    Parameters
+    ----------
+    settings : PPOSettings
+    archive, rules : optional
+        Those of the game, in place of what the settings of a duel name.
+
+    Raises
+    ------
+    InputError
+        If one of them is unknown, or they do not fit, or a drive is given an archive or the rules of a game.
+    """
+    if isinstance(settings, DuelSettings):
+        return make_duel_task(settings, archive, rules)
+    if archive is not None or rules is not None:
+        raise InputError("settings of level drive know no archive and no game; give settings of level duel")
+    assert isinstance(settings, DriveSettings)
+    return make_drive_task(settings)
 
 
 def check_checkpoint_seconds(seconds: float) -> None:
@@ -183,10 +213,10 @@ def check_checkpoint_seconds(seconds: float) -> None:
         raise InputError(f"the time between two checkpoints is {seconds!r} s; it must be 0 or more")
 
 
-# What is told of it
+# Reports
 
 
-def _write_updates(runs: Sequence[Record], file: Path) -> None:
+def _write_updates(runs: Sequence[SeedRecord], file: Path) -> None:
     rows = [",".join(("seed", "steps", *FIGURES, "reward"))]
     rows += [
         f"{run.seed},{int(row[0])},{','.join(f'{value:.6g}' for value in row[1:])}"
@@ -196,12 +226,12 @@ def _write_updates(runs: Sequence[Record], file: Path) -> None:
     write_atomically(file, lambda stream: stream.write(("\n".join(rows) + "\n").encode("utf-8")))
 
 
-def _about(trained: Trained) -> dict[str, str | int | float | bool]:
+def _about(trained: PPOResult) -> dict[str, str | int | float | bool]:
     """What the policy's own files say of its training: texts and numbers by name."""
     import stable_baselines3
     import torch
 
-    settings, score = trained.settings, total(trained.scores, trained.settings.opponents)
+    settings, score = trained.settings, mean_score(trained.scores, trained.settings.opponents)
     about: dict[str, str | int | float | bool] = {
         "algorithm": "PPO",
         "stable_baselines3": stable_baselines3.__version__,

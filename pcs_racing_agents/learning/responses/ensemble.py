@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.networks import RegretNetwork
 
@@ -27,12 +28,12 @@ def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwor
         for key in ("identity", "target", "clipped"):
             if getattr(network, key) != getattr(first, key):
                 raise InputError(f"networks {first.name!r} and {network.name!r} differ in {key}; they can't be merged")
-        if len(network.weights) != len(first.weights):
+        if len(network.layers.weights) != len(first.layers.weights):
             raise InputError(f"networks {first.name!r} and {network.name!r} have different numbers of layers")
     if first.clipped and len(networks) > 1:
         raise InputError("the mean of clipped networks is no network; merge networks that are not clipped")
     weights, biases = [], []
-    last = len(first.weights) - 1
+    last = len(first.layers.weights) - 1
     for layer in range(last + 1):
         # The members see inputs in scales of their own; the merged network sees those of the first.
         blocks, shifts = zip(*(_layer(network, layer, first) for network in networks), strict=True)
@@ -48,14 +49,13 @@ def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwor
     return replace(
         first,
         name=name,
-        weights=tuple(weight.astype(np.float32) for weight in weights),
-        biases=tuple(bias.astype(np.float32) for bias in biases),
+        layers=DenseLayers(tuple(weights), tuple(biases)),
         training={**first.training, "members": len(networks)},
     )
 
 
 def _layer(network: RegretNetwork, layer: int, like: RegretNetwork) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    weight, bias = network.weights[layer].astype(np.float64), network.biases[layer].astype(np.float64)
+    weight, bias = network.layers.weights[layer].astype(np.float64), network.layers.biases[layer].astype(np.float64)
     if layer > 0:
         return weight, bias
     ratio = like.scale.astype(np.float64) / network.scale

@@ -15,16 +15,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.base.settings import Settings, choice, load_settings, number, setting, whole, wholes
 from pcs_racing.game.game import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
-from pcs_racing_agents.agents.blind import Blend
-from pcs_racing_agents.agents.network import FromNetwork
+from pcs_racing_agents.agents.blind import ConstantStrategy
+from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.configuration import check_wholes, load_settings
+from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
-from pcs_racing_agents.jobs.tasks import completed, each, in_other_processes
+from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.branches import WORTH, branch_games
 from pcs_racing_agents.learning.responses.ensemble import merge_networks
 from pcs_racing_agents.networks import GameIdentity, RegretNetwork, Rows, game_identity, join_rows, train_network
@@ -37,50 +38,31 @@ BLOCK = 256  # games branched in one task: about a second of work
 
 
 @dataclass(frozen=True)
-class ResponseSettings:
-    """How an answer to opponents is learned.
+class ResponseSettings(Settings):
+    """How an answer to opponents is learned."""
 
-    Attributes
-    ----------
-    starts : int
-        Games that are branched at every step of a round, on each circuit and against each opponent of the pool.
-    rounds : int
-        Passes from the last step to the first. In the first, games reach a step by random moves, in later ones every
-        other game by the network so far.
-    worth : {"win", "utility"}
-        What an outcome is worth: a race won, or the game's utility.
-    members : int
-        Networks that the answer is the mean of.
-    hidden : tuple of int
-        Widths of each member's hidden layers.
-    learning_rate, weight_decay, batch_size, epochs, patience
-        As in :class:`pcs_racing_agents.networks.settings.TrainSettings`.
-    seed : int
-        Root of the games and of the networks.
-
-    Raises
-    ------
-    ConfigError
-        If a value is impossible.
-    """
-
-    starts: int = 1024
-    rounds: int = 2
-    worth: str = "win"
-    members: int = 4
-    hidden: tuple[int, ...] = (64, 64)
-    learning_rate: float = 3e-3
-    weight_decay: float = 1e-3
-    batch_size: int = 512
-    epochs: int = 60
-    patience: int = 12
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.worth not in WORTH:
-            raise ConfigError(f"worth is {self.worth!r}; it must be one of {', '.join(WORTH)}")
-        check_wholes(self, starts=(4, 1_000_000), rounds=(1, 20), members=(1, 32), seed=(0, 2**62))
-        self.train_settings(0)
+    starts: int = setting(
+        1024,
+        whole(4, 1_000_000),
+        "Games that are branched at every step of a round, on each circuit and against each opponent of the pool.",
+    )
+    rounds: int = setting(
+        2,
+        whole(1, 20),
+        "Passes from the last step to the first. In the first, games reach a step by random moves, in later ones every "
+        "other game by the network so far.",
+    )
+    worth: str = setting("win", choice(WORTH), "What an outcome is worth: a race won, or the game's utility.")
+    members: int = setting(4, whole(1, 32), "Networks that the answer is the mean of.")
+    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Widths of each member's hidden layers.")
+    learning_rate: float = setting(3e-3, number(1e-8, 10.0), "Of Adam, at the beginning.")
+    weight_decay: float = setting(1e-3, number(0.0, 10.0), "Decoupled from the gradient (AdamW).")
+    batch_size: int = setting(512, whole(1, 1_000_000), "Rows of a gradient step.")
+    epochs: int = setting(60, whole(1, 100_000), "At most.")
+    patience: int = setting(
+        12, whole(1, 100_000), "Stop after so many epochs without a lower loss on the validation rows."
+    )
+    seed: int = setting(0, whole(0, 2**57 - 1), "Root of the games and of the networks.")
 
     def train_settings(self, member: int) -> TrainSettings:
         """Return how one of the networks is fitted."""
@@ -106,7 +88,7 @@ def load_response_settings(source: str | Path | ResponseSettings | None = None, 
     UnknownNameError
         If the name is no configuration and no file.
     """
-    return load_settings("response", ResponseSettings(), source, **changes)
+    return load_settings("response", ResponseSettings(), source, shipped_configs("response"), **changes)
 
 
 class BranchTask(NamedTuple):
@@ -169,14 +151,14 @@ def learn_response(
     Raises
     ------
     InputError
-        If the games are not all alike.
+        If the games differ in archive, moves or rules.
     """
     if len(games) == 0 or len(pool) == 0:
         raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")
     identity = game_identity(games[0])
     # Opponents may keep their policy whatever the rules; the learner has the moves that the rules offer.
     chances = (np.arange(len(setting.moves)) < len(identity.moves)) / len(identity.moves)
-    random_moves = _agent("random-moves", Blend(chances), setting, settings.seed)
+    random_moves = _agent("random-moves", ConstantStrategy(chances), setting, settings.seed)
     arenas = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
     for game in games:
         if game_identity(game) != identity:
@@ -187,7 +169,7 @@ def learn_response(
     def fit(members: int) -> RegretNetwork:
         learn = partial(_learn, join_rows(rows), identity, name)
         wanted = [settings.train_settings(i) for i in range(members)]
-        found = dict(completed(each(learn, wanted), in_other_processes(executor), f"learning {name}"))
+        found = dict(run_tasks(numbered_tasks(learn, wanted), in_other_processes(executor), f"learning {name}"))
         return merge_networks([found[i] for i in range(members)], name)
 
     steps = games[0].config.moves
@@ -217,7 +199,7 @@ def _agent(name: str, strategy: Any, setting: Setting, seed: int) -> Agent:
 
 
 def _follow(network: RegretNetwork, setting: Setting) -> Agent:
-    return _agent(network.name, FromNetwork(network, "argmax", len(setting.moves)), setting, 0)
+    return _agent(network.name, NetworkStrategy(network, "argmax", len(setting.moves)), setting, 0)
 
 
 def _tasks(games: int, opponents: int, settings: ResponseSettings, step: int, round_: int) -> list[BranchTask]:

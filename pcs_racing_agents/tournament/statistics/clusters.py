@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.statistics.student_t import check_level, critical_value, two_sided_p
+from pcs_racing_agents.tournament.statistics.student_t import check_level, t_interval
 from pcs_racing_agents.tournament.statistics.units import Floats, Ints, check_values, cluster_codes, pool_codes
 
-__all__ = ["Estimate", "clustered_mean", "ratio"]
+__all__ = ["Estimate", "clustered_mean"]
 
 Kind = tuple[Ints, ...]
 """One code for each race, or two where races of a kind of cluster share it in either of two roles; shape (U,) each."""
@@ -95,16 +95,8 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
         variance = max(variance, _variance(x - mean, [pool_codes(clusters[0], clusters[1]), *kinds[2:]]))
     se = float(np.sqrt(variance))
     df = min(numbers) - 1
-    reach = critical_value(level, df) * se
-    p = two_sided_p(ratio(mean, se), df)
-    return Estimate(mean, mean - reach, mean + reach, se, df, p, len(x), numbers)
-
-
-def ratio(value: float, scale: float) -> float:
-    """Return ``value / scale``; 0 where both are 0 (identical arms), infinite where only the scale is."""
-    if scale > 0.0:
-        return float(value / scale)
-    return 0.0 if value == 0.0 else float(np.copysign(np.inf, value))
+    low, high, p = t_interval(mean, se, df, level)
+    return Estimate(mean, low, high, se, df, p, len(x), numbers)
 
 
 def _variance(residual: Floats, kinds: list[Kind]) -> float:

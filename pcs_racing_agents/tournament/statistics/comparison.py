@@ -5,42 +5,18 @@ or an opponent go up and down together, so 4,000 races of 20 ego policies agains
 4,000 independent ones. Which estimator keeps its promises on such data is measured in ``docs/statistics.md``.
 """
 
+import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing_agents.tournament.statistics.clusters import clustered_mean, ratio
-from pcs_racing_agents.tournament.statistics.student_t import check_level, critical_value, two_sided_p
-from pcs_racing_agents.tournament.statistics.units import check_arms, cluster_codes
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.tournament.statistics.clusters import clustered_mean
+from pcs_racing_agents.tournament.statistics.student_t import ratio, t_interval
+from pcs_racing_agents.tournament.statistics.units import Floats, check_arms, check_values, cluster_codes
 
-__all__ = ["Comparison", "PairedT", "compare", "paired_t"]
-
-
-class PairedT(NamedTuple):
-    """The paper's test: a paired t-test over the means of the ego variants.
-
-    Attributes
-    ----------
-    difference : float
-        Mean over ego variants of (mean of arm a minus mean of arm b), each variant counting alike.
-    low, high : float
-        The interval that belongs to the test.
-    p : float
-        Two-sided.
-    df : int
-        Ego variants minus 1.
-    cohen_d : float
-        Difference divided by the standard deviation of the variants' differences.
-    """
-
-    difference: float
-    low: float
-    high: float
-    p: float
-    df: int
-    cohen_d: float
+__all__ = ["Comparison", "compare", "holm"]
 
 
 @dataclass(frozen=True)
@@ -126,7 +102,7 @@ def compare(
     first, second = check_arms(a, b)
     kinds = (ego, opponent) if start is None else (ego, opponent, start)
     result = clustered_mean(first - second, *kinds, same_pool=same_pool, level=level)
-    paired = paired_t(first, second, ego, level=level)
+    p_paired_t, cohen_d = _paired_t(first - second, ego)
     return Comparison(
         mean_a=float(first.mean()),
         mean_b=float(second.mean()),
@@ -136,8 +112,8 @@ def compare(
         se=result.se,
         df=result.df,
         p_clustered=result.p,
-        p_paired_t=paired.p,
-        cohen_d=paired.cohen_d,
+        p_paired_t=p_paired_t,
+        cohen_d=cohen_d,
         units=result.units,
         egos=result.clusters[0],
         opponents=result.clusters[1],
@@ -145,31 +121,47 @@ def compare(
     )
 
 
-def paired_t(a: ArrayLike, b: ArrayLike, ego: ArrayLike, *, level: float = 0.95) -> PairedT:
-    """Return the paper's paired t-test over the ego variants (20 of them there: 19 degrees of freedom).
+def holm(p_values: ArrayLike) -> Floats:
+    """Return the p-values of a table, adjusted so that all of them hold together (Holm 1979).
 
-    Each variant's races are averaged first. The test takes the opponents as given; where an arm's advantage varies over
-    opponents it rejects a true null hypothesis about all such opponents too often.
+    The chance of one false positive or more among those below 0.05 is at most 0.05, however the tests depend on each
+    other. (scipy adjusts for the false discovery rate only.)
 
     Parameters
     ----------
-    a, b : array_like, shape (U,)
-    ego : array_like, shape (U,)
-    level : float
+    p_values : array_like, shape (T,)
+
+    Returns
+    -------
+    ndarray, shape (T,)
+        In the same order, from 0 to 1.
 
     Raises
     ------
     InputError
-        If a score is not finite, shapes differ, or there are fewer than two ego variants.
+        If a value is not between 0 and 1.
     """
-    check_level(level)
-    first, second = check_arms(a, b)
-    codes, number = cluster_codes(ego, first, "ego")
-    differences = np.bincount(codes, first - second) / np.bincount(codes)
-    mean, deviation = float(differences.mean()), float(differences.std(ddof=1))
-    if deviation <= 1e-12 * float(np.abs(differences).max()):
+    p = check_values("p_values", p_values)
+    wrong = (p < 0.0) | (p > 1.0)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(f"p_values[{at}] is {p[at]:g}; it must be from 0 to 1")
+    order = np.argsort(p, kind="stable")
+    adjusted = np.empty_like(p)
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1)))
+    return adjusted
+
+
+def _paired_t(differences: Floats, ego: ArrayLike) -> tuple[float, float]:
+    """Return the p-value and Cohen's d of the paper's paired t-test over the ego variants.
+
+    Each variant's races are averaged first. The test takes the opponents as given; where an arm's advantage varies over
+    opponents it rejects a true null hypothesis about all such opponents too often.
+    """
+    codes, number = cluster_codes(ego, differences, "ego")
+    means = np.bincount(codes, differences) / np.bincount(codes)
+    mean, deviation = float(means.mean()), float(means.std(ddof=1))
+    if deviation <= 1e-12 * float(np.abs(means).max()):
         deviation = 0.0  # equal differences whose means differ in the last digit
-    se = deviation / np.sqrt(number)
-    reach = critical_value(level, number - 1) * se
-    p = two_sided_p(ratio(mean, se), number - 1)
-    return PairedT(mean, mean - reach, mean + reach, p, number - 1, ratio(mean, deviation))
+    _, _, p = t_interval(mean, deviation / math.sqrt(number), number - 1, 0.95)
+    return p, ratio(mean, deviation)

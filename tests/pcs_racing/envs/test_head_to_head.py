@@ -395,7 +395,7 @@ def test_steps_at_the_wrong_time_are_one_clear_error(env):
     [
         ({"track": "Nowhere"}, "unknown track 'Nowhere'"),
         ({"archive": "nothing"}, "unknown archive 'nothing'"),
-        ({"race": "rally"}, "race preset 'rally' is unknown"),
+        ({"race": "rally"}, "race settings 'rally' are unknown"),
         ({"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
         ({"render_mode": "ascii"}, "render_mode is 'ascii'"),
         ({"render_view": "moon"}, "render_view is 'moon'"),

@@ -3,11 +3,9 @@
 import ast
 import importlib.util
 import re
-import subprocess
-import sys
 
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, run_python
 
 PAGE = (REPOSITORY / "docs" / "recipes.md").read_text(encoding="utf-8")
 NOT_RUN = "<!-- not run -->\n"
@@ -34,15 +32,6 @@ def need_imports(code):
                 pytest.skip(f"{name} is not installed")
 
 
-def run(*arguments):
-    """Run Python in a new process; return what it printed."""
-    done = subprocess.run(
-        [sys.executable, *arguments], cwd=REPOSITORY, capture_output=True, text=True, timeout=300, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 @pytest.mark.parametrize(("code", "runs", "section"), list(blocks()))
 def test_blocks_run_as_they_stand(code, runs, section):
     tree = compile(code, "docs/recipes.md", "exec")
@@ -61,7 +50,7 @@ def test_named_scripts_exist():
 
 def test_torchrl_example_plays_and_learns():
     need_imports("import torchrl, tensordict")
-    printed = run("examples/torchrl_rollout.py", "--updates", "1", "--games", "2")
+    printed = run_python("examples/torchrl_rollout.py", "--updates", "1", "--games", "2")
     assert "duel, update 0: " in printed
     assert "the cars' rewards add up to 0.0" in printed
 
@@ -69,6 +58,6 @@ def test_torchrl_example_plays_and_learns():
 def test_torchrl_example_says_what_is_missing():
     need_imports("import torch")
     hide = "import runpy, sys; sys.modules['tensordict'] = None; sys.argv = sys.argv[1:]; "
-    printed = run("-c", hide + "runpy.run_path(sys.argv[0], run_name='__main__')", "examples/torchrl_rollout.py")
+    printed = run_python("-c", hide + "runpy.run_path(sys.argv[0], run_name='__main__')", "examples/torchrl_rollout.py")
     assert printed.startswith("skipped: TorchRL can't be imported")
     assert len(printed.splitlines()) == 1

@@ -24,6 +24,7 @@ from pcs_racing import (
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
 from pcs_racing.game.game import join_games, load_game, observation_elements, observation_table, save_game, take_games
+from pcs_racing.game.moves import move
 from pcs_racing.game.state import GameState
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
@@ -98,7 +99,9 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
     moves = {0: (0, 1), 1: (0, -1), 2: (1, 1), 3: (1, -1)}  # aggressiveness +, -, restraint +, -
     for step in range(5):
         if step > 0:
-            policy = np.array([archive.move(p, *moves[a], 0.5) for p, a in zip(policy, actions[step - 1], strict=True)])
+            policy = np.array(
+                [move(archive, p, *moves[a], 0.5) for p, a in zip(policy, actions[step - 1], strict=True)]
+            )
         before = race.copy()
         advance(setup, race, np.ascontiguousarray(archive.parameters[policy][None]), 800)
         seen = measure(Segment.between(before, race, 8.0), axes)[0]
@@ -249,8 +252,8 @@ def test_several_step_sizes_and_the_move_that_stays(track):
     after = game.step(state, np.array([[8, 4], [0, 8]]))
     assert after.policy[0, 0] == state.policy[0, 0]
     assert after.policy[1, 1] == state.policy[1, 1]
-    assert after.policy[0, 1] == game.archive.move(int(state.policy[0, 1]), 0, 1, 0.6)
-    assert after.policy[1, 0] == game.archive.move(int(state.policy[1, 0]), 0, 1, 0.2)
+    assert after.policy[0, 1] == move(game.archive, int(state.policy[0, 1]), 0, 1, 0.6)
+    assert after.policy[1, 0] == move(game.archive, int(state.policy[1, 0]), 0, 1, 0.2)
 
 
 def test_the_contest_brings_its_moves_and_its_utility():
@@ -420,7 +423,7 @@ def test_unknown_names_are_one_clear_error(track):
         make_game("Nowhere")
     with pytest.raises(UnknownNameError, match="unknown archive 'nothing'"):
         make_game(track, "nothing")
-    with pytest.raises(UnknownNameError, match="race preset 'rally' is unknown"):
+    with pytest.raises(UnknownNameError, match="race settings 'rally' are unknown"):
         make_game(track, race="rally")
     with pytest.raises(UnknownNameError, match="characteristic 'charm' is unknown"):
         make_game(track, characteristics=("charm",))

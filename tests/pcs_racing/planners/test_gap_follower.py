@@ -4,8 +4,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import Lidar, list_tracks, load_track
-from pcs_racing.planners import GAP_FOLLOWER
-from pcs_racing.planners.gap_follower import BEAMS, FIELD_OF_VIEW, MAX_RANGE, free_distances, lean, widest_gap
+from pcs_racing.planners.gap_follower import (
+    BEAMS,
+    FIELD_OF_VIEW,
+    GAP_FOLLOWER,
+    MAX_RANGE,
+    free_distances,
+    lean,
+    widest_gap,
+)
 from pcs_racing.planners.planner import PATH_POINTS
 
 ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)

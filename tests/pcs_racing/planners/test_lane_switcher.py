@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 
 from pcs_racing import PAPER, RaceConfig, Starts, UnknownNameError, list_tracks, load_track, run_races
-from pcs_racing.planners import LANE_SWITCHER, LATTICE, PURE_PURSUIT
 from pcs_racing.planners.lane_switcher import (
     _FREE_COUNT,
     _LANE,
     _MOST_SPEED,
     _SIDE,
+    LANE_SWITCHER,
     MOST_OFFSET,
     OVERTAKING,
     OWN_PLACE,
@@ -15,8 +15,9 @@ from pcs_racing.planners.lane_switcher import (
     STEER_LIMIT,
     lane_offset,
 )
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import PATH_POINTS
-from pcs_racing.planners.pure_pursuit import WALL_MARGIN
+from pcs_racing.planners.pure_pursuit import PURE_PURSUIT, WALL_MARGIN
 from pcs_racing.track.frenet import LEFT, RIGHT
 
 STRAIGHT = 3.0  # an arc length on the oval's first straight, with 9 m to go

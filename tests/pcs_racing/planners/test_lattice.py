@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, RaceConfig, Starts, UnknownNameError, list_tracks, load_track, run_races
-from pcs_racing.planners import LATTICE, PURE_PURSUIT
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import OWN_D, OWN_X, OWN_Y, PATH_POINTS
+from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 
 MEMORY = np.zeros(LATTICE.memory_size)
 RANGE = (0.8, 1.0)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, RaceConfig, RaceSetup, Starts, advance, load_track
-from pcs_racing.planners import PURE_PURSUIT
-from pcs_racing.planners.network import INPUTS, TOP_SPEED, network_inputs, network_planner, weight_count
+from pcs_racing.base.dense import DenseLayers
+from pcs_racing.planners.network import INPUTS, TOP_SPEED, driver_weight_count, network_inputs, network_planner
 from pcs_racing.planners.planner import OPP_D, OPP_V, OWN_D, OWN_V, STEER_MAX, VIEW_SIZE
+from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import start_races
 
@@ -18,10 +19,10 @@ def inputs(track, view) -> dict[str, float]:
 
 
 def layers(hidden, weights):
-    """The weights as matrices, biases in the last column."""
+    """The weights as matrices (above, below + 1), biases in the last column."""
     sizes = [len(INPUTS), *hidden, 2]
     for below, above in pairwise(sizes):
-        yield weights[: (below + 1) * above].reshape(above, below + 1)
+        yield np.roll(weights[: (below + 1) * above].reshape(below + 1, above).T, -1, axis=1)
         weights = weights[(below + 1) * above :]
 
 
@@ -35,7 +36,7 @@ def forward(hidden, weights, x):
 @pytest.mark.parametrize("hidden", [(), (5,), (16,), (7, 3, 20)])
 def test_the_compiled_network_is_the_networks_formula(oval, view_at, hidden):
     rng = np.random.default_rng(len(hidden))
-    weights = rng.normal(0.0, 0.5, weight_count(hidden))
+    weights = rng.normal(0.0, 0.5, driver_weight_count(hidden))
     planner = network_planner("net", hidden, weights)
     view = view_at(oval, 5.0, 0.3, turned=0.1, gap=2.0, opp_d=-0.2, opp_speed=3.0)
     command, scratch = np.full(2, np.nan), np.full(planner.scratch_size, np.nan)
@@ -46,10 +47,10 @@ def test_the_compiled_network_is_the_networks_formula(oval, view_at, hidden):
 
 def test_parameters_are_the_weights():
     planner = network_planner("net", (3,), np.linspace(-1.0, 1.0, 59))
-    assert weight_count((3,)) == (16 + 1) * 3 + (3 + 1) * 2 == len(planner.parameters)
-    assert planner.parameter_names[0] == "layer0_neuron0_speed"
-    assert planner.parameter_names[16] == "layer0_neuron0_bias"
-    assert planner.parameter_names[-1] == "layer1_neuron1_bias"
+    assert driver_weight_count((3,)) == (16 + 1) * 3 + (3 + 1) * 2 == len(planner.parameters)
+    assert planner.parameter_names[0] == "layer0_bias_neuron0"
+    assert planner.parameter_names[3] == "layer0_speed_neuron0"
+    assert planner.parameter_names[-1] == "layer1_neuron2_neuron1"
     np.testing.assert_allclose(planner.default, np.linspace(-1.0, 1.0, 59))
 
 
@@ -68,7 +69,7 @@ def test_networks_have_a_size_limit(hidden):
 def test_weights_must_fit():
     with pytest.raises(InputError, match=r"weights of shape \(58,\); its layers take \(59,\)"):
         network_planner("net", (3,), np.zeros(58))
-    with pytest.raises(InputError, match="a weight that is nan"):
+    with pytest.raises(InputError, match="a weight of nan"):
         network_planner("net", (3,), np.full(59, np.nan))
     with pytest.raises(InputError, match="a weight of 11"):
         network_planner("net", (3,), np.full(59, 11.0))
@@ -134,7 +135,7 @@ def test_a_network_learns_to_drive_from_pure_pursuit(drive_alone):
     features = np.column_stack([np.tanh(x @ first[:, :-1].T + first[:, -1]), np.ones(len(x))])
     ridge = 1e-5 * len(x) * np.eye(features.shape[1])
     second = np.linalg.solve(features.T @ features + ridge, features.T @ np.arctanh(np.clip(y, -0.97, 0.97)))
-    weights = np.concatenate([first.ravel(), second.T.ravel()])
+    weights = DenseLayers((first[:, :-1], second[:-1].T), (first[:, -1], second[-1])).flat()
     assert np.abs(forward(hidden, weights, x) - y).mean() < 0.03
     planner = network_planner("imitator", hidden, weights)
     for name in ("Larkmoor", "Pipkin", "Saltmere", "Kestrelheim"):

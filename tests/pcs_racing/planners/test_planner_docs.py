@@ -1,16 +1,13 @@
 """docs/planners.md says what the code says, and its code runs."""
 
-import re
-import subprocess
-import sys
-
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, python_blocks, run_python
 
 from pcs_racing import get_planner
-from pcs_racing.planners import BUILT_IN, planner
+from pcs_racing.planners import planner
 from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.planner import VIEW
+from pcs_racing.planners.registry import SHIPPED
 
 PAGE = (REPOSITORY / "docs" / "planners.md").read_text(encoding="utf-8")
 
@@ -29,11 +26,11 @@ def test_the_table_of_the_view_is_the_view():
     assert [getattr(planner, constant) for constant, _, _ in rows] == list(range(len(VIEW)))
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", [name for name in SHIPPED if get_planner(name).parameters])
 def test_the_tables_of_parameters_are_the_parameters(name):
     expected = [
         [parameter.name, f"{parameter.low:g}", f"{parameter.high:g}", f"{parameter.default:g}", parameter.meaning]
-        for parameter in BUILT_IN[name].parameters
+        for parameter in get_planner(name).parameters
     ]
     assert table(name) == expected
 
@@ -42,28 +39,21 @@ def test_the_table_of_network_inputs_is_the_inputs():
     assert dict(table("A neural network", "##")) == INPUTS
 
 
-def test_every_built_in_planner_is_on_the_page_and_registered():
-    for name, built_in in BUILT_IN.items():
-        assert f"| `{name}` |" in PAGE
-        assert get_planner(name) is built_in
-
-
-def run(*command: str) -> list[str]:
-    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=REPOSITORY, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_planner_is_on_the_page(name):
+    assert f"| `{name}` |" in PAGE
 
 
 def test_the_pages_code_runs(tmp_path):
-    blocks = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    blocks = python_blocks(PAGE)
     assert len(blocks) >= 5
     page = tmp_path / "page.py"
     page.write_text("\n".join([*blocks, "print(result.state.memory[0, 0].max() > 10, policy.planner.name)\n"]))
-    assert run(str(page))[-1] == "True follower"
+    assert run_python(str(page)).splitlines()[-1] == "True follower"
 
 
 def test_the_example_runs():
-    rows = run("examples/custom_planner.py", "--races", "4", "--track", "Pipkin")
+    rows = run_python("examples/custom_planner.py", "--races", "4", "--track", "Pipkin").splitlines()
     assert len([row for row in rows[:7] if row]) == 7
     assert "60 races of 40 s, preset contest, on Pipkin; seed 0" in rows  # its drivers against agents of the zoo
     assert any(row.startswith("caution 0.3 ") for row in rows)

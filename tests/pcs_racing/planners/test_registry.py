@@ -1,10 +1,8 @@
 import sys
-import tomllib
 from pkgutil import resolve_name
 from types import ModuleType
 
 import pytest
-from repository import REPOSITORY
 
 from pcs_racing import (
     InputError,
@@ -16,7 +14,7 @@ from pcs_racing import (
     planner_names,
     register_planner,
 )
-from pcs_racing.planners import BUILT_IN, registry
+from pcs_racing.planners import registry
 
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
 
@@ -76,15 +74,23 @@ def test_an_unknown_name_lists_the_names_and_the_nearest():
 
 
 def test_every_shipped_planner_loads_under_its_own_name():
-    assert BUILT_IN.keys() == registry.SHIPPED.keys()
-    for name, planner in BUILT_IN.items():
-        assert get_planner(name) is planner
+    for name, place in registry.SHIPPED.items():
+        assert get_planner(name).name == name
+        assert get_planner(name) is resolve_name(place)
 
 
-def test_the_zoo_declares_its_driver_as_an_entry_point():
-    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
-    for name, place in project["project"]["entry-points"][registry.ENTRY_POINTS].items():
-        assert resolve_name(place) is get_planner(name)
+def test_a_shipped_planner_is_a_file_and_a_line(monkeypatch, tmp_path):
+    """With its line in SHIPPED it is listed, made and raced, and the agents' package races it as well."""
+    (tmp_path / "snail_planner.py").write_text(
+        "from pcs_racing import Parameter, Planner\n"
+        "SNAIL = Planner('snail', (Parameter('pace', 0.0, 1.0, 0.25, 'how fast'),))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(registry._places, "snail", "snail_planner:SNAIL")
+    assert "snail" in planner_names()
+    assert get_planner("snail").parameter_names == ("pace",)
+    assert parse_policy("snail").parameters.tolist() == [0.25]
+    assert parse_policy("snail:pace=0.5").name == "snail:pace=0.5"
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
+from pcs_racing import load_track
 from pcs_racing.track import frenet
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT
 
@@ -41,6 +42,18 @@ def test_projecting_a_point_that_was_built_from_s_and_d_gives_them_back(oval, al
     assert abs(_difference(oval, s_found, s)) < 1e-9
     assert abs(d_found - across) < 1e-9
     assert 0.0 <= s_found < oval.length
+
+
+@given(along=fractions, share=st.floats(-0.9, 0.9))
+def test_projecting_gives_s_and_d_back_on_a_circuit_whose_curvature_changes_everywhere(along, share):
+    track = load_track("Vellindra")
+    s = along * track.length
+    row = track.line[int(s / track.arrays.ds) % len(track.line)]
+    d = share * min(row[LEFT], row[RIGHT], 0.5 / max(abs(row[KAPPA]), 1e-9))
+    x, y, _ = frenet.to_cartesian(track.arrays, s, d)
+    s_found, d_found = frenet.project(track.arrays, x, y, s)
+    assert abs(_difference(track, s_found, s)) < 1e-9
+    assert abs(d_found - d) < 1e-9
 
 
 def test_the_oval_is_what_geometry_says(oval):

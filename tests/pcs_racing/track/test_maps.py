@@ -308,8 +308,8 @@ def calibration(speeds: str = "[0.5, 1.0]", spacing: str = "0.45", places: str =
     ("text", "message"),
     [
         ("sead: 5", "unknown 'sead'; the keys are description, license, seed"),
-        ("seed: -1", "seed must be a whole number of at least 0, got -1"),
-        ("seed: 1.5", "seed must be a whole number"),
+        ("seed: -1", "seed is -1; it must be a whole number from 0"),
+        ("seed: 1.5", "seed is 1.5; it must be a whole number"),
         ("style: 5", "style must be text, got 5"),
         ("width: [1]", "width must be a number"),
         ("length_range: [9, 5]", "length_range must be .* with 0 < low < high"),

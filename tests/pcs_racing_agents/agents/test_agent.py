@@ -7,7 +7,7 @@ import pytest
 from pcs_racing import InputError, get_planner
 from pcs_racing_agents.agents import Agent, Driver, as_competitor, make
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.agents import always, random_moves
+from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.drawing import draw, hash_rows
 from pcs_racing_agents.agents.zoo import build
 
@@ -90,7 +90,8 @@ def test_digests_tell_what_somebody_does(setting, network):
     others = [always(setting, "restraint -"), random_moves(setting), random_moves(setting, seed=1)]
     others.append(build("cfr-argmax", setting, network=network))
     others.append(build("cfr-regret-matching", setting, network=network))
-    changed = replace(network, biases=(network.biases[0], network.biases[1] + 1.0))
+    layers = network.layers
+    changed = replace(network, layers=replace(layers, biases=(layers.biases[0], layers.biases[1] + 1.0)))
     others.append(build("cfr-argmax", setting, network=changed))
     assert len({first.content_hash, *(agent.content_hash for agent in others)}) == 7
     assert competitor_hash(make("lattice:pace=0.3")) != competitor_hash(make("lattice:pace=0.4"))

@@ -1,24 +1,29 @@
 """docs/agents.md and docs/zoo.md: the code runs, and what the zoo says of itself stands there."""
 
-import re
+import sys
 
 import numpy as np
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, python_blocks, run_block
 
 from pcs_racing_agents import make, names
-from pcs_racing_agents.agents import describe, make_setting, measured
+from pcs_racing_agents.agents import make_setting, measured
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.describe import facts_of, option_meanings, zoo_page
-from pcs_racing_agents.agents.measured import SETTINGS, Measured, measurements, write_measurements
-from pcs_racing_agents.agents.zoo import ZOO, options
+from pcs_racing_agents.agents.describe import facts_of, option_meanings
+from pcs_racing_agents.agents.measured import Measured, measurements
+from pcs_racing_agents.agents.zoo import SHIPPED, entries, options
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.tournament import RaceRow
+
+sys.path.insert(0, str(REPOSITORY / "tools"))
+import zoo_page
+
+sys.path.remove(str(REPOSITORY / "tools"))
 
 DOCS = REPOSITORY / "docs"
 PAGE = (DOCS / "agents.md").read_text(encoding="utf-8")
 ZOO_PAGE = (DOCS / "zoo.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+BLOCKS = python_blocks(PAGE)
 AGAIN = "run: python benchmarks/zoo.py --write"
 
 made_under_v0 = pytest.mark.xfail(
@@ -29,18 +34,18 @@ made_under_v0 = pytest.mark.xfail(
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_the_code_runs(number, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    exec(compile(BLOCKS[number], "docs/agents.md", "exec"), {"__name__": "snippet"})
+    run_block(BLOCKS[number])
 
 
 @made_under_v0
 def test_every_agent_has_its_page_as_it_is_now():
-    assert zoo_page() == ZOO_PAGE, AGAIN
-    for name in (*ZOO, "always-MOVE"):
+    assert zoo_page.zoo_page() == ZOO_PAGE, AGAIN
+    for name in (*SHIPPED, "always-MOVE"):
         assert f"\n### `{name}`\n" in ZOO_PAGE
 
 
 @made_under_v0
-@pytest.mark.parametrize(("archive", "race"), SETTINGS)
+@pytest.mark.parametrize(("archive", "race"), zoo_page.SETTINGS)
 def test_every_agent_was_measured_as_it_is_now(archive, race):
     known = {name: one.sha256 for (*where, name), one in measurements().items() if where == [archive, race]}
     shipped = {}
@@ -54,7 +59,7 @@ def test_every_agent_was_measured_as_it_is_now(archive, race):
 
 
 def test_every_option_is_explained():
-    for name, entry in ZOO.items():
+    for name, entry in entries().items():
         assert set(options(name)) <= set(option_meanings(entry.build)), name
 
 
@@ -64,7 +69,8 @@ def test_every_column_of_the_results_is_explained():
 
 
 def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, tmp_path):
-    monkeypatch.setattr(measured, "_file", lambda: tmp_path / "measured.csv")
+    for module in (measured, zoo_page):
+        monkeypatch.setattr(module, "measured_file", lambda: tmp_path / "measured.csv")
     measurements.cache_clear()
     try:
         setting = make_setting("default", "paper")
@@ -77,7 +83,7 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
             *("default", "paper", "never-switch", digest, "Tarnfjord, Saltmere", 300.0, 0.5, -12.0, -40.0, 20.0, 0.02),
             *(46.0, 0.53, {"random-moves": 0.625}),
         )
-        write_measurements([one, one._replace(agent="lane-switcher", many_us=np.nan, against={})])
+        zoo_page.write_measurements([one, one._replace(agent="lane-switcher", many_us=np.nan, against={})])
         assert measurements()["default", "paper", "never-switch"] == one
         strength, cost, _ = facts_of("never-switch", setting)
         assert strength.startswith("Strength: score 0.500, rating -12 [-40, +20], on Tarnfjord, Saltmere in 300 races")
@@ -85,7 +91,7 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
         assert cost == "Cost: 46 us for one observation, 0.53 us for each of 1,000 at once."
         assert measured.measured("default", "paper", "never-switch", "0" * 64) is None
         assert np.isnan(measurements()["default", "paper", "lane-switcher"].many_us)
-        page = describe.zoo_page()
+        page = zoo_page.zoo_page()
         assert "| `never-switch` | 0.500 | -12 [-40, +20] | 2.0% | 46 | 0.53 |" in page
         assert "| `lane-switcher` |" not in page
     finally:

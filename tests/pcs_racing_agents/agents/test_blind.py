@@ -4,8 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import InputError
-from pcs_racing_agents.agents.agents import best_fixed, best_schedule, never_switch
-from pcs_racing_agents.agents.blind import path_moves
+from pcs_racing_agents.agents.blind import best_fixed, best_schedule, never_switch, path_moves
 
 
 def test_never_switching_is_staying(setting, seen):

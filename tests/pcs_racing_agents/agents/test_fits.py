@@ -44,8 +44,8 @@ def test_a_fit_of_another_game_is_refused(setting, archive):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": "x"}, "is no fit"),
-        ({"version": 2}, "is no fit"),
+        ({"format": "x"}, "is no manifest of a fit"),
+        ({"version": 2}, "has version 2; this release reads version 1"),
         ({"kind": "worst"}, "fit of 'worst' is unknown"),
         ({"choice": "7"}, "must be the index of a policy"),
         ({"extra": 1}, "unknown or missing extra"),

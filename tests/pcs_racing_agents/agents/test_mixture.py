@@ -3,15 +3,9 @@ import pytest
 
 from pcs_racing import InputError
 from pcs_racing_agents.agents import Agent, make_setting
-from pcs_racing_agents.agents.agents import (
-    always,
-    from_network,
-    never_switch,
-    psro,
-    random_moves,
-    restricted_response,
-)
-from pcs_racing_agents.agents.mixture import make_mixture
+from pcs_racing_agents.agents.blind import always, never_switch, random_moves
+from pcs_racing_agents.agents.from_network import from_network
+from pcs_racing_agents.agents.mixture import make_mixture, psro, restricted_response
 
 
 def on_the_way(chances: np.ndarray, table: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:

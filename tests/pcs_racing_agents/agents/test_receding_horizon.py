@@ -1,10 +1,9 @@
 import pickle
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from repository import REPOSITORY
+from repository import python_blocks, read_page, run_block
 from zoo_games import untrained
 
 from pcs_racing import GameConfig, InputError, RaceGame, UnknownNameError, get_planner
@@ -14,7 +13,7 @@ from pcs_racing.race.config import CONTEST
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Decider, make_setting, parse_agent
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.agents import never_switch, random_moves
+from pcs_racing_agents.agents.blind import never_switch, random_moves
 from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, merge_histories, root_games, search_game
 from pcs_racing_agents.agents.receding_horizon import LEAVES, OPPONENTS, receding_horizon
 from pcs_racing_agents.agents.zoo import build
@@ -277,11 +276,11 @@ def test_games_that_it_is_not_made_for(game, setting):
 
 
 def test_the_page(tmp_path, monkeypatch):
-    page = (REPOSITORY / "docs" / "receding_horizon.md").read_text(encoding="utf-8")
+    page = read_page("receding_horizon.md")
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    blocks = python_blocks(page)
     assert blocks
     for block in blocks:
-        exec(compile(block, "docs/receding_horizon.md", "exec"), {"__name__": "snippet"})
+        run_block(block)
     for option in (*LEAVES, *OPPONENTS):
         assert f'"{option}"' in page

@@ -1,12 +1,14 @@
 import numpy as np
 import pytest
+from repository import REPOSITORY
 from zoo_games import untrained
 
 import pcs_racing_agents
 from pcs_racing import InputError, UnknownNameError, make_game
 from pcs_racing_agents.agents import Agent, Decider, Driver, make, names, parse_agent, register_agent, zoo
-from pcs_racing_agents.agents.agents import always, random_moves
-from pcs_racing_agents.agents.zoo import ZOO, build, entries, options
+from pcs_racing_agents.agents.blind import always, random_moves
+from pcs_racing_agents.agents.describe import describe
+from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, options
 
 
 def learned(name: str, setting) -> dict:
@@ -18,7 +20,7 @@ def learned(name: str, setting) -> dict:
         "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
         "restricted-response": {"exploit": "random-moves", "safe": "never-switch"},
     }
-    if name in ZOO and ZOO[name].needs == "network" and name != "adaptive":
+    if name in SHIPPED and entries()[name].needs == "network" and name != "adaptive":
         return {"network": untrained(setting)}
     return given.get(name, {})
 
@@ -42,8 +44,8 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
             np.testing.assert_allclose(chances.sum(axis=1), 1.0, atol=1e-9)
             moves, _ = made.predict(rows)
             assert (chances[np.arange(len(rows)), moves] > 0.0).all()
-        if name in ZOO:
-            assert made.facts["does"] == ZOO[name].summary
+        if name in SHIPPED:
+            assert made.facts["does"] == entries()[name].summary
 
 
 def test_made_by_name_for_a_shipped_archive():
@@ -150,3 +152,32 @@ def test_an_agent_of_another_archive_is_refused(game, setting, oval):
     agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.7)
     with pytest.raises(InputError, match=r"with epsilon 0\.5, but this game has epsilon 0\.7"):
         game_between(wider, agent, agent)
+
+
+def test_a_shipped_agent_is_a_file_and_a_line(setting, monkeypatch, tmp_path):
+    """With its line in SHIPPED it is listed, made, asked and described, by the command as well."""
+    (tmp_path / "bold_agent.py").write_text(
+        "from pcs_racing_agents.agents.blind import always\n"
+        "from pcs_racing_agents.agents.zoo import Entry\n"
+        "def bold(setting, *, name='bold', seed=0, move='aggressiveness +'):\n"
+        "    return always(setting, move, name=name, seed=seed)\n"
+        "BOLD = Entry(bold, 'races ever more aggressively', 'a test')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(SHIPPED, "bold", "bold_agent:BOLD")
+    assert "bold" in names(setting.archive, setting.config)
+    assert options("bold") == {"move": "aggressiveness +"}
+    made = build("bold", setting)
+    assert (made.name, made.facts["does"]) == ("bold", "races ever more aggressively")
+    assert made.setting.moves[made.predict(np.zeros((1, len(setting.elements))))[0][0]] == "aggressiveness +"
+    told = describe("bold", entries()["bold"])
+    assert "Races ever more aggressively." in told
+    assert "- Option `move`, by default `aggressiveness +`." in told
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_agent_says_what_it_does(name):
+    entry = entries()[name]
+    assert entry.summary
+    assert entry.source
+    assert f"### `{name}`" in (REPOSITORY / "docs" / "zoo.md").read_text(encoding="utf-8")

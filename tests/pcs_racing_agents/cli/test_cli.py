@@ -13,7 +13,7 @@ import yaml
 from PIL import Image
 
 from pcs_racing import list_tracks, load_track, read_replay
-from pcs_racing.planners import BUILT_IN
+from pcs_racing.planners.registry import SHIPPED
 from pcs_racing.track.maps import shipped_folder
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.cli.main import _parser, main
@@ -224,7 +224,7 @@ def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, copied):
 def test_policies_lists_every_planner_and_parameter(run):
     code, out, _ = run("policies")
     assert code == 0
-    assert {*BUILT_IN, "ppo-drive"} <= set(out.splitlines())
+    assert set(SHIPPED) <= set(out.splitlines())
     code, out, _ = run("policies", "lattice")
     assert code == 0
     assert "side_margin" in out
@@ -238,7 +238,7 @@ def test_policies_lists_every_planner_and_parameter(run):
         (["race", "--track", "no/such folder", *PAIR], "no/such folder"),
         (["race", "--track", "Pipkin", "--ego", "latice", "--opponent", "lattice"], "did you mean 'lattice'?"),
         (["race", "--track", "Pipkin", "--ego", "lattice:pace=nan", "--opponent", "lattice"], "must be finite"),
-        (["race", "--track", "Pipkin", *PAIR, "--preset", "cup"], "race preset 'cup' is unknown"),
+        (["race", "--track", "Pipkin", *PAIR, "--preset", "cup"], "race settings 'cup' are unknown"),
         (["race", "--track", "Pipkin", *PAIR, "--duration", "-1"], "duration is -1.0"),
         (["race", "--track", "Pipkin", *PAIR, "--seed", "-1"], "seed is -1"),
         (["race", "--track", "Pipkin", *PAIR, "--index", "-1"], "index is -1"),

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from pcs_racing import load_race_config, load_track
+from pcs_racing import load_race_config, load_track, save_archive
+from pcs_racing.base.settings import plain_settings
 from pcs_racing.race.replay import read_replay
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.study.config import StudyConfig
@@ -25,7 +25,7 @@ AGENTS = ["random-moves", "lane-switcher", "never-switch"]
 @pytest.fixture(scope="module")
 def saved(archive, tmp_path_factory):
     """The toy archive in a folder, as a command reads it."""
-    return archive.save(tmp_path_factory.mktemp("archives") / "toy")
+    return save_archive(archive, tmp_path_factory.mktemp("archives") / "toy")
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import pytest
 
 from pcs_racing import InputError
 from pcs_racing.game.game import encode_observation
+from pcs_racing.game.moves import move_names
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.explain.situations import (
     LEADS,
@@ -34,7 +35,7 @@ def races(archive):
 
 @pytest.fixture(scope="module")
 def found(races, archive):
-    return summarise(*races[:2], archive, archive.move_names(0.5, True), "somebody")
+    return summarise(*races[:2], archive, move_names(archive, 0.5, True), "somebody")
 
 
 def test_every_race_is_counted_once(found):
@@ -110,7 +111,7 @@ def test_races_that_were_played_can_be_summarised(oval, game, setting, archive):
 
 def test_what_can_not_be_summarised_is_named(races, archive):
     seen, made, *_ = races
-    names = archive.move_names(0.5, True)
+    names = move_names(archive, 0.5, True)
     with pytest.raises(InputError, match="made no move in these 300 races"):
         summarise(seen, np.full_like(made, -1), archive, names, "driver")
     with pytest.raises(InputError, match=r"seen has shape \(300, 0\)"):

@@ -21,7 +21,7 @@ from pcs_racing_agents.jobs import executors
 from pcs_racing_agents.jobs.executors import sent_once, tasks_in_flight, worker_identity
 from pcs_racing_agents.jobs.jobs import JobError, make_executor, open_job
 
-pytest.importorskip("dask.distributed")
+Client = pytest.importorskip("dask.distributed").Client
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 
 HERE = Path(__file__).resolve().parent
@@ -73,8 +73,8 @@ def started(folder: Path, workers: int) -> Iterator[Cluster]:
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory) -> Iterator[Cluster]:
-    with started(tmp_path_factory.mktemp("cluster"), 3) as cluster, make_executor("dask", None, cluster.address) as ex:
-        ex._client.wait_for_workers(3, timeout=PATIENCE)
+    with started(tmp_path_factory.mktemp("cluster"), 3) as cluster, make_executor("dask", None, cluster.address):
+        Client.current().wait_for_workers(3, timeout=PATIENCE)
         yield cluster
 
 
@@ -114,7 +114,7 @@ def test_a_cluster_gives_the_same_bytes_as_threads(cluster, long_commands, tmp_p
 
 def test_workers_are_busy_all_of_them(cluster, tmp_path):
     with open_job(tmp_path, "k", {}) as job, make_executor("dask", address=cluster.address) as executor:
-        executor._client.wait_for_workers(3, timeout=PATIENCE)
+        Client.current().wait_for_workers(3, timeout=PATIENCE)
         assert tasks_in_flight(executor) == 6
         found = job.run("who", who, range(30), executor=executor)
     assert len({int(result["pid"]) for result in found}) == 3

@@ -1,4 +1,4 @@
-"""Work that is more than a list of tasks: several parts side by side, and chains of pieces."""
+"""Work that is more than a list of tasks: several groups side by side, and chains."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -6,9 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from pcs_racing_agents.jobs.jobs import InputError, JobError, Part, make_executor, open_job, read_chunk, run_parts
-from pcs_racing_agents.jobs.tasks import Work, completed, each, in_other_processes, run_one
-from pcs_racing_agents.networks.torch_alone import torch_alone
+from pcs_racing_agents.jobs.executors import tasks_in_flight
+from pcs_racing_agents.jobs.jobs import InputError, JobError, TaskGroup, make_executor, open_job, read_chunk, run_groups
+from pcs_racing_agents.jobs.tasks import Task, in_other_processes, numbered_tasks, run_task, run_tasks
+from pcs_racing_agents.networks.torch_layers import torch_alone
 
 
 def double(task: int) -> dict[str, int]:
@@ -21,8 +22,8 @@ def double(task: int) -> dict[str, int]:
 @pytest.mark.parametrize("kind", ["serial", "threads"])
 def test_results_come_with_their_keys(kind):
     with make_executor(kind, 2) as executor:
-        found = dict(completed(each(double, range(20)), executor))
-        assert run_one(double, 21, executor) == {"value": 42}
+        found = dict(run_tasks(numbered_tasks(double, range(20)), executor))
+        assert run_task(double, 21, executor) == {"value": 42}
     assert found == {i: {"value": 2 * i} for i in range(20)}
 
 
@@ -31,25 +32,23 @@ def test_tasks_are_made_when_they_are_asked_for(workers):
     """A million tasks need not be in memory, and a task may follow from the result of another."""
     made = []
 
-    def tasks():
+    def arguments():
         for i in range(100):
             made.append(i)
             yield i
 
     with make_executor("threads" if workers else "serial", workers) as executor:
-        for done, _ in enumerate(completed(each(double, tasks()), executor), start=1):
-            assert len(made) <= done + 4
+        for done, _ in enumerate(run_tasks(numbered_tasks(double, arguments()), executor), start=1):
+            assert len(made) <= done + tasks_in_flight(executor)
     assert len(made) == 100
 
 
 def test_one_task_follows_from_another():
-    ready = [Work("a", double, 1)]
-    found = []
-    for _, result in completed(lambda: ready.pop() if ready else None, None):
+    found = [1]
+    again = lambda key: Task(key, double, found[-1]) if found[-1] < 100 else None  # noqa: E731
+    for _, result in run_tasks([Task("a", double, 1)], follow=again):
         found.append(result["value"])
-        if result["value"] < 100:
-            ready.append(Work("a", double, result["value"]))
-    assert found == [2, 4, 8, 16, 32, 64, 128]
+    assert found == [1, 2, 4, 8, 16, 32, 64, 128]
 
 
 def test_only_threads_are_here():
@@ -59,11 +58,11 @@ def test_only_threads_are_here():
     assert in_other_processes(None) is None
 
 
-# Parts
+# Groups
 
 
-def test_parts_of_several_jobs_are_done_side_by_side(tmp_path):
-    together = threading.Barrier(2, timeout=30.0)  # broken if one part waits for the end of the other
+def test_groups_of_several_jobs_are_done_side_by_side(tmp_path):
+    together = threading.Barrier(2, timeout=30.0)  # broken if one group waits for the end of the other
 
     def meet(task: int) -> dict[str, int]:
         together.wait()
@@ -75,17 +74,17 @@ def test_parts_of_several_jobs_are_done_side_by_side(tmp_path):
         open_job(tmp_path / "b", "k", {"other": 1}) as b,
         ThreadPoolExecutor(2) as executor,
     ):
-        parts = [Part(a, "first", meet, [1]), Part(b, "second", meet, [2])]
-        results = run_parts(parts, executor=executor, progress=lambda *news: told.append(news))
-        assert [[int(one["value"]) for one in part] for part in results] == [[2], [4]]
+        groups = [TaskGroup(a, "first", meet, [1]), TaskGroup(b, "second", meet, [2])]
+        results = run_groups(groups, executor=executor, progress=lambda *news: told.append(news))
+        assert [[int(one["value"]) for one in group] for group in results] == [[2], [4]]
         assert [(done, total) for done, total, _ in told] == [(0, 2), (1, 2), (2, 2)]
-        assert run_parts(parts, keep=False) == [[], []]  # nothing is done again: nobody waits at the barrier
+        assert run_groups(groups, keep=False) == [[], []]  # nothing is done again: nobody waits at the barrier
     assert (tmp_path / "a" / "chunks" / "first-00000.npz").is_file()
     assert (tmp_path / "b" / "chunks" / "second-00000.npz").is_file()
 
 
-def test_no_parts_are_no_work():
-    assert run_parts([]) == []
+def test_no_groups_are_no_work():
+    assert run_groups([]) == []
 
 
 # Chains
@@ -106,7 +105,7 @@ GOALS = (7, 2, 9)
 def test_chains_end_alike_whatever_the_executor(tmp_path, kind):
     told = []
     with open_job(tmp_path, "k", {}) as job, make_executor(kind, 2) as executor:
-        last = job.run_chains("count", count_up, GOALS, executor=executor, told=lambda i, state: told.append(i))
+        last = job.run_chains("count", count_up, GOALS, executor=executor, on_state=lambda i, state: told.append(i))
         again = job.run_chains("count", None, GOALS)  # finished: there is nothing to do
     for found in (last, again, [read_chunk(job.file("count", i)) for i in range(3)]):
         assert [state["values"].tolist() for state in found] == [list(range(goal)) for goal in GOALS]
@@ -128,7 +127,7 @@ def test_a_chain_goes_on_where_it_was_stopped(tmp_path):
         return count_up(piece)
 
     with open_job(tmp_path, "k", {}) as job, pytest.raises(StopError):
-        job.run_chains("count", counted, GOALS, told=stop)
+        job.run_chains("count", counted, GOALS, on_state=stop)
     with open_job(tmp_path, "k", {}) as job:
         last = job.run_chains("count", counted, GOALS)
     assert [state["values"].tolist() for state in last] == [list(range(goal)) for goal in GOALS]
@@ -146,7 +145,7 @@ def test_a_damaged_state_is_named_and_its_chain_begins_again(tmp_path, caplog):
 
 def test_errors_of_chains_are_those_of_jobs(tmp_path):
     with open_job(tmp_path, "k", {}) as job:
-        with pytest.raises(InputError, match="the name of a part of a job is 'A!'"):
+        with pytest.raises(InputError, match="'A!'"):
             job.run_chains("A!", count_up, GOALS)
         with pytest.raises(InputError, match="task 0 of odd returned int"):
             job.run_chains("odd", lambda piece: 3, GOALS)

@@ -1,15 +1,13 @@
 """docs/approximator.md says what the code says, and its code runs."""
 
 import re
-import subprocess
-import sys
 
 import pytest
-from repository import REPOSITORY
+from repository import python_blocks, read_page, run_python
 
 from pcs_racing_agents.networks import TARGETS
 
-PAGE = (REPOSITORY / "docs" / "approximator.md").read_text(encoding="utf-8")
+PAGE = read_page("approximator.md")
 
 
 def test_the_table_of_targets_is_the_targets():
@@ -19,13 +17,11 @@ def test_the_table_of_targets_is_the_targets():
 
 def test_the_pages_code_runs(tmp_path):
     pytest.importorskip("torch")
-    blocks = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    blocks = python_blocks(PAGE)
     assert len(blocks) == 2
     page = tmp_path / "page.py"
     page.write_text("\n".join(blocks), encoding="utf-8")
-    done = subprocess.run([sys.executable, page], capture_output=True, text=True, cwd=REPOSITORY, check=False)
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
+    lines = run_python(page).splitlines()
     assert lines[0] == "(2, 2, 4) [[0 0]"
     assert lines[-1].startswith("<RegretNetwork 'mine': 31-16-4, first inputs, archive 'default', preset 'paper'>")
 

@@ -3,6 +3,7 @@ import pytest
 from toy_networks import identity, random_network
 from toy_trees import ToyTree, random_tree
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing_agents.networks import Rows
 from pcs_racing_agents.networks.metrics import (
     constant_plays,
@@ -24,8 +25,7 @@ def linear(race_tree, seed=0):
     rng = np.random.default_rng(seed)
     return random_network(
         identity=identity(inputs, MOVES),
-        weights=(rng.normal(size=(3, inputs)),),
-        biases=(np.zeros(3),),
+        layers=DenseLayers((rng.normal(size=(3, inputs)),), (np.zeros(3),)),
         mean=np.zeros(inputs),
         scale=np.ones(inputs),
     )
@@ -33,7 +33,7 @@ def linear(race_tree, seed=0):
 
 def test_choices_are_compared_with_targets_step_by_step():
     network = random_network(
-        inputs=3, hidden=(), weights=(np.eye(4, 3),), biases=(np.zeros(4),), mean=np.zeros(3), scale=np.ones(3)
+        inputs=3, hidden=(), layers=DenseLayers((np.eye(4, 3),), (np.zeros(4),)), mean=np.zeros(3), scale=np.ones(3)
     )
     rows = Rows(  # the network chooses 0, 1, 2, 2
         observations=np.eye(3)[[0, 1, 2, 2]],
@@ -56,8 +56,8 @@ def test_choices_are_compared_with_targets_step_by_step():
 
 
 def test_a_clipped_network_is_judged_by_clipped_targets():
-    network = random_network(inputs=1, hidden=(), clipped=True, weights=(np.zeros((4, 1)),), mean=[0.0], scale=[1.0],
-                             biases=([-2.0, -1.0, -3.0, -4.0],))  # fmt: skip
+    network = random_network(inputs=1, hidden=(), clipped=True, mean=[0.0], scale=[1.0],
+                             layers=DenseLayers((np.zeros((4, 1)),), ([-2.0, -1.0, -3.0, -4.0],)))  # fmt: skip
     rows = Rows(np.zeros((1, 1)), np.array([[-8.0, -5.0, -9.0, -9.0]]), np.ones(1), np.zeros(1, int), np.zeros(1, int))
     score = score_rows(network, rows)[0]
     assert (score.error, score.agreement, score.shortfall) == (0.0, 1.0, 0.0)
@@ -76,8 +76,8 @@ def test_a_strategy_is_followed_in_both_roles():
 
 def test_a_network_of_probabilities_is_drawn_from():
     network = random_network(
-        inputs=2, hidden=(), target="nash", weights=([[3.0, -2.0], [1.0, -1.0], [-1.0, -3.0], [0.0, -4.0]],),
-        biases=(np.zeros(4),), mean=np.zeros(2), scale=np.ones(2),
+        inputs=2, hidden=(), target="nash", mean=np.zeros(2), scale=np.ones(2),
+        layers=DenseLayers(([[3.0, -2.0], [1.0, -1.0], [-1.0, -3.0], [0.0, -4.0]],), (np.zeros(4),)),
     )  # fmt: skip
     np.testing.assert_allclose(follow(network)(np.eye(2)), [[0.75, 0.25, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
 

@@ -6,7 +6,7 @@ from pcs_racing import InputError
 from pcs_racing_agents.networks import Rows
 from pcs_racing_agents.networks.metrics import score_rows
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
-from pcs_racing_agents.networks.training import fit, train_network
+from pcs_racing_agents.networks.training import train_layers, train_network
 
 torch = pytest.importorskip("torch")
 
@@ -59,7 +59,7 @@ def test_the_network_knows_how_it_was_made():
 
 
 def weights(result) -> bytes:
-    return b"".join(array.tobytes() for array in (*result.weights, *result.biases, result.mean, result.scale))
+    return b"".join(array.tobytes() for array in (result.layers.flat(), result.mean, result.scale))
 
 
 def test_training_repeats_and_leaves_torch_and_numpy_as_they_were():
@@ -67,14 +67,14 @@ def test_training_repeats_and_leaves_torch_and_numpy_as_they_were():
     np.random.seed(5)  # noqa: NPY002 - the state that must not be touched
     before = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
     quick = load_train_settings(QUICK, epochs=3)
-    one = fit(rows_of(*situations(300)), quick)
+    one = train_layers(rows_of(*situations(300)), quick)
     assert torch.equal(torch.get_rng_state(), before[0])
     np.testing.assert_array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
     assert torch.get_num_threads() == 2
     torch.manual_seed(99)
     torch.set_num_threads(1)
-    assert weights(fit(rows_of(*situations(300)), quick)) == weights(one)
-    assert weights(fit(rows_of(*situations(300)), load_train_settings(quick, seed=1))) != weights(one)
+    assert weights(train_layers(rows_of(*situations(300)), quick)) == weights(one)
+    assert weights(train_layers(rows_of(*situations(300)), load_train_settings(quick, seed=1))) != weights(one)
 
 
 def test_training_ends_when_validation_stops_improving():
@@ -82,7 +82,7 @@ def test_training_ends_when_validation_stops_improving():
     noise = np.random.default_rng(0).normal(size=values.shape)  # nothing to learn: the first epochs are the best
     settings = load_train_settings(QUICK, epochs=500, patience=8, batch_size=32)
     told = []
-    result = fit(rows_of(x, noise, pair, step), settings, progress=lambda *news: told.append(news))
+    result = train_layers(rows_of(x, noise, pair, step), settings, progress=lambda *news: told.append(news))
     assert result.epochs[-1].epoch == result.best + 8 < 500
     assert result.epochs[-1].learning_rate < settings.learning_rate
     last = result.epochs[-1].epoch
@@ -184,7 +184,9 @@ def test_a_floor_raises_what_is_far_below_the_best():
 
 def test_constant_inputs_and_targets_are_no_trouble():
     x, _, pair, step = situations(100)
-    result = fit(rows_of(np.ones_like(x), np.full((100, 4), 3.0), pair, step), load_train_settings(QUICK, epochs=2))
+    result = train_layers(
+        rows_of(np.ones_like(x), np.full((100, 4), 3.0), pair, step), load_train_settings(QUICK, epochs=2)
+    )
     np.testing.assert_array_equal(result.scale, np.ones(7))
     network, _ = train_network(
         rows_of(np.ones_like(x), np.zeros((100, 4)), pair, step), identity(), QUICK, name="net", clipped=True
@@ -201,4 +203,4 @@ def test_bad_input_is_one_clear_error():
     with pytest.raises(InputError, match="one starting pair"):
         train_network(rows.take(rows.pair == 3), identity(), QUICK, name="net")
     with pytest.raises(InputError, match=r"the loss is (nan|inf) after epoch \d+; take a learning_rate below 10"):
-        fit(rows, load_train_settings(QUICK, learning_rate=10.0, weight_decay=10.0))
+        train_layers(rows, load_train_settings(QUICK, learning_rate=10.0, weight_decay=10.0))

@@ -197,20 +197,20 @@ def test_no_starting_pair_is_learned_from_and_judged_by():
         told = []
         settings = load_train_settings(QUICK, seed=seed, test_share=0.4, epochs=1)
         trained = train_toys(trees, settings, solving=lambda *news, told=told: told.append(news))
-        assert trained.trees["toy"].shape == (trained.network.training["test_trees"], 4)
+        assert trained.scores["toy"].shape == (trained.network.training["test_trees"], 4)
         assert trained.network.training["test_trees"] in (2, 3, 4)
         assert trained.network.training["starting_pairs"] == 2
         assert told[-1] == (6, 6, "solved for advantage")
-        assert set(trained.fit.validation_pairs) <= {
+        assert set(trained.result.validation_pairs) <= {
             int(pair_number(pair)) for pair in [(0, 1), (2, 3), (4, 5), (6, 7)]
         }
 
 
 def test_without_held_out_trees_the_validation_rows_judge():
     trained = train_toys(toy_trees(3), load_train_settings(QUICK, test_share=0.0))
-    assert trained.trees == {}
+    assert trained.scores == {}
     assert trained.rows[0].rows == 20  # one tree
-    best = trained.fit.epochs[trained.fit.best]
+    best = trained.result.epochs[trained.result.best]
     assert trained.rows[0].agreement == pytest.approx(best.validation_agreement, abs=1e-6)
 
 
@@ -227,7 +227,7 @@ def test_a_network_that_learned_a_tree_by_heart_loses_little_on_it():
     settings = load_train_settings(QUICK, hidden=(64, 64), epochs=300, patience=60, learning_rate=1e-2, batch_size=32)
     trained = train_toys(trees, settings)
     assert trained.rows[0].agreement > 0.95
-    loss = {name: scores[:, 1].mean() for name, scores in trained.trees.items()}
+    loss = {name: scores[:, 1].mean() for name, scores in trained.scores.items()}
     assert loss["toy"] < 0.05 * loss["random moves"]
 
 

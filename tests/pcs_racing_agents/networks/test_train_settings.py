@@ -55,7 +55,7 @@ def test_shipped_settings_are_sound(name):
         ("validation_share: 1.0", "validation_share is 1.0"),
         ("{validation_share: 0.5, test_share: 0.5}", "together they must leave 5 % of the starting pairs"),
         ("hidden: 64", "hidden is 64; it must be a list of at most 8 whole numbers"),
-        ("hidden: [0]", r"hidden is \(0,\)"),
+        ("hidden: [0]", r"hidden is \[0\]"),
         ("hidden: [1, 1, 1, 1, 1, 1, 1, 1, 1]", "at most 8"),
         ("- target", "holds list; it must be a mapping"),
         ("a: [b", "is not valid YAML"),

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing_agents.networks import GameIdentity, RegretNetwork
 
 MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
@@ -30,8 +31,10 @@ def random_network(inputs=7, hidden=(16, 16), seed=0, clipped=False, **changes) 
         "identity": identity(inputs),
         "target": "regret" if clipped else "advantage",
         "clipped": clipped,
-        "weights": tuple(rng.normal(0.0, below**-0.5, (above, below)) for below, above in pairs),
-        "biases": tuple(rng.normal(0.0, 0.3, above) for _, above in pairs),
+        "layers": DenseLayers(
+            tuple(rng.normal(0.0, below**-0.5, (above, below)) for below, above in pairs),
+            tuple(rng.normal(0.0, 0.3, above) for _, above in pairs),
+        ),
         "mean": rng.normal(0.0, 1.0, inputs),
         "scale": rng.uniform(0.2, 2.0, inputs),
         "training": {"rows": 10, "validation_loss": 0.5, "setting_target": "advantage"},

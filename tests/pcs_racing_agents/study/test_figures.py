@@ -8,10 +8,12 @@ from hypothesis import strategies as st
 from toy_cells import toy_cells
 
 from pcs_racing import InputError
+from pcs_racing.game.moves import move_names, move_table
 from pcs_racing_agents.explain.pcs_picture import archive_picture
+from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.pictures.style import picture_bytes, save_picture, spread_labels
 from pcs_racing_agents.study import figures
-from pcs_racing_agents.study.report_inputs import Curve, Place
+from pcs_racing_agents.study.report_inputs import Place
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.ratings import rate
 
@@ -98,7 +100,7 @@ def test_what_can_not_be_drawn_is_named(table):
 def test_the_archive_shows_where_moves_lead(archive, tmp_path):
     figure = archive_picture(archive, epsilon=0.5, policy=3)
     texts = " ".join(text.get_text() for text in figure.axes[0].texts)
-    names, leads_to = archive.move_names(0.5), archive.move_table(0.5)[3]
+    names, leads_to = move_names(archive, 0.5), move_table(archive, 0.5)[3]
     assert all(name in texts for name in names)
     arrows = [text for text in figure.axes[0].texts if text.get_text() == "" and text.arrow_patch is not None]
     assert len(arrows) == len(set(leads_to.tolist()) - {3})

@@ -4,14 +4,14 @@ import re
 import shlex
 
 import pytest
-from repository import REPOSITORY
+from repository import python_blocks, read_page, run_block
 from toy_cells import toy_cells
 
 from pcs_racing_agents.cli.main import _parser
 from pcs_racing_agents.study.table_text import CSV_COLUMNS
 
-PAGE = (REPOSITORY / "docs" / "reports.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+PAGE = read_page("reports.md")
+BLOCKS = python_blocks(PAGE)
 COMMANDS = re.findall(r"^pcs-racing (.*)$", PAGE, flags=re.MULTILINE)
 
 
@@ -21,7 +21,7 @@ def test_code_runs(number, capsys, tmp_path, monkeypatch):
     results = tmp_path / "out" / "my-study" / "results.csv"
     results.parent.mkdir(parents=True)
     results.write_text(as_results(toy_cells(tracks=("Tarnfjord",), egos=3, variants=3)))
-    exec(compile(BLOCKS[number], "docs/reports.md", "exec"), {"__name__": "snippet"})
+    run_block(BLOCKS[number])
     assert capsys.readouterr().out.strip() not in ("", "False")
     if "write_table" in BLOCKS[number]:
         assert (results.parent / "table-again.csv").is_file()

@@ -8,21 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from repository import load_tool
 
-from pcs_racing import load_archive
+from pcs_racing import load_archive, save_archive
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.jobs import make_executor
-from pcs_racing_agents.learning.ppo.curves import read_curve
+from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.networks.network import game_identity
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.reporting import best_blind
 from pcs_racing_agents.study.run import Study, stage_seconds, stages_to_run
-from pcs_racing_agents.study.ship import main as ship
 
 TINY = load_study_config(
     "quick",
@@ -122,7 +122,7 @@ def test_ppo_learns_the_game_that_is_studied(finished):
     assert network.training["setting_tracks"] == "Pipkin"
     assert network.training["setting_opponents"] == "1 never-switch, 1 lane-switcher:1"
     assert network.identity == game_identity(finished.game("Pipkin"))  # two moves, not the four of the settings
-    assert len(read_curve(finished.network("ppo") / "curve.csv")[0].steps) == 3
+    assert len(read_evaluations(finished.network("ppo") / "curve.csv")[0].steps) == 3
     ppo = finished.agent("ppo")
     seen = np.random.default_rng(1).random((50, len(network.identity.elements)), np.float32)
     np.testing.assert_array_equal(ppo.predict(seen)[0], network.choose(seen))
@@ -130,23 +130,23 @@ def test_ppo_learns_the_game_that_is_studied(finished):
 
 def test_an_archive_that_was_made_is_the_one_that_ppo_learns_with(tmp_path):
     archive = replace(load_archive("default"), name="mine")
-    archive.save(tmp_path / "study" / "archive")
+    save_archive(archive, tmp_path / "study" / "archive")
     study = Study(replace(TINY, synthesis="default"), tmp_path / "study", quiet=True)
     preparing.train_ppo_baseline(study)
     assert load_network(study.network("ppo")).identity.archive == "mine"
     assert load_network(study.network("ppo")).training["setting_archive"] == "mine"
 
 
-def test_what_was_found_can_be_shipped(finished, tmp_path, capsys):
-    config = tmp_path / "tiny.yaml"
-    config.write_text("moves: 2\nstep_seconds: 2.0\ncircuits: [Pipkin]\ntargets: [regret]\nresponses: [quick]\n")
-    (tmp_path / "pcs_racing_agents" / "strategies").mkdir(parents=True)
-    assert ship([str(config), str(finished.folder), str(tmp_path)]) == 0
+def test_what_was_found_can_be_shipped(finished, tmp_path):
+    config = replace(TINY, responses=("quick",))
+    fits = tmp_path / "pcs_racing_agents" / "agents" / "fits"
+    fits.mkdir(parents=True)
+    load_tool("ship_study").ship(Study(config, finished.folder), tmp_path)
     assert sorted(path.name for path in (tmp_path / "networks").iterdir()) == [
         "default-paper-gain",
         "default-paper-regret",
     ]
-    assert len(list((tmp_path / "pcs_racing_agents" / "strategies" / "fits").glob("default-paper-best-*.yaml"))) == 2
+    assert len(list(fits.glob("default-paper-best-*.yaml"))) == 2
 
 
 def test_the_command_goes_on_in_the_folder_and_says_where_the_results_are(finished, tmp_path, capsys):

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from repository import REPOSITORY
 
-from pcs_racing import InputError, PolicyArchive, load_archive
+from pcs_racing import InputError, load_archive
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.jobs import make_executor
 from pcs_racing_agents.synthesis.archive_run import make_archive, stage_scenarios
 from pcs_racing_agents.synthesis.config import ArchiveConfig, list_archive_configs, load_archive_config
-from pcs_racing_agents.synthesis.evaluate import Block, race_block, summarise
+from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
 from pcs_racing_agents.synthesis.selection import front_layers
 
 pytest.importorskip("cma")
@@ -59,7 +59,7 @@ def results(folder: Path) -> dict[str, bytes]:
 def made(tmp_path_factory):
     """An archive, its folder, and the news told on the way."""
     folder, news = tmp_path_factory.mktemp("archive") / "made", []
-    return make_archive(TINY, folder, told=news.append), folder, news
+    return make_archive(TINY, folder, callback=news.append), folder, news
 
 
 def test_an_archive_is_made_and_can_be_loaded_and_raced(made):
@@ -100,7 +100,7 @@ def test_the_coordinates_come_from_races_that_chose_nobody(made):
     for earlier in (search, choice):
         assert not np.isin(final.seed, earlier.seed).any()
         assert not (final.opponents[:, None] == earlier.opponents[None]).all(axis=-1).any()
-    found = summarise(race_block(Block(final, archive.parameters)))
+    found = summarise(race_policies((final, archive.parameters)))
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
     np.testing.assert_array_equal(found.spread, archive.spread)
     np.testing.assert_array_equal(found.own_crash, archive.own_crash)
@@ -136,9 +136,9 @@ def test_killed_and_started_again_it_ends_in_the_same_files(made, tmp_path):
 import sys, time
 from pcs_racing_agents.synthesis.archive_run import make_archive
 from tests.pcs_racing_agents.synthesis.test_archive_run import TINY
-make_archive(TINY, sys.argv[1], told=lambda news: time.sleep(0.5))
+make_archive(TINY, sys.argv[1], callback=lambda news: time.sleep(0.5))
 """
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])}
     process = subprocess.Popen([sys.executable, "-c", code, str(folder)], env=environment)
     while not list(folder.glob("job/chunks/generation-00002-*.npz")):
         assert process.poll() is None
@@ -263,7 +263,7 @@ def test_another_run_is_refused(made):
         ({"refresh_generations": (True,)}, "refresh_generations is"),
         ({"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
         ({"planner": "nobody"}, "nobody"),
-        ({"preset": "nothing"}, "race preset 'nothing' is unknown"),
+        ({"preset": "nothing"}, "race settings 'nothing' are unknown"),
         ({"speed": 3}, "unknown archive setting 'speed'"),
     ],
 )
@@ -320,7 +320,7 @@ def test_the_command(tmp_path, capsys):
     assert "<PolicyArchive 'small'" in out
     assert f"archive: {tmp_path / 'a'}" in out
     assert "measurement: generation 0/0, hypervolume " in err
-    assert PolicyArchive.load(tmp_path / "a").name == "small"
+    assert load_archive(tmp_path / "a").name == "small"
     assert main([*arguments, "--config", str(settings), "--name", "other"]) == 2
     assert "its name is 'small', not 'other'" in capsys.readouterr().err
     assert main(["synthesize", "--config", "nothing", "--out", str(tmp_path / "b")]) == 2

@@ -8,14 +8,11 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race.races import RaceSetup, advance
 from pcs_racing_agents.jobs.jobs import make_executor
 from pcs_racing_agents.synthesis.evaluate import (
-    Block,
-    blocks,
-    draw_scenarios,
     evaluate,
-    join,
-    race_block,
+    race_policies,
     summarise,
 )
+from pcs_racing_agents.synthesis.scenarios import draw_scenarios
 
 SHORT = load_race_config("contest", duration=4.0)
 AXES = ("pace", "restraint")
@@ -33,7 +30,7 @@ def scenarios(oval):
 
 @pytest.fixture(scope="module")
 def raced(scenarios):
-    return race_block(Block(scenarios, policies(5)))
+    return race_policies((scenarios, policies(5)))
 
 
 def test_every_start_is_paired_with_every_opponent_from_both_sides(scenarios):
@@ -98,7 +95,7 @@ def test_blocks_and_executors_change_nothing(scenarios, raced, kind):
 
 
 def test_policies_do_not_disturb_each_other(scenarios, raced):
-    alone = join([race_block(part) for part in blocks(scenarios, policies(5)[3:4], 1)])
+    alone = race_policies((scenarios, policies(5)[3:4]))
     for key, values in alone.items():
         np.testing.assert_array_equal(values[0], raced[key][3])
 
@@ -127,8 +124,8 @@ def test_a_refreshed_set_of_opponents(scenarios):
     ("change", "message"),
     [
         ({"tracks": []}, "there are no tracks"),
-        ({"opponents": np.zeros((0, 16))}, r"opponents have shape \(0, 16\)"),
-        ({"opponents": np.zeros((3, 2))}, r"opponents have shape \(3, 2\); planner 'lattice' needs"),
+        ({"opponents": np.zeros((0, 16))}, r"there are no opponents"),
+        ({"opponents": np.zeros((3, 2))}, r"opponents has shape \(3, 2\); it must have \(any, 16\)"),
         ({"segment_seconds": 3.0}, "a race of 4 s is no multiple of segment_seconds, 3 s"),
         ({"segment_seconds": 0.0}, "no multiple of segment_seconds, 0 s"),
         ({"starts": 0}, "start_lines is 0"),
@@ -152,7 +149,7 @@ def test_impossible_races(oval, change, message):
 
 
 def test_policies_of_the_wrong_shape(scenarios):
-    with pytest.raises(InputError, match=r"parameters have shape \(2, 3\); planner 'lattice' needs \(any but 0, 16\)"):
+    with pytest.raises(InputError, match=r"parameters has shape \(2, 3\); it must have \(any, 16\)"):
         evaluate(scenarios, np.zeros((2, 3)))
 
 
@@ -169,4 +166,4 @@ def test_a_characteristic_that_is_not_a_number(oval, monkeypatch):
 
 def test_tracks_by_name_are_the_tracks(scenarios, raced, oval):
     loaded = draw_scenarios([oval, load_track("Pipkin")], SHORT, policies(3, 1), AXES, segment_seconds=2.0, seed=4)
-    np.testing.assert_array_equal(race_block(Block(loaded, policies(5)[:1]))["totals"][0], raced["totals"][0])
+    np.testing.assert_array_equal(race_policies((loaded, policies(5)[:1]))["totals"][0], raced["totals"][0])

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from pcs_racing import load_archive, load_track, make_game
-from pcs_racing.game.archive import shipped_folder
+from pcs_racing.game.archive_files import ARCHIVE_FORMAT
+from pcs_racing.game.moves import duplicate_share
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.synthesis import load_archive_config
 from pcs_racing_agents.synthesis.archive_report import stated_settings
 from pcs_racing_agents.synthesis.archive_run import stage_scenarios
-from pcs_racing_agents.synthesis.evaluate import Block, race_block, summarise
+from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
 
 made_under_v0 = pytest.mark.xfail(
     reason="shipped archives, networks and figures were made under -v0; they are made again once all races have changed"
@@ -50,7 +51,7 @@ def test_its_policies_lie_spread_along_the_front(name):
     for axis in range(2):
         assert np.diff(np.sort(points[:, axis])).max() < 0.25
     assert np.corrcoef(points.T)[0, 1] < -0.9  # what is more of one is less of the other
-    assert archive.duplicate_share() < 0.15
+    assert duplicate_share(archive) < 0.15
 
 
 def test_crashes_are_as_rare_as_they_should_be(name):
@@ -70,7 +71,7 @@ def test_its_coordinates_are_what_the_measuring_races_give(name):
     archive = load_archive(name)
     _, _, final = stage_scenarios(load_archive_config(name))
     chosen = [0, len(archive) - 1]
-    found = summarise(race_block(Block(final, archive.parameters[chosen])))
+    found = summarise(race_policies((final, archive.parameters[chosen])))
     assert (np.abs(found.coordinates - archive.coordinates[chosen]) <= archive.spread[chosen]).all()
     np.testing.assert_allclose(found.own_crash, archive.own_crash[chosen], atol=0.05)
 
@@ -83,7 +84,7 @@ def test_it_can_be_raced(name):
 
 def test_the_course_of_the_search_ships_with_it(name):
     config = load_archive_config(name)
-    with open(shipped_folder() / name / "hypervolume.csv", newline="") as stream:
+    with open(ARCHIVE_FORMAT.shipped / name / "hypervolume.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == config.generations + 1
     assert int(rows[-1]["evaluations"]) == config.evaluations == len(load_archive(name).explored.parameters)

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, UnknownNameError
-from pcs_racing_agents.synthesis.explored import Explored
 from pcs_racing_agents.synthesis.indicators import hypervolume, non_dominated
 from pcs_racing_agents.synthesis.mo_cma_es import middle_of_the_best
 from pcs_racing_agents.synthesis.optimisers import METHODS
-from pcs_racing_agents.synthesis.synthesize import Evaluated, Search, synthesize
+from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive
+from pcs_racing_agents.synthesis.search import Search
+from pcs_racing_agents.synthesis.synthesize import Evaluated, synthesize
 
 UNIT = np.tile([0.0, 1.0], (6, 1))
 SMALL = {"population": 12, "generations": 6, "seed": 3}
@@ -117,6 +118,14 @@ def test_a_sample_covers_the_bounds_and_the_search_goes_on_from_its_best():
     assert abs(search.ask() - best).max() < 0.05
 
 
+def test_points_outside_the_bounds_are_moved_to_their_border():
+    bounds = np.tile([-2.0, 4.0], (6, 1))
+    points = Search(bounds, population=200, start=np.full(6, 3.9), step_size=0.2).ask()
+    assert points.min() >= -2.0
+    assert points.max() == 4.0
+    assert 0.2 < (points == 4.0).mean() < 0.7
+
+
 def test_a_search_that_stands_still_starts_again():
     kept = []
     synthesize(
@@ -148,9 +157,9 @@ def test_infeasible_points_never_enter_the_archive_but_lead_the_way_back():
 def test_a_search_that_starts_again_begins_in_the_middle_of_the_front_or_nearest_to_what_is_allowed():
     points = np.arange(18.0).reshape(3, 6)
     objectives = np.array([[2.0, 0.0], [0.0, 2.0], [-1.0, -1.0]])
-    allowed = Explored.nothing(6).joined(points, objectives, np.zeros(3))
+    allowed = ParetoArchive.empty(6).joined(points, objectives, np.zeros(3))
     np.testing.assert_array_equal(middle_of_the_best(allowed), points[:2].mean(axis=0))
-    forbidden = Explored.nothing(6).joined(points, objectives, np.array([3.0, 1.0, 2.0]))
+    forbidden = ParetoArchive.empty(6).joined(points, objectives, np.array([3.0, 1.0, 2.0]))
     np.testing.assert_array_equal(middle_of_the_best(forbidden), points[1])
 
 
@@ -212,9 +221,9 @@ def test_stored_results_of_another_search_are_refused():
     stored = [
         Evaluated(news.objectives, None, news.parameters) for news in synthesize(spheres, UNIT, **SMALL).generations
     ]
-    with pytest.raises(InputError, match="generation 1 belong to other points"):
+    with pytest.raises(InputError, match="belong to other points than those after 0 evaluations"):
         synthesize(spheres, UNIT, **{**SMALL, "seed": 4}, evaluated=stored)
-    with pytest.raises(InputError, match="holds 6 generations; at most the 5"):
+    with pytest.raises(InputError, match="holds 6 results; this search needs at most 5"):
         synthesize(spheres, UNIT, **{**SMALL, "generations": 5}, evaluated=stored)
 
 
@@ -300,23 +309,63 @@ def test_the_front_can_be_given_other_values():
     np.testing.assert_array_equal(search.archive, first[[0, 3]])  # point 2 does not come back: its values are old
 
 
+def test_an_initial_sample_is_the_first_archive_and_the_scale():
+    sample, news = np.tile(np.linspace(0.2, 0.8, 7)[:, None], 6), []
+    options = {**SMALL, "initial": sample}
+    result = synthesize(spheres, UNIT, callback=news.append, **options)
+    assert [one.generation for one in news] == list(range(7))
+    assert news[0].evaluations == 7
+    np.testing.assert_array_equal(news[0].front_parameters, sample[1:-1])
+    np.testing.assert_array_equal(news[0].front, spheres(sample[1:-1]))
+    np.testing.assert_array_equal(result.ideal, spheres(sample).max(axis=0))
+    np.testing.assert_array_equal(result.nadir, spheres(sample).min(axis=0))
+    np.testing.assert_array_equal(result.explored_parameters[:7], sample)
+    stored = [Evaluated(one.objectives, None, one.parameters) for one in news[:4]]
+    same(synthesize(spheres, UNIT, evaluated=stored, **options), result)
+    alone = synthesize(spheres, UNIT, initial=sample, generations=0)
+    np.testing.assert_array_equal(alone.parameters, sample[1:-1])
+
+
+def test_no_generation_is_begun_that_would_exceed_the_evaluations():
+    for most, generations in ((11, 0), (12, 1), (35, 2), (10_000, 6)):
+        assert len(synthesize(spheres, UNIT, evaluations=most, **SMALL).generations) == generations
+
+
+def test_where_objectives_change_the_front_is_evaluated_again():
+    shift, asked = [0.0], []
+
+    def evaluate(points):
+        asked.append(points)
+        return spheres(points) + shift[0]
+
+    def change(generation):
+        shift[0] = -1.0 * (generation.generation >= 3)
+        return generation.generation == 3
+
+    result = synthesize(evaluate, UNIT, callback=change, elite_ratio=1.0, **SMALL)
+    assert len(asked) == 6 + 1
+    np.testing.assert_array_equal(asked[3], result.generations[2].front_parameters)
+    np.testing.assert_array_equal(result.objectives, spheres(result.parameters) - 1.0)
+    assert result.generations[-1].evaluations == 6 * 12 + len(asked[3])
+
+
 # Bad input
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"bounds": [0.0, 1.0]}, r"bounds have shape \(2,\)"),
-        ({"bounds": np.zeros((3, 4))}, r"bounds have shape \(3, 4\)"),
+        ({"bounds": [0.0, 1.0]}, r"bounds has shape \(2,\)"),
+        ({"bounds": np.zeros((3, 4))}, r"bounds has shape \(3, 4\)"),
         ({"bounds": np.zeros((0, 2))}, r"bounds have shape \(0, 2\)"),
         ({"bounds": [[0.0, 1.0], [1.0, 1.0]]}, "bounds of parameter 1 are 1 and 1"),
-        ({"bounds": [[0.0, 1.0], [1.0, np.inf]]}, "bounds holds NaN or infinity"),
+        ({"bounds": [[0.0, 1.0], [1.0, np.inf]]}, "bounds holds inf"),
         ({"bounds": [[0.0, "x"]]}, "must hold numbers"),
         ({"bounds": [[0.0, 1.0]]}, "at least 2 parameters"),
         ({"population": 3}, "population is 3"),
         ({"population": 12.0}, r"population is 12\.0"),
         ({"generations": 0}, "generations is 0"),
-        ({"elite_ratio": 0.0}, "elite_ratio is 0.0; it must be a number above 0 to 1"),
+        ({"elite_ratio": 0.0}, "elite_ratio is 0.0; it must be a number above 0 up to 1"),
         ({"reevaluation": 0.95}, "reevaluation is 0.95"),
         ({"step_size": np.nan}, "step_size is nan"),
         ({"seed": -1}, "seed is -1"),
@@ -328,6 +377,10 @@ def test_the_front_can_be_given_other_values():
         ({"reference": [0.0] * 3}, "reference has 3 numbers; there are 2 objectives"),
         ({"start": [2.0] * 6}, "must lie within the bounds"),
         ({"start": "centre"}, "start is 'centre'; it must be middle, sample, or a point"),
+        ({"evaluations": 0}, "evaluations is 0"),
+        ({"initial": [[0.5] * 5]}, r"initial has shape \(1, 5\)"),
+        ({"initial": [[2.0] * 6, [0.5] * 6]}, "outside the bounds"),
+        ({"initial": [[0.5] * 6]}, "ideal must be larger on all axes"),
         ({"start": [0.5]}, r"start has shape \(1,\); it must have \(6,\)"),
     ],
 )
@@ -368,7 +421,7 @@ def test_results_that_do_not_fit_each_other_are_named():
 
 @pytest.mark.parametrize(
     ("points", "words"),
-    [([[0.5] * 5], r"parameters have shape \(1, 5\); they must have \(n, 6\)"), ([[1.5] * 6], "outside the bounds")],
+    [([[0.5] * 5], r"parameters has shape \(1, 5\); it must have \(any, 6\)"), ([[1.5] * 6], "outside the bounds")],
 )
 def test_points_from_elsewhere_must_fit(points, words):
     search = Search(UNIT, population=12)

@@ -8,7 +8,7 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.race.config import CONTEST
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.agents import always, never_switch, random_moves
+from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament.matches import Matches, moves_of, play_games
 

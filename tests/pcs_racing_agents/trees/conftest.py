@@ -6,7 +6,7 @@ import pytest
 
 from pcs_racing import CONTEST, PolicyArchive, RaceGame, Starts, Track, load_track, make_game
 from pcs_racing.game.state import GameState
-from pcs_racing.planners import LATTICE
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing_agents.trees import RaceTree
 
 FAR = replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.012)

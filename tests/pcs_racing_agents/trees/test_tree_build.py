@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import CONTEST, InputError, PolicyArchive, RaceGame, Starts, make_game
-from pcs_racing.planners import PURE_PURSUIT
+from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing_agents.trees import build_tree
 from pcs_racing_agents.trees import driving as _driving
 

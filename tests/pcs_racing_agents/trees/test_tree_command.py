@@ -2,6 +2,7 @@ import re
 
 import pytest
 
+from pcs_racing import save_archive
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.trees import load_ego_trees, load_trees
 
@@ -20,7 +21,7 @@ def run(capsys):
 
 @pytest.fixture
 def small(archive, tmp_path):
-    return archive.save(tmp_path / "an archive")
+    return save_archive(archive, tmp_path / "an archive")
 
 
 def test_trees_are_played_and_taken_up(run, small, tmp_path):
@@ -58,7 +59,7 @@ def test_ego_trees_are_played(run, small, tmp_path):
         (["--epsilon", "0"], r"epsilon is \(0.0,\); it must be a number in \(0, 10\]"),
         (["--seeds", "3"], "seeds_per_pair is 3, but there is no steering noise"),
         (["--moves", "9"], "a tree of 9 moves with 4 choices for each player has"),
-        (["--preset", "nope"], "race preset 'nope' is unknown"),
+        (["--preset", "nope"], "race settings 'nope' are unknown"),
     ],
 )
 def test_impossible_options_end_in_one_line(run, small, tmp_path, options, message):

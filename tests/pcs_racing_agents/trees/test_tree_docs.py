@@ -1,24 +1,15 @@
 """The code of docs/trees.md runs."""
 
-import re
-
 import pytest
-from repository import REPOSITORY
+from repository import python_blocks, read_page, run_block
 
-PAGE = (REPOSITORY / "docs" / "trees.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+PAGE = read_page("trees.md")
+BLOCKS = python_blocks(PAGE)
 
 
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_the_code_runs(number, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    exec(compile(BLOCKS[number], "docs/trees.md", "exec"), {"__name__": "snippet"})
+    run_block(BLOCKS[number])
     out = capsys.readouterr().out
     assert ("RaceTree: policies" in out) if number == 0 else ("\n0 [" in out)
-
-
-def test_the_commands_are_commands():
-    from pcs_racing_agents.cli.main import _parser
-
-    for line in re.findall(r"^pcs-racing (.*)$", PAGE, re.MULTILINE):
-        assert _parser().parse_args(line.split()).run is not None

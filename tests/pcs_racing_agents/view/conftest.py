@@ -1,7 +1,7 @@
 import pytest
 from chromium_pipe import Browser, chromium
 
-from pcs_racing import load_race_config, load_track
+from pcs_racing import load_race_config, load_track, save_archive
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
@@ -10,7 +10,7 @@ from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_
 @pytest.fixture(scope="session")
 def tournament_folder(archive, tmp_path_factory):
     """A tournament of 18 races in a folder, as the command leaves it; and the tournament."""
-    saved = archive.save(tmp_path_factory.mktemp("archives") / "toy")
+    saved = save_archive(archive, tmp_path_factory.mktemp("archives") / "toy")
     place = tmp_path_factory.mktemp("tournaments") / "three agents"
     rules = load_race_config("contest", duration=5.0)
     agents = ["random-moves", "lane-switcher", "never-switch"]

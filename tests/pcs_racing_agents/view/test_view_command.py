@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
-from pcs_racing import load_track
+from pcs_racing import load_track, save_archive
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.configuration import plain_settings
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.study.config import StudyConfig
@@ -78,7 +78,7 @@ def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, capsys):
 
 
 def test_a_study_and_its_ratings_are_viewed_too(archive, tmp_path, capsys):
-    saved = archive.save(tmp_path / "toy")
+    saved = save_archive(archive, tmp_path / "toy")
     config = StudyConfig(
         archive=str(saved), tracks=("Pipkin",), opponents=("lane-switcher",), arms=("never-switch", "random-moves"),
         best="random-moves", egos=2, variants=2, lines=1, rivals=("never-switch", "random-moves"), rival_races=2,

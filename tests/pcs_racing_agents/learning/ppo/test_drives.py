@@ -5,17 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, load_track, parse_policy
+from pcs_racing import load_track, parse_policy
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners.network import INPUTS, network_planner
+from pcs_racing.planners.trained import trained_planner
 from pcs_racing.race.config import load_race_config
-from pcs_racing.race.races import run_races
 from pcs_racing_agents.learning.ppo.drives import Drives
+from pcs_racing_agents.learning.ppo.evaluation import mean_score
 from pcs_racing_agents.learning.ppo.learner import actor_layers, make_learner, own_randomness
-from pcs_racing_agents.learning.ppo.level import make_level
-from pcs_racing_agents.learning.ppo.parts import part_seeds, split_envs
-from pcs_racing_agents.learning.ppo.scores import total
-from pcs_racing_agents.networks.driver import driver_planner, flat_weights, learning_planner
-from pcs_racing_agents.networks.layers import Layers
+from pcs_racing_agents.learning.ppo.tasks import group_seeds, split_envs
+from pcs_racing_agents.learning.ppo.train import make_task
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +31,7 @@ def layers(hidden=(8,), size=0.4, seed=0):
     rng = np.random.default_rng(seed)
     sizes = [len(INPUTS), *hidden, 2]
     shapes = list(zip(sizes[1:], sizes[:-1], strict=True))
-    return Layers(
+    return DenseLayers(
         tuple(rng.normal(0.0, size, shape).astype(np.float32) for shape in shapes),
         tuple(rng.normal(0.0, 0.1, shape[0]).astype(np.float32) for shape in shapes),
     )
@@ -44,7 +43,7 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     settings = replace(drive_settings, hold=hold, noise=0.1)
     with own_randomness():
         learner = make_learner(settings, [drives(track, hold=hold)], 5, "tanh", 10.0)
-    part = learner.model.env.parts[0]
+    part = learner.model.env.groups[0]
     seen = part.reset(9)
     batch = part.batch
     seeds, opponents = batch.state.seed.copy(), batch.chosen.copy()
@@ -55,8 +54,8 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
 
     weights = actor_layers(learner)
     for planner, theta in (
-        (learning_planner((8,), hold), flat_weights(weights)),
-        (driver_planner("driver", weights, hold), np.zeros(0)),
+        (network_planner("learner", (8,), hold=hold), weights.flat()),
+        (trained_planner("driver", weights, hold), np.zeros(0)),
     ):
         setup = replace(batch.setup, planners=(planner, batch.setup.planners[1]))
         state = take(batch.grid, places)._replace(seed=seeds.copy(), memory=np.zeros((6, 2, setup.memory_size)))
@@ -75,17 +74,6 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
                 break
         assert going.sum() >= 4
         assert state.tick.max() >= 20
-
-
-def test_a_driver_of_50_hz_is_a_network_planner(track):
-    weights = layers((8, 5))
-    plain = network_planner("net", (8, 5), flat_weights(weights)).policy()
-    ours = driver_planner("driver", weights, 2).policy()
-    rivals = [parse_policy("lattice")] * 4
-    config = load_race_config("contest", duration=3.0)
-    results = [run_races(track, ego, rivals, config) for ego in (plain, ours)]
-    np.testing.assert_array_equal(results[0].state.cars, results[1].state.cars)
-    assert len(ours.parameters) == 0
 
 
 def test_races_go_on_from_their_state(track):
@@ -137,21 +125,21 @@ def test_a_last_observation_is_the_old_races(track):
 
 
 def test_slow_opponents_are_only_met_in_learning(drive_settings):
-    level = make_level(replace(drive_settings, races=("contest",)))
+    level = make_task(replace(drive_settings, races=("contest",)))
     (track,), (rules,) = level.tracks, level.rules
     learning = level.learning_rules(track, rules)
     assert learning.duration == 1.0
     assert learning.speed_range == (0.3, track.calibration["contest"].speed_range[1])
-    assert make_level(replace(drive_settings, slowest=0.0)).learning_rules(track, rules).speed_range is None
+    assert make_task(replace(drive_settings, slowest=0.0)).learning_rules(track, rules).speed_range is None
 
 
 def test_judging_is_racing_under_the_rules(drive_settings):
-    level = make_level(drive_settings)
-    scores = level.judge(layers())
-    assert scores == level.judge(layers())
+    level = make_task(drive_settings)
+    scores = level.evaluate(layers())
+    assert scores == level.evaluate(layers())
     assert {cell.opponent for cell in scores} == set(drive_settings.opponents)
     assert {cell.race for cell in scores} == {"short"}
-    mean = total(scores, drive_settings.opponents)
+    mean = mean_score(scores, drive_settings.opponents)
     assert mean.races == 4
     assert mean.worth == pytest.approx(mean.won - max(mean.lost, mean.at_fault), abs=0.51)
 
@@ -160,19 +148,5 @@ def test_environments_are_shared_out():
     assert split_envs(10, [3, 1]) == [8, 2]
     assert split_envs(1, [1, 1, 5]) == [1, 1, 1]
     assert sum(split_envs(64, [11, 4])) == 64
-    seeds = part_seeds(1, 5, 0) + part_seeds(1, 5, 1) + part_seeds(2, 5, 0)
+    seeds = group_seeds(1, 5, 0) + group_seeds(1, 5, 1) + group_seeds(2, 5, 0)
     assert len(set(seeds)) == 15
-
-
-def test_drivers_must_fit():
-    sound = layers()
-    with pytest.raises(InputError, match=r"layer 1 has weights of shape \(2, 7\)"):
-        driver_planner("d", Layers((sound.weights[0], np.zeros((2, 7), np.float32)), sound.biases), 2)
-    with pytest.raises(InputError, match="puts out 8 numbers; it must be 2"):
-        driver_planner("d", Layers(sound.weights[:1], sound.biases[:1]), 2)
-    with pytest.raises(InputError, match="a weight of nan"):
-        driver_planner("d", Layers(sound.weights, (sound.biases[0], np.full(2, np.nan, np.float32))), 2)
-    with pytest.raises(InputError, match="a weight of 11"):
-        driver_planner("d", Layers(sound.weights, (sound.biases[0], np.full(2, 11, np.float32))), 2)
-    with pytest.raises(InputError, match="holds its decisions for 3 steps"):
-        driver_planner("d", sound, 3)

@@ -3,8 +3,8 @@ from dataclasses import replace
 import pytest
 import yaml
 
+from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.configuration import plain_settings
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def test_training_from_the_command_line(config, tmp_path, capsys):
     assert "320/320 steps" in told.err
     made = {path.name for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")}
     assert made == {"job.yaml", "chunks", "updates.csv", "curve.png", "policy"}
-    assert yaml.safe_load((tmp_path / "out" / "policy" / "driver.yaml").read_text())["name"] == "mine"
+    assert yaml.safe_load((tmp_path / "out" / "policy" / "manifest.yaml").read_text())["name"] == "mine"
     assert main(arguments) == 0  # finished: it is only read
     assert capsys.readouterr().out == told.out
 

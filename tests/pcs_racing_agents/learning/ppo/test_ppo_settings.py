@@ -5,8 +5,8 @@ import pytest
 from pcs_racing import InputError
 from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing_agents.jobs.configuration import shipped_configs
-from pcs_racing_agents.learning.ppo.level import make_level
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
+from pcs_racing_agents.learning.ppo.train import make_task
 from pcs_racing_agents.study import load_study_config
 
 
@@ -39,17 +39,17 @@ def test_a_file_changes_what_it_names(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("hidden: [4]", r"level is None; it must be duel or drive"),
+        ("hidden: [4]", r"level is None; it must be one of duel, drive"),
         ("level: duel\nhold: 2", r"unknown ppo setting 'hold'; known are tracks"),
         ("level: drive\nhold: 3", r"mine.yaml: hold is 3; it must be even"),
         ("level: drive\narchive: default", r"unknown ppo setting 'archive'"),
         ("level: duel\nsteps: 1e6", r"steps is '1e6'; it must be a whole number"),
-        ("level: duel\nseeds: []", r"seeds is \(\); it must be a list of 1 to 1000"),
-        ("level: duel\nseeds: [1, 1]", r"seeds is \[1, 1\]; each must be there once"),
-        ("level: duel\nhidden: [0]", r"hidden is \(0,\); it must be a list of 0 to 8 whole numbers from 1"),
+        ("level: duel\nseeds: []", r"seeds is \[\]; it must be a list of 1 to 1000"),
+        ("level: duel\nseeds: [1, 1]", r"seeds is \[1, 1\]; it must be a list of 1 to 1000 different whole"),
+        ("level: duel\nhidden: [0]", r"hidden is \[0\]; it must be a list of at most 8 whole numbers from 1"),
         ("level: duel\nopponents: never-switch", r"opponents is 'never-switch'; it must be a mapping"),
         ("level: duel\nopponents: {never-switch: 0.5}", r"opponents holds 'never-switch': 0.5"),
-        ("level: duel\ntracks: Tarnfjord", r"tracks is 'Tarnfjord'; it must be a list of different names"),
+        ("level: duel\ntracks: Tarnfjord", r"tracks is 'Tarnfjord'; it must be a list of names"),
         ("level: duel\nlearning_rate: -1", r"learning_rate is -1; it must be a number"),
         ("level: duel\ndiscount: .nan", r"discount is nan; it must be a number from 0 to 1"),
         ("- 1", r"holds list; it must be a mapping"),
@@ -79,13 +79,13 @@ def test_unknown_settings_are_told_what_there_is():
 )
 def test_what_settings_name_must_exist(duel_settings, changes, message):
     with pytest.raises(InputError, match=message):
-        make_level(replace(duel_settings, **changes))
+        make_task(replace(duel_settings, **changes))
 
 
 def test_rules_of_one_name_are_refused(drive_settings, tmp_path):
     file = tmp_path / "other.yaml"
     file.write_text("name: short\n")
     with pytest.raises(InputError, match="two of these rules have the same name"):
-        make_level(replace(drive_settings, races=(*drive_settings.races, str(file))))
+        make_task(replace(drive_settings, races=(*drive_settings.races, str(file))))
     with pytest.raises(UnknownNameError, match="planner 'tortoise' is unknown"):
-        make_level(replace(drive_settings, opponents={"tortoise": 1}))
+        make_task(replace(drive_settings, opponents={"tortoise": 1}))

@@ -7,14 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, load_archive, load_track, make_game
+from pcs_racing import InputError, load_archive, load_track, make_game, save_archive
+from pcs_racing.planners.trained import read_driver
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.jobs.jobs import make_executor, read_chunk
-from pcs_racing_agents.learning.ppo.curves import read_curve, write_curve, write_picture, write_tensorboard
-from pcs_racing_agents.learning.ppo.scores import total
+from pcs_racing_agents.learning.ppo.evaluation import (
+    evaluation_curves,
+    mean_score,
+    read_evaluations,
+    write_evaluations,
+)
 from pcs_racing_agents.learning.ppo.train import train_ppo
-from pcs_racing_agents.networks.driver import read_driver
-from pcs_racing_agents.networks.network_files import read_network
+from pcs_racing_agents.networks import load_network
 
 
 @pytest.fixture(scope="module")
@@ -69,9 +73,9 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained,
 
 
 def test_a_finished_training_is_only_read(settings, trained, monkeypatch):
-    import pcs_racing_agents.learning.ppo.seed_run as seed_run
+    from pcs_racing_agents.learning.ppo import seed_training
 
-    monkeypatch.setattr(seed_run, "learn_once", None)
+    monkeypatch.setattr(seed_training, "learn_once", None)
     again = train_ppo(settings["drive"], trained["drive"].folder.parent)
     assert again.curves == trained["drive"].curves
 
@@ -94,10 +98,10 @@ def test_a_folder_belongs_to_its_settings(settings, trained):
 
 def test_a_folder_belongs_to_its_archive(settings, tmp_path):
     """An archive that was exchanged for another under the same name is noticed."""
-    mine = load_archive("default").save(tmp_path / "mine")
+    mine = save_archive(load_archive("default"), tmp_path / "mine")
     few = {"archive": str(mine), "opponents": {"random-moves": 1}, "steps": 16}
     train_ppo(settings["duel"], tmp_path / "out", **few)
-    load_archive("contest").save(mine)
+    save_archive(load_archive("contest"), mine)
     with pytest.raises(InputError, match="holds another run: its archive_sha256 is"):
         train_ppo(settings["duel"], tmp_path / "out", **few)
 
@@ -136,9 +140,9 @@ def test_seeds_differ_and_the_best_is_kept(settings, trained, tmp_path):
     both = train_ppo(settings["drive"], tmp_path, seeds=(0, 1))
     assert both.curves[0] == trained["drive"].curves[0]
     assert both.curves[1].scores != both.curves[0].scores
-    worths = [max(total(s, settings["drive"].opponents).worth for s in curve.scores) for curve in both.curves]
+    worths = [max(mean_score(s, settings["drive"].opponents).worth for s in curve.scores) for curve in both.curves]
     assert both.seed == int(np.argmax(worths))
-    assert total(both.scores, settings["drive"].opponents).worth == max(worths)
+    assert mean_score(both.scores, settings["drive"].opponents).worth == max(worths)
 
 
 def test_training_ends_at_a_plateau(settings, tmp_path):
@@ -165,7 +169,7 @@ def test_weights_that_run_away_are_told(settings, trained):
     from pcs_racing_agents.learning.ppo.learner import learn_once, make_learner, own_randomness
 
     with own_randomness():
-        learner = make_learner(settings["drive"], trained["drive"].level.parts(), 0, "tanh", 10.0)
+        learner = make_learner(settings["drive"], trained["drive"].task.env_groups(), 0, "tanh", 10.0)
         learn_once(learner)
         with torch.no_grad():
             learner.model.policy.action_net.bias[0] = float("nan")
@@ -179,16 +183,17 @@ def test_weights_that_run_away_are_told(settings, trained):
 def test_the_network_decides_as_stable_baselines_does(settings, trained):
     import torch
 
-    from pcs_racing_agents.learning.ppo.learner import actor_layers, make_learner, own_randomness, restore_learner
+    from pcs_racing_agents.learning.ppo.checkpoint import restore_learner
+    from pcs_racing_agents.learning.ppo.learner import actor_layers, make_learner, own_randomness
 
     run = trained["duel"]
     state = read_chunk(run.folder.parent / "chunks" / "seed-00000.npz")
     arrays = {key: array for key, array in state.items() if key.startswith("learner.")}
     with own_randomness():
-        learner = make_learner(settings["duel"], run.level.parts(), 0, "relu", 1e6)
+        learner = make_learner(settings["duel"], run.task.env_groups(), 0, "relu", 1e6)
         restore_learner(learner, {key.removeprefix("learner."): array for key, array in arrays.items()})
         seen = np.random.default_rng(0).uniform(-1.0, 2.0, (300, 31)).astype(np.float32)
-        network = run.level.network(actor_layers(learner), "net")
+        network = run.task.network(actor_layers(learner), "net")
         np.testing.assert_array_equal(network.choose(seen), learner.model.predict(seen, deterministic=True)[0])
         with torch.no_grad():
             logits = learner.model.policy.get_distribution(torch.from_numpy(seen)).distribution.logits.numpy()
@@ -197,7 +202,7 @@ def test_the_network_decides_as_stable_baselines_does(settings, trained):
 
 
 def test_a_duel_policy_is_an_agent_of_the_zoo(trained):
-    network = read_network(trained["duel"].folder)
+    network = load_network(trained["duel"].folder)
     assert network.name == "default-paper-ppo"
     assert network.training["setting_opponents"] == "2 random-moves, 1 never-switch, 1 pure-pursuit"
     assert network.training["steps"] == trained["duel"].steps
@@ -218,27 +223,27 @@ def test_a_drive_policy_is_a_driver(trained):
 
 def test_curves_are_kept(settings, trained, tmp_path):
     run = trained["drive"]
-    found = read_curve(run.folder / "curve.csv")
+    found = read_evaluations(run.folder / "curve.csv")
     assert [curve.steps for curve in found] == [(0, 320, 640)]
     assert found[0].scores[1].keys() == run.curves[0].scores[1].keys()
     cell = next(iter(run.scores))
     assert found[0].scores[1][cell] == pytest.approx(run.curves[0].scores[1][cell], rel=1e-5)
-    again = write_curve(found, tmp_path / "again.csv")
+    again = write_evaluations(found, tmp_path / "again.csv")
     assert again.read_bytes() == (run.folder / "curve.csv").read_bytes()
     lines = (run.folder.parent / "updates.csv").read_text().splitlines()
     assert lines[0].startswith("seed,steps,approx_kl")
     assert [line.split(",")[1] for line in lines[1:]] == ["160", "320", "480", "640"]
-    weights = settings["drive"].opponents
-    picture = write_picture(run.curves, weights, tmp_path / "curve.png", "title", "steps")
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    events = write_tensorboard(run.curves, weights, tmp_path / "events")
-    assert len(list(events.glob("seed-0/events.out.tfevents.*"))) == 1
+    panels = evaluation_curves(found, settings["drive"].opponents)
+    assert list(panels) == ["worth of a race", "races won", "crashes by own fault"]
+    (worth,) = panels["worth of a race"]
+    assert (worth.label, worth.x.tolist()) == ("seed 0", [0.0, 0.00032, 0.00064])
+    assert worth.y[1] == mean_score(found[0].scores[1], settings["drive"].opponents).worth
 
 
 @pytest.mark.parametrize("text", ["seed,steps\n0,1\n", "no curve at all\nx\n"])
 def test_other_files_are_no_curves(tmp_path, text):
     (tmp_path / "curve.csv").write_text(text)
     with pytest.raises(InputError, match="curve"):
-        read_curve(tmp_path / "curve.csv")
+        read_evaluations(tmp_path / "curve.csv")
     with pytest.raises(InputError, match="can't read"):
-        read_curve(tmp_path / "none.csv")
+        read_evaluations(tmp_path / "none.csv")

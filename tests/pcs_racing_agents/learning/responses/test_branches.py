@@ -4,7 +4,7 @@ import pytest
 from pcs_racing import make_game
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing_agents.agents.agents import always, never_switch, random_moves
+from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.learning.responses import branch_games

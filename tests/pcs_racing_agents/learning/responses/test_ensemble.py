@@ -3,10 +3,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.learning.responses import merge_networks
-from pcs_racing_agents.networks import RegretNetwork
-from pcs_racing_agents.networks.network import GameIdentity
+from pcs_racing_agents.networks import GameIdentity, RegretNetwork
 
 GAME = GameIdentity(("a", "b", "c"), ("left", "right"), (0.35,), "toy", "0" * 64, "paper")
 
@@ -19,8 +19,9 @@ def network(seed: int, hidden: tuple[int, ...] = (5, 4), clipped: bool = False) 
         identity=GAME,
         target="advantage",
         clipped=clipped,
-        weights=tuple(rng.normal(size=(b, a)).astype(np.float32) for a, b in pairwise(sizes)),
-        biases=tuple(rng.normal(size=b).astype(np.float32) for b in sizes[1:]),
+        layers=DenseLayers(
+            tuple(rng.normal(size=(b, a)) for a, b in pairwise(sizes)), tuple(rng.normal(size=b) for b in sizes[1:])
+        ),
         mean=rng.normal(size=3).astype(np.float32),
         scale=rng.uniform(0.5, 2.0, 3).astype(np.float32),
     )

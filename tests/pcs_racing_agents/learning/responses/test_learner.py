@@ -4,7 +4,7 @@ import pytest
 from pcs_racing import make_game
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.game.config import load_game_config
-from pcs_racing_agents.agents.agents import always, never_switch
+from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.jobs.jobs import make_executor, open_job
 from pcs_racing_agents.learning.responses import learn_response, load_response_settings
@@ -39,7 +39,7 @@ def test_the_same_network_from_threads_and_after_a_stop(game, setting, tmp_path)
         file.unlink()
     third = learn(game, setting, tmp_path / "b")
     for other in (second, third):
-        for mine, theirs in zip(first.weights, other.weights, strict=True):
+        for mine, theirs in zip(first.layers.weights, other.layers.weights, strict=True):
             np.testing.assert_array_equal(mine, theirs)
 
 

@@ -1,0 +1,213 @@
+"""Folders with a manifest: a file of data, and ``manifest.yaml``, which says what the data are and holds their SHA-256.
+
+Archives of policies, networks and trained drivers are kept in such folders; a choice made on training races is a
+manifest alone. Whatever is read may have been written by anybody: it is limited in size, nothing in it is run, and
+what does not fit is one clear error.
+"""
+
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.reading import MAX_YAML, parse_yaml, read_limited
+
+__all__ = ["MANIFEST", "ArtifactFormat", "ManifestFormat", "shipped_folder"]
+
+MANIFEST = "manifest.yaml"
+
+
+def shipped_folder(package: Path, name: str) -> Path:
+    """Return the folder of files that come with a package.
+
+    Parameters
+    ----------
+    package : Path
+        Folder of the package. Once installed, the files lie in its folder ``shipped_NAME``; in a checkout they lie
+        beside the package, in the folder ``NAME``.
+    name : str
+    """
+    inside = package / f"shipped_{name}"
+    return inside if inside.is_dir() else package.parent / name
+
+
+@dataclass(frozen=True)
+class ManifestFormat:
+    """What a YAML manifest must hold, and how to write and read it.
+
+    Attributes
+    ----------
+    noun : str
+        What it describes, for messages: "archive".
+    keys : tuple of str
+        All fields, beside ``format`` ("pcs-racing NOUN") and ``version``.
+    writer : str
+        The function that writes it, for messages.
+    version : int
+        Manifests of other versions are refused.
+    """
+
+    noun: str
+    keys: tuple[str, ...]
+    writer: str
+    version: int = 1
+
+    @property
+    def a_noun(self) -> str:
+        """The noun with its article: "an archive"."""
+        return f"{'an' if self.noun[0] in 'aeiou' else 'a'} {self.noun}"
+
+    def write(self, file: Path, fields: Mapping[str, Any]) -> None:
+        """Write a manifest; the file appears whole or not at all."""
+        content = self._manifest(fields)
+        write_atomically(file, lambda stream: stream.write(content))
+
+    def read(self, file: str | os.PathLike[str]) -> dict[str, Any]:
+        """Return the fields of a manifest.
+
+        Raises
+        ------
+        InputError
+            If the file can't be read, is no manifest of this kind and version, or has other keys. The values are not
+            checked.
+        """
+        manifest = parse_yaml(file, self._content(file, MAX_YAML))
+        form = f"pcs-racing {self.noun}"
+        if not isinstance(manifest, dict) or manifest.get("format") != form:
+            raise InputError(f"{file} is no manifest of {self.a_noun}: format must be {form!r}")
+        if manifest.get("version") != self.version:
+            raise InputError(
+                f"{file} has version {manifest.get('version')!r}; this release reads version {self.version}"
+            )
+        odd = set(manifest) ^ {"format", "version", *self.keys}
+        if odd:
+            names = ", ".join(sorted(map(str, odd)))
+            raise InputError(f"{file}: unknown or missing {names}; a manifest holds {', '.join(self.keys)}")
+        return {key: manifest[key] for key in self.keys}
+
+    def _manifest(self, fields: Mapping[str, Any]) -> bytes:
+        values = {
+            "format": f"pcs-racing {self.noun}",
+            "version": self.version,
+            **{key: fields[key] for key in self.keys},
+        }
+        return yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110).encode("utf-8")
+
+    def _content(self, file: str | os.PathLike[str], limit: int) -> bytes:
+        try:
+            return read_limited(file, limit, self.a_noun)
+        except OSError as error:
+            raise InputError(
+                f"can't read {file}: {error.strerror}; {self.a_noun} must have been written by {self.writer}"
+            ) from None
+
+
+@dataclass(frozen=True)
+class ArtifactFormat(ManifestFormat):
+    """A kind of folder: what its manifest holds, which file of data is beside it, and where the shipped ones lie.
+
+    Attributes
+    ----------
+    data_file : str
+        Name of the file of data.
+    digest_key : str
+        Field of the manifest that holds the SHA-256 of the data; one of ``keys``.
+    max_bytes : int
+        Largest size of the data.
+    shipped : Path
+        Folder of those that come with the package, a folder for each name.
+    """
+
+    data_file: str = "data"
+    digest_key: str = "sha256"
+    max_bytes: int = 32_000_000
+    shipped: Path = Path()
+
+    def save(self, folder: str | Path, fields: Mapping[str, Any], data: bytes) -> Path:
+        """Write data and manifest into a folder, which is made if need be.
+
+        A new folder appears whole or not at all. In one that exists the manifest is written last: until then its digest
+        belongs to other data, which :meth:`load` notices.
+
+        Parameters
+        ----------
+        folder : str or Path
+        fields : Mapping
+            Of the manifest, beside the digest.
+        data : bytes
+
+        Returns
+        -------
+        Path
+            The folder.
+        """
+        folder = Path(folder)
+        manifest = self._manifest({**fields, self.digest_key: hashlib.sha256(data).hexdigest()})
+        if not folder.exists():
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            temporary = folder.with_name(f".{folder.name[:100]}.{secrets.token_hex(4)}")
+            temporary.mkdir()
+            try:
+                (temporary / self.data_file).write_bytes(data)
+                (temporary / MANIFEST).write_bytes(manifest)
+                temporary.rename(folder)
+                return folder
+            except OSError as error:
+                if not folder.is_dir():  # else another process was faster: write into its folder
+                    raise OSError(error.errno, error.strerror, str(folder)) from None
+            finally:
+                shutil.rmtree(temporary, ignore_errors=True)
+        write_atomically(folder / self.data_file, lambda stream: stream.write(data))
+        write_atomically(folder / MANIFEST, lambda stream: stream.write(manifest))
+        return folder
+
+    def load(self, folder: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:
+        """Return the fields of the manifest and the data, whose digest has been compared with the manifest's.
+
+        Raises
+        ------
+        InputError
+            If a file is missing, damaged or too large, the manifest is of another kind or version, or the data are not
+            those that it describes.
+        """
+        folder = Path(folder)
+        fields = self.read(folder / MANIFEST)
+        file = folder / self.data_file
+        data = self._content(file, self.max_bytes)
+        if hashlib.sha256(data).hexdigest() != fields[self.digest_key]:
+            raise InputError(f"{file} is not the file that {folder / MANIFEST} describes: its digest differs")
+        return fields, data
+
+    def shipped_names(self) -> list[str]:
+        """Names of those that come with the package, sorted."""
+        return sorted(path.parent.name for path in self.shipped.glob(f"*/{MANIFEST}"))
+
+    def find(self, source: str | os.PathLike[str]) -> Path:
+        """Return the folder of a shipped one, by its name, or a folder as it is.
+
+        Raises
+        ------
+        InputError
+            If the source is neither a name nor a path.
+        UnknownNameError
+            If there is none of that name and no such folder.
+        """
+        if not isinstance(source, str | os.PathLike):
+            raise InputError(f"{self.noun} {source!r} must be a name or a folder")
+        names = self.shipped_names()
+        if source in names:
+            return self.shipped / str(source)
+        if not os.path.isdir(source):
+            raise UnknownNameError(
+                f"unknown {self.noun} {str(source)!r}: neither a folder nor one of those shipped "
+                f"({', '.join(names) or 'none'})"
+            )
+        return Path(source)

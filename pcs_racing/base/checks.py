@@ -1,0 +1,199 @@
+"""Checks of a value: each returns the value, or raises one error that names it and says what would be right."""
+
+import math
+import os
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from pcs_racing.base.errors import InputError
+
+__all__ = [
+    "check_array",
+    "check_choice",
+    "check_flag",
+    "check_names",
+    "check_number",
+    "check_path",
+    "check_seed",
+    "check_text",
+    "check_whole",
+    "check_wholes",
+    "did_you_mean",
+    "is_number",
+    "is_whole",
+    "within",
+]
+
+Error = type[InputError]
+
+
+def is_whole(value: object) -> bool:
+    """Whether a value is a whole number of Python or numpy; truth values are none."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a finite number of Python or numpy; truth values are none."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    return isinstance(value, int) or math.isfinite(value)
+
+
+def within(least: float | None, most: float | None, above: float | None = None) -> str:
+    """Return the words for a range: ``from 0 to 1``, ``from 1``, ``above 0 up to 1``; empty where there is none."""
+    low = "" if least is None and above is None else f" from {least:.12g}" if above is None else f" above {above:.12g}"
+    high = "" if most is None else f" to {most:.12g}" if above is None and least is not None else f" up to {most:.12g}"
+    return low + high
+
+
+def check_whole(
+    name: str, value: Any, least: int | None = 0, most: int | None = None, error: Error = InputError
+) -> int:
+    """Return a whole number within a range, both ends included, as an ``int``."""
+    if not is_whole(value) or value < least or (most is not None and value > most):
+        raise error(f"{name} is {value!r}; it must be a whole number{within(least, most)}")
+    return int(value)
+
+
+def check_number(
+    name: str,
+    value: Any,
+    least: float | None = None,
+    most: float | None = None,
+    *,
+    above: float | None = None,
+    error: Error = InputError,
+) -> float:
+    """Return a finite number within a range; ``least`` and ``most`` belong to it, ``above`` does not.
+
+    A number of Python is returned as it is, one of numpy as a number of Python.
+    """
+    fine = is_number(value)
+    fine = fine and (least is None or value >= least) and (most is None or value <= most)
+    if not fine or (above is not None and not value > above):
+        kind = "finite number" if least is most is above is None else "number"
+        raise error(f"{name} is {value!r}; it must be a {kind}{within(least, most, above)}")
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def check_flag(name: str, value: Any, error: Error = InputError) -> bool:
+    """Return a truth value as a ``bool``."""
+    if not isinstance(value, bool | np.bool_):
+        raise error(f"{name} is {value!r}; it must be true or false")
+    return bool(value)
+
+
+def check_text(name: str, value: Any, error: Error = InputError) -> str:
+    """Return a text that is not empty."""
+    if not isinstance(value, str) or not value:
+        raise error(f"{name} is {value!r}; it must be a non-empty text")
+    return value
+
+
+def check_path(name: str, value: Any, error: Error = InputError) -> str | os.PathLike[str]:
+    """Return a name or a path; whether there is such a file is not looked at."""
+    if not isinstance(value, str | os.PathLike) or not os.fspath(value):
+        raise error(f"{name} is {value!r:.200}; it must be a name or a path")
+    return value
+
+
+def check_choice(name: str, value: Any, choices: Iterable[str], error: Error = InputError) -> str:
+    """Return one of several names; a name that resembles one of them is suggested."""
+    known = list(choices)
+    if not isinstance(value, str) or value not in known:
+        raise error(f"{name} is {value!r}; it must be one of {', '.join(known)}{did_you_mean(value, known)}")
+    return value
+
+
+def did_you_mean(name: Any, known: Iterable[str]) -> str:
+    """Return the end of a message that suggests a known name, or an empty text where none resembles."""
+    close = get_close_matches(name, list(known), 1) if isinstance(name, str) else []
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def check_names(name: str, values: Any, least: int = 1, error: Error = InputError) -> tuple[str, ...]:
+    """Return a list of different texts, none empty, as a tuple."""
+    listed = isinstance(values, list | tuple) and all(isinstance(value, str) and value for value in values)
+    if not listed or len(values) < least:
+        raise error(f"{name} is {values!r}; it must be a list of {'names' if least < 2 else f'{least} names or more'}")
+    if len(set(values)) < len(values):
+        raise error(f"{name} are {', '.join(values)}; name each once")
+    return tuple(values)
+
+
+def check_wholes(
+    name: str,
+    values: Any,
+    least: int,
+    most: int,
+    count: tuple[int, int] | None = None,
+    *,
+    different: bool = False,
+    error: Error = InputError,
+) -> tuple[int, ...]:
+    """Return a list of whole numbers within a range as a tuple; ``count`` is the fewest and the most of them."""
+    low, high = count or (0, math.inf)
+    listed = isinstance(values, list | tuple) and all(is_whole(value) and least <= value <= most for value in values)
+    if not listed or not low <= len(values) <= high or (different and len(set(values)) < len(values)):
+        many = "" if count is None else f"{low} to {high} " if low else f"at most {high} "
+        kind = "different " if different else ""
+        raise error(f"{name} is {values!r}; it must be a list of {many}{kind}whole numbers{within(least, most)}")
+    return tuple(int(value) for value in values)
+
+
+def check_seed(seed: Any, name: str = "seed", most: int | None = None) -> int:
+    """Return a seed, a whole number from 0, as an ``int``."""
+    return check_whole(name, seed, 0, most)
+
+
+def check_array(
+    name: str,
+    value: ArrayLike,
+    shape: Sequence[int | None],
+    *,
+    least: float | None = None,
+    most: float | None = None,
+    dtype: DTypeLike = np.float64,
+    error: Error = InputError,
+) -> NDArray[Any]:
+    """Return a new array of finite numbers.
+
+    Parameters
+    ----------
+    name : str
+    value : array_like
+    shape : sequence of int or None
+        Its shape; None stands for any length.
+    least, most : float, optional
+        Limits of all numbers, which belong to the range.
+    dtype : dtype
+        Of the result.
+    error : type
+        What is raised.
+
+    Raises
+    ------
+    InputError
+        If it has another shape, holds something that is no number, or a number is infinite, NaN or out of the range.
+    """
+    try:
+        array = np.array(value, dtype)
+    except (TypeError, ValueError, OverflowError):
+        raise error(f"{name} is {value!r:.200}; it must hold numbers") from None
+    if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "")
+        raise error(f"{name} has shape {array.shape}; it must have ({wanted})")
+    wrong = ~np.isfinite(array)
+    if least is not None:
+        wrong |= array < least
+    if most is not None:
+        wrong |= array > most
+    if wrong.any():
+        place = tuple(int(i) for i in np.argwhere(wrong)[0])
+        at = f" at {place[0] if len(place) == 1 else place}" if place else ""
+        raise error(f"{name} holds {array[place]}{at}; it must be finite{within(least, most)}")
+    return array

@@ -1,0 +1,238 @@
+"""Dense networks: their weights as one value, the compiled forward pass, and their tensors in files.
+
+The forward pass computes one row at a time, so that a row's outputs are the same to the bit in a batch of any size. A
+matrix product of numpy would be shorter, but its rounding depends on the number of rows, and a driver must not decide
+otherwise because it raced in a larger batch.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from pcs_racing.base.compilation import kernel
+from pcs_racing.base.elementary import hyperbolic_tangent
+from pcs_racing.base.errors import InputError
+
+__all__ = ["DenseLayers", "dense_forward", "dense_rows", "layers_from_bytes", "layers_to_bytes", "weight_count"]
+
+Floats = NDArray[np.float32]
+
+MOST_WEIGHTS = 4_000_000
+MOST_LAYERS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class DenseLayers:
+    """Weights and biases of fully connected layers.
+
+    Attributes
+    ----------
+    weights : tuple of ndarray, shape (out, in), float32
+        Of each layer; read-only.
+    biases : tuple of ndarray, shape (out,), float32
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit each other, are too large, or a number is not finite.
+    """
+
+    weights: tuple[NDArray[np.floating[Any]], ...]  # float32; other numbers are converted
+    biases: tuple[NDArray[np.floating[Any]], ...]
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.weights) <= MOST_LAYERS or len(self.biases) != len(self.weights):
+            raise InputError(
+                f"there are weights of {len(self.weights)} layers and biases of {len(self.biases)}; give both of 1 to "
+                f"{MOST_LAYERS} layers"
+            )
+        inputs = None  # of the next layer; the first may have any number
+        weights, biases = [], []
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            shape = np.shape(weight)
+            if len(shape) != 2 or 0 in shape or shape[1] != (inputs or shape[1]):
+                raise InputError(f"weights of layer {i} have shape {shape}; they must have (any, {inputs or 'any'})")
+            inputs = shape[0]
+            weights.append(_array(f"weights of layer {i}", weight, shape))
+            biases.append(_array(f"biases of layer {i}", bias, shape[:1]))
+        object.__setattr__(self, "weights", tuple(weights))
+        object.__setattr__(self, "biases", tuple(biases))
+        if weight_count(self.sizes) > MOST_WEIGHTS:
+            raise InputError(f"the layers have {weight_count(self.sizes)} weights; {MOST_WEIGHTS} is the limit")
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers that go in, and that come out of each layer."""
+        return (self.weights[0].shape[1], *(len(bias) for bias in self.biases))
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Widths of the hidden layers."""
+        return self.sizes[1:-1]
+
+    def flat(self) -> Floats:
+        """All numbers as one vector: of each layer its biases, then for each input the weights to all outputs."""
+        pairs = zip(self.weights, self.biases, strict=True)
+        return np.concatenate([numbers for weight, bias in pairs for numbers in (bias, weight.T.ravel())])
+
+
+def weight_count(sizes: Sequence[int]) -> int:
+    """Return how many numbers layers of these sizes (:attr:`DenseLayers.sizes`) have."""
+    return sum((below + 1) * above for below, above in pairwise(sizes))
+
+
+def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    array = np.array(values, np.float32)
+    if array.shape != shape:
+        raise InputError(f"{name} have shape {array.shape}; they must have {shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} hold NaN or infinity")
+    array.setflags(write=False)
+    return array
+
+
+# The forward pass
+
+
+@kernel
+def dense_forward(flat, sizes, x, y, tanh):  # type: ignore[no-untyped-def]
+    """Pass ``x[:sizes[0]]`` through all layers.
+
+    Parameters
+    ----------
+    flat : float array
+        Weights and biases, :meth:`DenseLayers.flat`.
+    sizes : tuple or array of int
+        :attr:`DenseLayers.sizes`.
+    x, y : float arrays, at least as long as the largest of ``sizes``
+        Overwritten. The outputs stand in ``y`` if the number of layers is odd, else in ``x``.
+    tanh : bool
+        Whether a tanh follows each layer, the last one too; otherwise ReLUs stand between the layers.
+    """
+    at = 0
+    layers = len(sizes) - 1
+    for layer in range(layers):
+        count = sizes[layer]
+        width = sizes[layer + 1]
+        for j in range(width):
+            y[j] = flat[at + j]
+        at += width
+        whole = count - count % 4
+        for i in range(0, whole, 4):  # four inputs at a time: the sums in ``y`` are loaded and stored once
+            a, b, c, d = x[i], x[i + 1], x[i + 2], x[i + 3]
+            w0 = flat[at : at + width]
+            w1 = flat[at + width : at + 2 * width]
+            w2 = flat[at + 2 * width : at + 3 * width]
+            w3 = flat[at + 3 * width : at + 4 * width]
+            for j in range(width):
+                y[j] = (((y[j] + a * w0[j]) + b * w1[j]) + c * w2[j]) + d * w3[j]
+            at += 4 * width
+        for i in range(whole, count):
+            for j in range(width):
+                y[j] += x[i] * flat[at + j]
+            at += width
+        if tanh:
+            for j in range(width):
+                y[j] = hyperbolic_tangent(y[j])
+        elif layer < layers - 1:
+            for j in range(width):
+                y[j] = max(y[j], np.float32(0.0))
+        x, y = y, x
+
+
+@kernel
+def dense_rows(rows, flat, sizes, scratch, out):  # type: ignore[no-untyped-def]
+    """Compute ``out = W_L relu(... relu(W_1 x + b_1) ...) + b_L`` for each row; says whether all inputs are finite.
+
+    Parameters
+    ----------
+    rows : float32 array, shape (R, D)
+    flat, sizes
+        As for :func:`dense_forward`.
+    scratch : float32 array, shape (2, largest of ``sizes``)
+    out : float32 array, shape (R, A)
+        Written.
+    """
+    finite = True
+    last = (len(sizes) - 1) % 2
+    for r in range(len(rows)):
+        for i in range(sizes[0]):
+            finite &= np.isfinite(rows[r, i])
+            scratch[0, i] = rows[r, i]
+        dense_forward(flat, sizes, scratch[0], scratch[1], False)
+        for j in range(out.shape[1]):
+            out[r, j] = scratch[last, j]
+    return finite
+
+
+# Files
+
+
+def layers_to_bytes(layers: DenseLayers, others: Mapping[str, Floats] | None = None) -> bytes:
+    """Return the content of a safetensors file: ``layers.N.weight``, ``layers.N.bias`` and other tensors by name."""
+    tensors = dict(others or {})
+    for i, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
+        tensors |= {f"layers.{i}.weight": weight, f"layers.{i}.bias": bias}
+    return save_tensors({key: np.ascontiguousarray(value) for key, value in tensors.items()})
+
+
+def layers_from_bytes(
+    file: Path, content: bytes, hidden: Any, others: Collection[str] = ()
+) -> tuple[DenseLayers, dict[str, Floats]]:
+    """Read what :func:`layers_to_bytes` wrote.
+
+    Parameters
+    ----------
+    file : Path
+        For messages.
+    content : bytes
+        Of the file.
+    hidden : list of int
+        Widths of the hidden layers that the file must have, as its manifest says.
+    others : collection of str
+        Names of the other tensors.
+
+    Returns
+    -------
+    layers : DenseLayers
+    others : dict of str to ndarray
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or holds something else than float32 tensors of these names and sizes.
+    """
+    if not isinstance(hidden, list) or not all(type(width) is int for width in hidden):
+        raise InputError(f"{file.parent}: hidden is {hidden!r:.80}; it must be a list of whole numbers")
+    if len(hidden) >= MOST_LAYERS:
+        raise InputError(f"{file.parent}: there are {len(hidden)} hidden layers; {MOST_LAYERS - 1} is the limit")
+    try:
+        tensors = load_tensors(content)
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{file} is no safetensors file of numbers: {error}") from None
+    count = len(hidden) + 1
+    odd = set(tensors) ^ {*others, *(f"layers.{i}.{kind}" for i in range(count) for kind in ("weight", "bias"))}
+    if odd:
+        names = ", ".join(sorted(odd))
+        raise InputError(f"{file}: unknown or missing {names}; the manifest's hidden layers are {hidden}")
+    for key, tensor in tensors.items():
+        if tensor.dtype != np.float32:
+            raise InputError(f"{file}: {key} is of type {tensor.dtype}; it must be float32")
+    try:
+        layers = DenseLayers(
+            tuple(tensors[f"layers.{i}.weight"] for i in range(count)),
+            tuple(tensors[f"layers.{i}.bias"] for i in range(count)),
+        )
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    if list(layers.hidden) != hidden:
+        raise InputError(f"{file} has hidden layers {list(layers.hidden)}; its manifest says {hidden}")
+    return layers, {key: tensors[key] for key in others}

@@ -1,0 +1,339 @@
+"""Declared settings: a frozen dataclass whose fields state type, default, range and meaning in one place.
+
+    @dataclass(frozen=True)
+    class Soup(Settings):
+        salt: float = setting(0.5, number(0.0, 1.0), "Salt, g.")
+
+Everything else follows from the declaration: the checks when settings are made, the attributes in the docstring,
+loading from YAML (:func:`load_settings`), the plain form for manifests (:func:`plain_settings`) and options of a
+command line (:func:`add_setting_options`). A setting whose default is None may be None.
+"""
+
+import argparse
+import dataclasses
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, Field, dataclass, fields, replace
+from functools import partial
+from inspect import get_annotations
+from pathlib import Path
+from textwrap import indent, wrap
+from typing import Any, TypeVar, get_origin
+
+from pcs_racing.base.checks import (
+    check_choice,
+    check_flag,
+    check_names,
+    check_number,
+    check_text,
+    check_whole,
+    check_wholes,
+    did_you_mean,
+    is_whole,
+    within,
+)
+from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing.base.reading import MAX_YAML, parse_yaml, read_limited
+
+__all__ = [
+    "Rule",
+    "Settings",
+    "add_setting_options",
+    "checked",
+    "choice",
+    "flag",
+    "load_settings",
+    "names",
+    "number",
+    "plain_settings",
+    "read_settings",
+    "setting",
+    "stated_options",
+    "tenths",
+    "text",
+    "weights",
+    "whole",
+    "wholes",
+]
+
+S = TypeVar("S", bound="Settings")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a setting may be.
+
+    Attributes
+    ----------
+    check : callable
+        ``check(name, value)`` returns the value as it is kept, or raises a :class:`ConfigError` that names it.
+    words : str
+        The range, for docstrings and help texts: ``from 0 to 1``; empty where the type says all.
+    read : callable
+        Turns a word of a command line into a value.
+    several : bool
+        Whether the value is a list.
+    """
+
+    check: Callable[[str, Any], Any]
+    words: str = ""
+    read: Callable[[str], Any] = str
+    several: bool = False
+
+
+def whole(least: int, most: int) -> Rule:
+    """A whole number from ``least`` to ``most``."""
+    return Rule(partial(check_whole, least=least, most=most, error=ConfigError), within(least, most).strip(), int)
+
+
+def number(least: float, most: float) -> Rule:
+    """A finite number from ``least`` to ``most``."""
+    return Rule(partial(check_number, least=least, most=most, error=ConfigError), within(least, most).strip(), float)
+
+
+def tenths(least: float, most: float) -> Rule:
+    """A multiple of 0.1 from ``least`` to ``most``."""
+
+    def check(name: str, value: Any) -> float:
+        checked = check_number(name, value, least, most, error=ConfigError)
+        if abs(checked * 10.0 - round(checked * 10.0)) > 1e-9:
+            raise ConfigError(f"{name} is {value!r}; it must be a multiple of 0.1")
+        return checked
+
+    return Rule(check, f"{within(least, most).strip()}, a multiple of 0.1", float)
+
+
+def flag() -> Rule:
+    """True or false."""
+    return Rule(partial(check_flag, error=ConfigError))
+
+
+def text() -> Rule:
+    """A text that is not empty, such as a name or a path."""
+    return Rule(partial(check_text, error=ConfigError))
+
+
+def choice(known: Iterable[str]) -> Rule:
+    """One of several names."""
+    known = tuple(known)
+    return Rule(partial(check_choice, choices=known, error=ConfigError), f"one of {', '.join(known)}")
+
+
+def names(fewest: int = 1) -> Rule:
+    """A list of at least ``fewest`` different names."""
+    return Rule(partial(check_names, least=fewest, error=ConfigError), several=True)
+
+
+def wholes(least: int, most: int, *, fewest: int = 0, longest: int = 1000, different: bool = False) -> Rule:
+    """A list of ``fewest`` to ``longest`` whole numbers from ``least`` to ``most``."""
+    count = fewest, longest
+    check = partial(check_wholes, least=least, most=most, count=count, different=different, error=ConfigError)
+    return Rule(check, f"{fewest} to {longest} numbers{within(least, most)}", int, True)
+
+
+def weights(least: int, most: int) -> Rule:
+    """A mapping of names to whole numbers from ``least`` to ``most``."""
+
+    def check(name: str, value: Any) -> dict[str, int]:
+        if not isinstance(value, Mapping) or not value:
+            raise ConfigError(f"{name} is {value!r}; it must be a mapping of names to whole numbers")
+        for key, weight in value.items():
+            if not isinstance(key, str) or not key or not is_whole(weight) or not least <= weight <= most:
+                raise ConfigError(
+                    f"{name} holds {key!r}: {weight!r}; give names with whole numbers{within(least, most)}"
+                )
+        return {key: int(weight) for key, weight in value.items()}
+
+    return Rule(check, f"weights{within(least, most)}")
+
+
+def checked(function: Callable[[Any], Any], words: str = "") -> Rule:
+    """What a function makes of a value; an :class:`InputError` of it becomes a :class:`ConfigError`."""
+
+    def check(_: str, value: Any) -> Any:
+        try:
+            return function(value)
+        except (ConfigError, UnknownNameError):
+            raise
+        except InputError as error:
+            raise ConfigError(str(error)) from None
+
+    return Rule(check, words)
+
+
+def setting(default: Any, rule: Rule, meaning: str) -> Any:
+    """Declare a setting: a dataclass field with its rule and its meaning.
+
+    Parameters
+    ----------
+    default
+        Must obey the rule, or be None where the setting may be None.
+    rule : Rule
+    meaning : str
+        One sentence, with the unit.
+    """
+    metadata = {"rule": rule, "meaning": meaning}
+    if isinstance(default, dict):  # each object gets its own, and frozen settings stay hashable
+        return dataclasses.field(default_factory=lambda: dict(default), hash=False, metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Base of declared settings; checks between fields go into ``__post_init__`` after the base's."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        cls.__doc__ = f"{cls.__dict__.get('__doc__') or ''}".rstrip() + "\n\n" + _attributes(cls)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is None and field.default is None:
+                continue
+            kept = field.metadata["rule"].check(field.name, value)
+            if kept is not value:
+                object.__setattr__(self, field.name, kept)
+
+
+def load_settings(
+    kind: str,
+    default: S,
+    source: "str | os.PathLike[str] | Settings | None" = None,
+    named: Mapping[str, "S | Path"] | None = None,
+    base_key: str | None = None,
+    /,
+    **changes: Any,
+) -> S:
+    """Return settings from a name, a YAML file or settings, with some fields changed.
+
+    Parameters
+    ----------
+    kind : str
+        What the settings are for, for messages: "race".
+    default : Settings
+        What a field is that a file leaves out; returned, changed, without a source.
+    source : str, Path or Settings, optional
+        A name out of ``named``, a YAML file that holds a mapping of the fields, or settings.
+    named : mapping, optional
+        Settings, or files of settings, that have a name.
+    base_key : str, optional
+        Key of a file that names the settings, out of ``named``, that take the default's place.
+    **changes
+        Fields that are to be others.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or a value impossible.
+    UnknownNameError
+        If the source is neither a known name nor a file.
+    """
+    known = dict(named or {})
+    if source is None or isinstance(source, type(default)):
+        _check_keys(kind, default, changes, "the arguments")
+        return replace(default if source is None else source, **changes)
+    if not isinstance(source, str | os.PathLike):
+        raise ConfigError(f"{kind} settings are {source!r:.80}; use a name or the path of a YAML file")
+    place = known.get(source, Path(source)) if isinstance(source, str) else Path(source)
+    if not isinstance(place, str | os.PathLike):
+        return load_settings(kind, default, place, **changes)
+    if not os.path.isfile(place):
+        raise UnknownNameError(
+            f"{kind} settings {str(source)!r} are unknown; use {', '.join(known) or 'none'} or the path of a YAML file"
+            f"{did_you_mean(source, known)}"
+        )
+    values = read_settings(place)
+    if base_key is not None and base_key in values:
+        name = check_choice(f"{place}: {base_key}", values.pop(base_key), known, ConfigError)
+        default = load_settings(kind, default, name, named)
+    _check_keys(kind, default, values, str(place))
+    _check_keys(kind, default, changes, "the arguments")
+    try:
+        return replace(default, **{**values, **changes})
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {error}") from None
+
+
+def read_settings(path: str | os.PathLike[str]) -> dict[Any, Any]:
+    """Read a YAML file that holds a mapping; no code in it is run.
+
+    Raises
+    ------
+    ConfigError
+        If it can't be read, is too large, no YAML, or no mapping.
+    """
+    try:
+        content = read_limited(path, MAX_YAML, "a file of settings")
+    except OSError as error:
+        raise ConfigError(f"can't read {path}: {error.strerror or error}") from None
+    except InputError as error:
+        raise ConfigError(str(error)) from None
+    values = parse_yaml(path, content, ConfigError)
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of settings")
+    return dict(values)
+
+
+def plain_settings(settings: Settings) -> dict[str, Any]:
+    """Return settings as plain values that YAML can hold; tuples become lists."""
+    values = {field.name: getattr(settings, field.name) for field in fields(settings)}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
+
+
+def add_setting_options(parser: argparse.ArgumentParser, cls: type[Settings], *keys: str) -> None:
+    """Add an option to a command line for each of some settings; :func:`stated_options` returns what was stated."""
+    declared = {field.name: field for field in fields(cls)}
+    for name in keys:
+        rule = declared[name].metadata["rule"]
+        parser.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=rule.read,
+            nargs="+" if rule.several else None,
+            metavar={int: "N", float: "X"}.get(rule.read, name.upper()),
+            help=_sentence(declared[name]).replace("%", "%%"),
+        )
+
+
+def stated_options(arguments: argparse.Namespace, cls: type[Settings]) -> dict[str, Any]:
+    """Return the settings that a command line states, for the changes of :func:`load_settings`."""
+    stated = {field.name: getattr(arguments, field.name, None) for field in fields(cls)}
+    return {name: value for name, value in stated.items() if value is not None}
+
+
+def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where: str) -> None:
+    known = [field.name for field in fields(settings)]
+    for key in changes:
+        if key not in known:
+            hint = did_you_mean(key, known)
+            raise ConfigError(f"{where}: unknown {kind} setting {key!r}; known are {', '.join(known)}{hint}")
+
+
+def _attributes(cls: type[Settings]) -> str:
+    """The attributes of a class of settings as a section of its docstring."""
+    lines = ["Attributes", "----------"]
+    for name, (kind, field) in _declared(cls).items():
+        lines += [f"{name} : {kind}", *wrap(_sentence(field), 108, initial_indent="    ", subsequent_indent="    ")]
+    return indent(
+        "\n".join([*lines, "", "Raises", "------", "ConfigError", "    If a value is impossible.", ""]), "    "
+    )
+
+
+def _declared(cls: type) -> dict[str, tuple[str, "Field[Any]"]]:
+    """Types and declarations of the settings of a class, which need not have become a dataclass yet."""
+    declared = {}
+    for base in reversed(cls.__mro__):
+        made = base.__dict__.get("__dataclass_fields__", {})
+        for name, kind in get_annotations(base).items():
+            field = made.get(name, base.__dict__.get(name))
+            if isinstance(field, Field) and "rule" in field.metadata:
+                plain = kind.__name__ if isinstance(kind, type) and get_origin(kind) is None else str(kind)
+                declared[name] = plain.replace("collections.abc.", "").replace("typing.", ""), field
+    return declared
+
+
+def _sentence(field: "Field[Any]") -> str:
+    rule, meaning = field.metadata["rule"], field.metadata["meaning"].rstrip(".")
+    default = field.default if field.default_factory is MISSING else field.default_factory()
+    said = "" if default is None else f" (default: {default!r})"
+    return f"{meaning}{f'; {rule.words}' if rule.words else ''}{said}."

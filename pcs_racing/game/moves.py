@@ -1,0 +1,132 @@
+"""Moves between the policies of an archive: a little more or less of one characteristic.
+
+A move asks for the point a step farther along one normalised axis and leads to the policy of the archive that is
+nearest to it. It starts from the policy in use, not from the point that an earlier move asked for.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive, check_indices
+
+__all__ = [
+    "EPSILON",
+    "check_epsilon",
+    "duplicate_moves",
+    "duplicate_share",
+    "move",
+    "move_names",
+    "move_table",
+    "no_op_share",
+]
+
+Indices = NDArray[np.int64]
+
+EPSILON = 0.5
+"""How far a move goes unless the game says otherwise: half of the archive's range on an axis."""
+
+
+def move(archive: PolicyArchive, index: ArrayLike, axis: ArrayLike, sign: ArrayLike, epsilon: ArrayLike) -> Indices:
+    """Return the index of the policy that a move leads to; the arguments broadcast against each other.
+
+    Parameters
+    ----------
+    archive : PolicyArchive
+    index : int
+        Policy in use.
+    axis : int
+        Characteristic to change.
+    sign : {1, -1}
+        More or less of it.
+    epsilon : float
+        By how much, in normalised units.
+
+    Raises
+    ------
+    InputError
+        If one of them is impossible.
+    """
+    given = np.broadcast_arrays(index, axis, sign, epsilon)
+    policies = check_indices(given[0], "index", len(archive))
+    axes = check_indices(given[1], "axis", len(archive.characteristics))
+    signs, steps = np.asarray(given[2], np.float64), np.asarray(given[3], np.float64)
+    if not np.isin(signs, (-1.0, 1.0)).all():
+        raise InputError(f"sign is {signs[~np.isin(signs, (-1.0, 1.0))][0]:g}; it must be 1 or -1")
+    if not np.isfinite(steps).all() or (steps < 0.0).any():
+        raise InputError(f"epsilon is {steps[~(np.isfinite(steps) & (steps >= 0.0))][0]:g}; it must be 0 or above")
+    targets = archive.normalised[policies]
+    along = np.take_along_axis(targets, axes[..., None], -1) + (signs * steps)[..., None]
+    np.put_along_axis(targets, axes[..., None], along, -1)
+    return archive.nearest(targets)
+
+
+def move_table(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON, stay: bool = False) -> Indices:
+    """Return where every move leads from every policy, shape (K, M).
+
+    The moves of the first epsilon come first: characteristic 0 more, characteristic 0 less, characteristic 1 more, and
+    so on; then those of the next epsilon; the move that keeps the policy, if there is one, comes last.
+    """
+    here = np.arange(len(archive))
+    columns = [
+        move(archive, here, axis, sign, step)
+        for step in check_epsilon(epsilon)
+        for axis in range(len(archive.characteristics))
+        for sign in (1, -1)
+    ]
+    return np.stack([*columns, here] if stay else columns, axis=1)
+
+
+def move_names(
+    archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON, stay: bool = False
+) -> tuple[str, ...]:
+    """Names of the moves in the order of :func:`move_table`: ``"aggressiveness +"`` (with several epsilons
+    ``"aggressiveness + 0.5"``) and ``"stay"``.
+    """
+    steps = check_epsilon(epsilon)
+    names = [
+        f"{axis} {sign}" if len(steps) == 1 else f"{axis} {sign} {step:g}"
+        for step in steps
+        for axis in archive.characteristics
+        for sign in "+-"
+    ]
+    return (*names, "stay") if stay else tuple(names)
+
+
+def no_op_share(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON) -> float:
+    """Share of all (policy, move) pairs in which the move leads back to the policy itself."""
+    return float(np.mean(move_table(archive, epsilon) == np.arange(len(archive))[:, None]))
+
+
+def duplicate_share(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON) -> float:
+    """Share of all (policy, move) pairs in which an earlier move of the same policy leads to the same place."""
+    return float(np.mean(duplicate_moves(move_table(archive, epsilon))))
+
+
+def duplicate_moves(table: Indices) -> NDArray[np.bool_]:
+    """Whether an earlier move of the same policy leads to the same place, for a table of moves (K, M)."""
+    same = table[:, :, None] == table[:, None, :]
+    return np.triu(same, 1).any(axis=1)
+
+
+def check_epsilon(epsilon: Any) -> tuple[float, ...]:
+    """Return the step sizes of the moves as a tuple of different positive numbers.
+
+    Raises
+    ------
+    InputError
+        If they are anything else.
+    """
+    single = isinstance(epsilon, int | float | np.integer | np.floating)
+    try:
+        given = (epsilon,) if single else tuple(epsilon)
+        steps = tuple(float(e) for e in given)
+        good = all(not isinstance(e, bool | str) for e in given) and all(0.0 < e <= 10.0 for e in steps)
+    except (TypeError, ValueError, OverflowError):
+        steps, good = (), False
+    if not good or not steps or len(set(steps)) != len(steps):
+        raise InputError(f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones")
+    return steps

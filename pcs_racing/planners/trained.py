@@ -1,0 +1,112 @@
+"""Trained drivers: network planners whose weights never change, kept in folders; and ``ppo-drive``, which is shipped.
+
+Unlike those of :func:`pcs_racing.planners.network.network_planner`, the weights of a trained driver are constants of
+its compiled code: it has no parameters, and the state of a race does not grow with it.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, shipped_folder
+from pcs_racing.base.dense import DenseLayers, layers_from_bytes, layers_to_bytes
+from pcs_racing.base.errors import InputError
+from pcs_racing.planners.network import INPUTS, TOP_SPEED, check_driver, make_network_planner
+from pcs_racing.planners.planner import Planner
+
+__all__ = ["DRIVER_FORMAT", "load_driver", "read_driver", "save_driver", "trained_planner"]
+
+NAME = "ppo-drive"
+
+DRIVER_FORMAT = ArtifactFormat(
+    "driver",
+    ("name", "inputs", "hidden", "hold", "top_speed", "training", "weights_sha256"),
+    "save_driver",
+    data_file="weights.safetensors",
+    digest_key="weights_sha256",
+    max_bytes=4_000_000,
+    shipped=shipped_folder(Path(__file__).resolve().parents[1], "drivers"),
+)
+
+
+def trained_planner(name: str, layers: DenseLayers, hold: int) -> Planner:
+    """Return a planner without parameters that drives as a network says.
+
+    Parameters
+    ----------
+    name : str
+    layers : DenseLayers
+        16 inputs, any hidden layers, 2 outputs; ``tanh`` behind each layer.
+    hold : int
+        Simulation steps of 0.01 s for which a decision holds, an even number.
+
+    Raises
+    ------
+    InputError
+        If the layers have other inputs or outputs, or a number is too large.
+    """
+    flat = layers.flat().astype(np.float64)
+    check_driver(name, layers.sizes, flat, hold)
+    return make_network_planner(name, layers.hidden, hold, (), flat.tobytes())
+
+
+def save_driver(folder: str | Path, layers: DenseLayers, *, name: str, hold: int, training: Mapping[str, Any]) -> Path:
+    """Write a driver into a folder, which is made if need be.
+
+    Parameters
+    ----------
+    folder : str or Path
+    layers, name, hold
+        As for :func:`trained_planner`.
+    training : mapping
+        How it was trained: texts and numbers by name.
+    """
+    check_driver(name, layers.sizes, layers.flat(), hold)
+    fields = {
+        "name": name,
+        "inputs": list(INPUTS),
+        "hidden": list(layers.hidden),
+        "hold": hold,
+        "top_speed": TOP_SPEED,
+        "training": dict(training),
+    }
+    return DRIVER_FORMAT.save(folder, fields, layers_to_bytes(layers))
+
+
+def read_driver(source: str | Path = NAME) -> tuple[DenseLayers, dict[str, Any]]:
+    """Return the layers and the manifest of a driver, from the name of a shipped one or from its folder.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of that name and no such folder.
+    InputError
+        If a file is missing, damaged, too large, from another version, or its contents do not fit each other.
+    """
+    folder = DRIVER_FORMAT.find(source)
+    fields, content = DRIVER_FORMAT.load(folder)
+    if fields["inputs"] != list(INPUTS) or fields["top_speed"] != TOP_SPEED:
+        raise InputError(
+            f"{folder / MANIFEST}: the driver was made for other inputs or another top speed than this release has"
+        )
+    if not isinstance(fields["name"], str) or not isinstance(fields["training"], dict):
+        raise InputError(f"{folder / MANIFEST}: name must be a text and training a mapping")
+    layers, _ = layers_from_bytes(folder / DRIVER_FORMAT.data_file, content, fields["hidden"])
+    check_driver(fields["name"], layers.sizes, layers.flat(), fields["hold"])
+    return layers, fields
+
+
+def load_driver(source: str | Path = NAME) -> Planner:
+    """Return a driver's planner, from the name of a shipped one or from its folder; errors as :func:`read_driver`."""
+    layers, manifest = read_driver(source)
+    return trained_planner(manifest["name"], layers, manifest["hold"])
+
+
+def __getattr__(name: str) -> Any:
+    """``PPO_DRIVE``, the shipped planner, read when it is first asked for."""
+    if name != "PPO_DRIVE":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = load_driver(NAME)
+    return globals()[name]

@@ -1,0 +1,276 @@
+"""Agents that ask a network what each move is worth, and decide by a rule: the paper's agent and its relatives."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.decisions import get_decision
+from pcs_racing_agents.agents.observing import Observations
+from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.zoo import Entry, build_member
+from pcs_racing_agents.jobs.fingerprint import fingerprint
+from pcs_racing_agents.networks.identity import GameIdentity
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.networks.network_files import list_networks, load_network
+
+__all__ = [
+    "AdaptiveStrategy",
+    "NetworkSource",
+    "NetworkStrategy",
+    "adaptive",
+    "fitting_network",
+    "from_network",
+    "network_facts",
+]
+
+Floats = NDArray[np.float64]
+NetworkSource = str | RegretNetwork | None
+"""A network, its name or folder, or None for the shipped one."""
+
+_DETAILS = ("setting_", "test_", "validation_", "training_")
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkStrategy:
+    """Decides by the values of a network alone.
+
+    Attributes
+    ----------
+    network : RegretNetwork
+        It may value fewer moves than there are: it then leaves out "stay", the last, which is never made.
+    decision : str
+        One of :data:`pcs_racing_agents.agents.decisions.DECISIONS`.
+    count : int
+        Number of moves M that there are.
+    """
+
+    network: RegretNetwork
+    decision: str
+    count: int
+
+    def __post_init__(self) -> None:
+        get_decision(self.decision)
+
+    def __call__(self, observation: Observations) -> Floats:
+        """Probabilities of the moves, shape (B, M)."""
+        values = self.network.unclipped(observation)
+        chances = np.zeros((len(observation), self.count))
+        chances[:, : values.shape[1]] = get_decision(self.decision)(values)
+        return chances
+
+
+@dataclass(frozen=True, eq=False)
+class AdaptiveStrategy:
+    """Keeps to a strategy that never looks at the race, unless the network promises clearly more.
+
+    Attributes
+    ----------
+    network : RegretNetwork
+        What each move is worth; in the units of its target.
+    blind : Agent
+        The strategy to keep to.
+    margin : float
+        By how much the best move must be worth more than the blind strategy's, 0 or above. A move that the network does
+        not value ("stay", where it has not learned it) is worth 0, as in a network of advantages.
+    """
+
+    network: RegretNetwork
+    blind: Agent
+    margin: float
+
+    def __call__(self, observation: Observations) -> Floats:
+        """Probabilities of the moves, shape (B, M)."""
+        usual = self.blind.probabilities(observation)
+        values = np.zeros(usual.shape)
+        known = self.network.unclipped(observation)
+        values[:, : known.shape[1]] = known
+        best = np.argmax(known, axis=1)
+        rows = np.arange(len(observation))
+        gain = values[rows, best] - (usual * values).sum(axis=1)
+        return np.where((gain > self.margin)[:, None], np.eye(usual.shape[1])[best], usual)
+
+
+def fitting_network(source: NetworkSource, setting: Setting, kind: str, who: str) -> RegretNetwork:
+    """Return a network after checking that it belongs to a setting.
+
+    Parameters
+    ----------
+    source : RegretNetwork, str or path, optional
+        The network, the name of a shipped one or its folder; by default the shipped one called
+        ``ARCHIVE-RACE-KIND``.
+    setting : Setting
+    kind : str
+        What it was trained to approximate.
+    who : str
+        Name of the agent, for the message.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such network.
+    InputError
+        If it sees other observations or belongs to another archive.
+    """
+    if source is None:
+        source = f"{setting.archive.name}-{setting.race}-{kind}"
+        if source not in list_networks():
+            known = ", ".join(list_networks()) or "none"
+            raise UnknownNameError(
+                f"agent {who!r} needs a network, and none called {source!r} is shipped (there are: {known}); train one "
+                "with 'pcs-racing train' and give it as network=FOLDER"
+            )
+    network = load_network(source)
+    epsilon = setting.config.epsilon
+    identity = GameIdentity(
+        elements=setting.elements,
+        moves=setting.moves,
+        epsilon=epsilon if isinstance(epsilon, tuple) else (epsilon,),
+        archive=setting.archive.name,
+        archive_sha256=setting.archive.content_hash,
+        preset=setting.race,
+    )
+    try:
+        network.check_identity(identity, "the game")
+    except InputError as error:
+        raise InputError(f"agent {who!r}: {error}") from None
+    return network
+
+
+def network_facts(network: RegretNetwork) -> dict[str, str]:
+    """What reports say of an agent's network."""
+    # The manifest has all of it; these are the figures that say how much there was to learn from.
+    shown = {key: value for key, value in network.training.items() if not key.startswith(_DETAILS)}
+    trained = ", ".join(f"{key} {value}" for key, value in shown.items())
+    return {
+        "network": f"{network.name}: {network.target}, preset {network.identity.preset}",
+        "trained on": trained or "not said",
+        "weights sha256": fingerprint(network.layers),
+    }
+
+
+# Agents
+
+
+def from_network(
+    setting: Setting,
+    *,
+    name: str,
+    seed: int = 0,
+    kind: str,
+    decision: str = "argmax",
+    network: NetworkSource = None,
+) -> Agent:
+    """Decide by what a network says that each move is worth.
+
+    Parameters
+    ----------
+    setting : Setting
+    name : str
+    seed : int
+    kind : str
+        What the network was trained to approximate; names the shipped one (``ARCHIVE-RACE-KIND``).
+    decision : {"argmax", "regret-matching", "sample", "softmax"}
+        The rule: ``argmax``, ``regret-matching``, ``sample`` or ``softmax``.
+    network : RegretNetwork, str or path, optional
+        Another network: the name of a shipped one or its folder.
+    """
+    loaded = fitting_network(network, setting, kind, name)
+    strategy = NetworkStrategy(loaded, decision, len(setting.moves))
+    return Agent(name, strategy, setting, seed, {**network_facts(loaded), "decision": decision})
+
+
+def adaptive(
+    setting: Setting,
+    *,
+    name: str = "adaptive",
+    seed: int = 0,
+    kind: str = "gain",
+    network: NetworkSource = None,
+    blind: str | Agent = "best-fixed",
+    margin: float | None = None,
+) -> Agent:
+    """Keep to the best strategy that never looks at the race, and leave it where a network promises clearly more.
+
+    Parameters
+    ----------
+    setting : Setting
+    name : str
+    seed : int
+    kind : str
+        What the network was trained to approximate; names the shipped one.
+    network : RegretNetwork, str or path, optional
+        What each move is worth: another network, the name of a shipped one or its folder.
+    blind : Agent or str
+        The default strategy, with its own needs.
+    margin : float, optional
+        How much more a move must promise, in units of the network's target; by default what the network's training says
+        (``margin``), else 0.
+    """
+    loaded = fitting_network(network, setting, kind, name)
+    blind_agent = build_member(blind, setting, seed)
+    if margin is None:
+        margin = loaded.training.get("margin", 0.0)  # type: ignore[assignment]
+    if isinstance(margin, bool) or not isinstance(margin, int | float) or not 0.0 <= margin < np.inf:
+        raise InputError(f"the margin of agent {name!r} is {margin!r}; it must be a finite number from 0")
+    facts = {**network_facts(loaded), "keeps to": blind_agent.name, "margin": f"{margin:g}"}
+    return Agent(name, AdaptiveStrategy(loaded, blind_agent, float(margin)), setting, seed, facts)
+
+
+def _entry(kind: str, decision: str, summary: str, source: str) -> Entry:
+    return Entry(from_network, summary, source, "network", {"kind": kind, "decision": decision})
+
+
+CFR_ARGMAX = _entry(
+    "regret",
+    "argmax",
+    "makes the move with the highest predicted counterfactual regret",
+    "the paper's GT agent, Equations 8 and 9",
+)
+CFR_REGRET_MATCHING = _entry(
+    "regret",
+    "regret-matching",
+    "draws a move with a probability proportional to its positive predicted counterfactual regret",
+    "the paper's remark on regret matching (Zinkevich et al. 2007)",
+)
+NORMALISED_REGRET = _entry(
+    "normalised",
+    "argmax",
+    "makes the move with the highest predicted regret, normalised to the same size at every decision",
+    "cumulative regret, divided by its largest magnitude at the node",
+)
+ADVANTAGE = _entry(
+    "advantage",
+    "argmax",
+    "makes the move with the highest predicted advantage against the exact equilibrium",
+    "backward induction over matrix games",
+)
+STATIC_Q = _entry(
+    "static-q",
+    "argmax",
+    "plays a best response to an opponent that does not observe the race",
+    "best response to a static opponent",
+)
+NASH = _entry(
+    "nash", "sample", "draws its moves from an approximate equilibrium strategy", "backward induction, sampled"
+)
+RESPONSE = _entry(
+    "gain",
+    "argmax",
+    "plays an approximate best response to the pool of opponents that it was trained against",
+    "advantages in branched races, learned from the last step backwards (`pcs_racing_agents.learning.responses`)",
+)
+PPO = _entry(
+    "ppo",
+    "argmax",
+    "makes the most probable move of a policy trained by PPO",
+    "Schulman et al. 2017, with Stable-Baselines3",
+)
+ADAPTIVE = Entry(
+    adaptive,
+    "follows the best blind strategy unless a network predicts a gain above a margin",
+    "advantage over the best blind strategy, with a margin",
+    "network",
+)

@@ -1,0 +1,207 @@
+"""Evaluations of a learner: scores of races, their means, and the curve of all evaluations as a CSV file."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.race.state import RaceState
+from pcs_racing_agents.pictures.curves import Curve
+from pcs_racing_agents.results.csv_files import read_csv
+
+__all__ = [
+    "EvaluationCurve",
+    "Matchup",
+    "Score",
+    "evaluation_curves",
+    "mean_score",
+    "read_evaluations",
+    "score_races",
+    "score_table",
+    "write_evaluations",
+]
+
+
+class Matchup(NamedTuple):
+    """Which races an evaluation counts together.
+
+    Attributes
+    ----------
+    track, race, opponent : str
+        Names of the circuit, of the rules and of who drove car 1.
+    """
+
+    track: str
+    race: str
+    opponent: str
+
+
+class Score(NamedTuple):
+    """Result of the races of a matchup; the shares add up to 1 with ties and crashes that neither car wins.
+
+    Attributes
+    ----------
+    races : int
+    worth : float
+        What the learner wants, on average: in duels the utility of a game; in drives 1 for a win, -1 for a defeat or a
+        crash by own fault.
+    error : float
+        Standard error of that.
+    won, lost : float
+        Shares of the races.
+    crashed : float
+        Share that ended in a crash, whoever's.
+    at_fault : float
+        Share that ended in a crash by the learner's fault.
+    lead : float
+        Mean lead at the end, m.
+    """
+
+    races: int
+    worth: float
+    error: float
+    won: float
+    lost: float
+    crashed: float
+    at_fault: float
+    lead: float
+
+
+def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: RaceState) -> Score:
+    """Return the score of races.
+
+    Parameters
+    ----------
+    worth : ndarray, shape (B,)
+    winner : ndarray, shape (B,)
+        0 where the learner won, 1 where it lost, else -1.
+    race : RaceState
+        Where the races ended.
+    """
+    count = len(worth)
+    return Score(
+        races=count,
+        worth=float(np.mean(worth)),
+        error=float(np.std(worth, ddof=1) / np.sqrt(count)) if count > 1 else float("nan"),
+        won=float(np.mean(winner == 0)),
+        lost=float(np.mean(winner == 1)),
+        crashed=float(np.mean(race.crashed)),
+        at_fault=float(np.mean(race.fault[:, 0] == 1)),
+        lead=float(np.mean(race.lead)),
+    )
+
+
+def mean_score(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> Score:
+    """Mean over matchups, each counting as its opponent does.
+
+    Parameters
+    ----------
+    scores : mapping of Matchup to Score
+    weights : mapping of str to int
+        How often each opponent is met.
+    """
+    shares = np.array([weights[matchup.opponent] for matchup in scores], np.float64)
+    shares /= shares.sum()
+    rows = np.array([score[1:] for score in scores.values()])
+    means = dict(zip(Score._fields[1:], (shares @ rows).tolist(), strict=True))
+    means["error"] = float(np.sqrt(np.sum((shares * rows[:, Score._fields.index("error") - 1]) ** 2)))
+    return Score(sum(score.races for score in scores.values()), **means)
+
+
+def score_table(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> str:
+    """Text for people: a line for each circuit and rules, the mean over opponents, and one for everything."""
+    lines = [f"{'':28} {'worth':>8} {'+-':>6} {'won':>6} {'lost':>6} {'crashed':>8} {'at fault':>9} {'lead':>7}"]
+    places = list(dict.fromkeys((matchup.track, matchup.race) for matchup in scores))
+    for place in [*places, None]:
+        mean = mean_score(
+            {matchup: score for matchup, score in scores.items() if place in (None, matchup[:2])}, weights
+        )
+        lines.append(
+            f"{' '.join(place) if place else 'all':28} {mean.worth:8.3f} {mean.error:6.3f} {mean.won:6.1%} "
+            f"{mean.lost:6.1%} {mean.crashed:8.1%} {mean.at_fault:9.1%} {mean.lead:5.1f} m"
+        )
+    return "\n".join(lines)
+
+
+# Learning curves
+
+
+EVALUATION_COLUMNS = ("seed", "steps", *Matchup._fields, *Score._fields)
+
+
+class EvaluationCurve(NamedTuple):
+    """All evaluations of a learner with one seed.
+
+    Attributes
+    ----------
+    seed : int
+    steps : tuple of int
+        Steps learned before each evaluation.
+    scores : tuple of mapping of Matchup to Score
+        Its result.
+    """
+
+    seed: int
+    steps: tuple[int, ...]
+    scores: tuple[Mapping[Matchup, Score], ...]
+
+
+def write_evaluations(curves: Sequence[EvaluationCurve], file: Path) -> Path:
+    """Write a line for each seed, moment, circuit, rules and opponent."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(EVALUATION_COLUMNS)
+    for curve in curves:
+        for steps, scores in zip(curve.steps, curve.scores, strict=True):
+            for matchup, score in scores.items():
+                figures = [score.races, *(f"{value:.6g}" for value in score[1:])]
+                writer.writerow([curve.seed, steps, *matchup, *figures])
+    write_atomically(file, lambda stream: stream.write(text.getvalue().encode("utf-8")))
+    return file
+
+
+def read_evaluations(file: Path) -> list[EvaluationCurve]:
+    """Read what :func:`write_evaluations` wrote.
+
+    Raises
+    ------
+    InputError
+        If it is something else.
+    """
+    curves: dict[int, dict[int, dict[Matchup, Score]]] = {}
+    table = read_csv(file)
+    if table.columns != EVALUATION_COLUMNS:
+        raise InputError(f"{file} has columns {', '.join(table.columns)}; a curve has {', '.join(EVALUATION_COLUMNS)}")
+    for number, row in table.lines():
+        try:
+            score = Score(int(row["races"]), *(float(row[key]) for key in Score._fields[1:]))
+            matchup = Matchup(*(row[key] for key in Matchup._fields))
+            curves.setdefault(int(row["seed"]), {}).setdefault(int(row["steps"]), {})[matchup] = score
+        except ValueError as error:
+            raise InputError(f"{file}, line {number} is none of a learning curve: {error}") from None
+    return [EvaluationCurve(seed, tuple(moments), tuple(moments.values())) for seed, moments in curves.items()]
+
+
+def evaluation_curves(curves: Sequence[EvaluationCurve], weights: Mapping[str, int]) -> dict[str, list[Curve]]:
+    """Return worth, wins and faults over millions of steps, as panels of a picture with a line for each seed.
+
+    Parameters
+    ----------
+    curves : sequence of EvaluationCurve
+    weights : mapping of str to int
+        How often each opponent is met.
+    """
+    panels: dict[str, list[Curve]] = {}
+    for key, title in (("worth", "worth of a race"), ("won", "races won"), ("at_fault", "crashes by own fault")):
+        for curve in curves:
+            means = [mean_score(scores, weights) for scores in curve.scores]
+            error = np.array([mean.error for mean in means]) if key == "worth" else None
+            steps, values = np.array(curve.steps) / 1e6, np.array([getattr(mean, key) for mean in means])
+            panels.setdefault(title, []).append(Curve(steps, values, f"seed {curve.seed}", error))
+    return panels

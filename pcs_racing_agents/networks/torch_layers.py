@@ -1,0 +1,78 @@
+"""Dense layers in torch, to be trained; and torch for one training at a time.
+
+torch's number of threads and its random generator belong to the whole process, so trainings take turns.
+"""
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from pcs_racing.base.dense import DenseLayers
+
+__all__ = ["initial_layers", "layers_from_torch", "relu_forward", "torch_alone"]
+
+_TURN = threading.RLock()
+
+
+@contextmanager
+def torch_alone() -> Iterator[Any]:
+    """Provide torch, working in one thread, to one thread of this process; others that want it wait.
+
+    Several threads gain nothing for networks as small as ours, and would change the order of sums.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If torch is not installed; the message says how to install it.
+    """
+    try:
+        import torch
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError('training needs torch: pip install "pcs-racing[learning]"') from None
+    with _TURN:
+        before = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            yield torch
+        finally:
+            torch.set_num_threads(before)
+
+
+def initial_layers(sizes: Sequence[int], rng: np.random.Generator) -> list[Any]:
+    """Draw the parameters of layers before any training: weights as in He et al. 2015, biases 0.
+
+    Returns
+    -------
+    list of tensor
+        Weight and bias of each layer in turn; they take gradients.
+    """
+    import torch
+
+    parameters = []
+    for i, (below, above) in enumerate(pairwise(sizes)):
+        gain = 2.0 if i < len(sizes) - 2 else 1.0  # the last layer has no ReLU behind it
+        weight = rng.normal(0.0, np.sqrt(gain / below), (above, below)).astype(np.float32)
+        parameters += [torch.from_numpy(weight), torch.zeros(above, dtype=torch.float32)]
+    for parameter in parameters:
+        parameter.requires_grad_(True)
+    return parameters
+
+
+def relu_forward(parameters: Sequence[Any], x: Any) -> Any:
+    """Return the outputs of layers with ReLUs between them; ``parameters`` as of :func:`initial_layers`."""
+    from torch import relu
+    from torch.nn.functional import linear
+
+    for i in range(0, len(parameters) - 2, 2):
+        x = relu(linear(x, parameters[i], parameters[i + 1]))
+    return linear(x, parameters[-2], parameters[-1])
+
+
+def layers_from_torch(parameters: Sequence[Any]) -> DenseLayers:
+    """Return a copy of parameters (weight and bias of each layer in turn) as layers that need no torch."""
+    arrays = [parameter.detach().cpu().numpy() for parameter in parameters]
+    return DenseLayers(tuple(arrays[::2]), tuple(arrays[1::2]))

@@ -1,0 +1,123 @@
+"""The archive of a search: everything evaluated, and which of its points no other beats."""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing_agents.synthesis.indicators import non_dominated
+
+__all__ = ["ParetoArchive", "Scale"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class Scale(NamedTuple):
+    """Points that stand for 1 and 0 on each axis while hypervolumes are measured.
+
+    Attributes
+    ----------
+    ideal, nadir : ndarray, shape (G,)
+    """
+
+    ideal: Floats
+    nadir: Floats
+
+    def __call__(self, objectives: Floats) -> Floats:
+        """Return normalised objectives, shape (..., G)."""
+        return np.asarray((objectives - self.nadir) / (self.ideal - self.nadir), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class ParetoArchive:
+    """All points of a search so far. A value: adding points gives a new one.
+
+    Attributes
+    ----------
+    parameters : ndarray, shape (N, P)
+    objectives : ndarray, shape (N, G)
+        To maximise; means where a point was evaluated several times.
+    violation : ndarray, shape (N,)
+        Up to 0 where the point is feasible; means likewise.
+    evaluations : ndarray, shape (N,)
+        How often each was evaluated.
+    member : ndarray, shape (N,)
+        Whether the point was added to the archive (the population archive of Algorithm 1).
+    front : ndarray, shape (K,)
+        Indices of the archive's Pareto front, ascending: feasible members that no other feasible member beats; of
+        equal ones the first.
+    """
+
+    parameters: Floats
+    objectives: Floats
+    violation: Floats
+    evaluations: Indices
+    member: NDArray[np.bool_]
+    front: Indices = field(init=False)
+
+    def __post_init__(self) -> None:
+        rows = np.flatnonzero(self.member & (self.violation <= 0.0))
+        kept = non_dominated(self.objectives[rows], duplicates=False) if len(rows) else np.zeros(0, np.bool_)
+        object.__setattr__(self, "front", rows[kept])
+
+    @classmethod
+    def empty(cls, parameters: int) -> "ParetoArchive":
+        """Return an archive without points."""
+        none = np.zeros(0)
+        return cls(np.zeros((0, parameters)), np.zeros((0, 0)), none, none.astype(np.int64), none.astype(np.bool_))
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    def joined(
+        self, parameters: Floats, objectives: Floats, violation: Floats, member: NDArray[np.bool_] | None = None
+    ) -> "ParetoArchive":
+        """Return this with n more points, all of them members of the archive unless stated."""
+        count = len(parameters)
+        known = self.objectives if len(self) else np.zeros((0, objectives.shape[1]))
+        return ParetoArchive(
+            np.concatenate([self.parameters, parameters]),
+            np.concatenate([known, objectives]),
+            np.concatenate([self.violation, violation]),
+            np.concatenate([self.evaluations, np.ones(count, np.int64)]),
+            np.concatenate([self.member, np.ones(count, np.bool_) if member is None else member]),
+        )
+
+    def averaged(self, rows: Indices, objectives: Floats, violation: Floats) -> "ParetoArchive":
+        """Return this with one more evaluation of some points in their means; a point may be there several times."""
+        means, violations, counts = self.objectives.copy(), self.violation.copy(), self.evaluations.copy()
+        for row, value, excess in zip(rows, objectives, violation, strict=True):
+            counts[row] += 1
+            means[row] += (value - means[row]) / counts[row]
+            violations[row] += (excess - violations[row]) / counts[row]
+        return replace(self, objectives=means, violation=violations, evaluations=counts)
+
+    def replaced(self, objectives: Floats, violation: Floats) -> "ParetoArchive":
+        """Return this with other values of the front's points; members outside the front leave the archive.
+
+        For objectives that have changed their meaning: values from before can't be compared with those from after.
+        """
+        means, violations, member = self.objectives.copy(), self.violation.copy(), np.zeros_like(self.member)
+        means[self.front], violations[self.front], member[self.front] = objectives, violation, True
+        counts = self.evaluations.copy()
+        counts[self.front] = 1
+        return replace(self, objectives=means, violation=violations, evaluations=counts, member=member)
+
+    def scale(self, ideal: Floats | None = None, nadir: Floats | None = None) -> Scale:
+        """Return the range of the front, or what is stated instead.
+
+        An axis on which the front has no extent gets the range of all feasible points, or else an extent of 1.
+        """
+        if ideal is not None and nadir is not None:
+            return Scale(ideal, nadir)
+        feasible = self.objectives[self.violation <= 0.0]
+        if len(feasible) == 0:
+            return Scale(np.ones(self.objectives.shape[1]), np.zeros(self.objectives.shape[1]))
+        low, high = feasible.min(axis=0), feasible.max(axis=0)
+        high = np.where(low < high, high, low + 1.0)
+        if len(self.front):
+            least, largest = self.objectives[self.front].min(axis=0), self.objectives[self.front].max(axis=0)
+            low, high = np.where(least < largest, least, low), np.where(least < largest, largest, high)
+        return Scale(high, low)

@@ -1,0 +1,158 @@
+"""The races in which policies are compared: the same circuits, starts, opponents and noise for every policy.
+
+Every policy meets every pair of start line and opponent, from both sides of the grid, on every track. All is drawn once
+per run, so that policies differ by what they do and not by the luck of the draw.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.checks import check_array
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.registry import get_planner
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.races import start_lines
+from pcs_racing.track.track import Track, load_track
+
+__all__ = ["Scenarios", "check_policies", "draw_scenarios", "loaded"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Scenarios:
+    """The races that every policy drives: R of them.
+
+    Attributes
+    ----------
+    tracks : tuple of Track or str
+        Circuits, or their names or folders, which workers on other machines load themselves.
+    config : RaceConfig
+        Rules and duration.
+    planner : str
+        Of the policies and of their opponents.
+    characteristics : tuple of str
+    segment_seconds : float
+        Length of the pieces that coordinates are means of, s.
+    opponents : ndarray, shape (O, P)
+        Parameters of the opponents.
+    track : ndarray, shape (R,)
+        Index of the circuit of each race, ascending.
+    start_s : ndarray, shape (R,)
+        Start line, m.
+    side : ndarray, shape (R,)
+        0 when the policy starts on the left or in front.
+    seed : ndarray, shape (R,)
+        Noise key.
+    opponent : ndarray, shape (R,)
+        Index of the opponent.
+    """
+
+    tracks: tuple[Track | str, ...]
+    config: RaceConfig
+    planner: str
+    characteristics: tuple[str, ...]
+    segment_seconds: float
+    opponents: Floats
+    track: NDArray[np.int64]
+    start_s: Floats
+    side: NDArray[np.int64]
+    seed: NDArray[np.uint64]
+    opponent: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def against(self, opponents: Floats) -> "Scenarios":
+        """Return the same races against other opponents, as many as before."""
+        if opponents.shape != self.opponents.shape:
+            raise InputError(f"opponents have shape {opponents.shape}; these races need {self.opponents.shape}")
+        return replace(self, opponents=opponents)
+
+
+def draw_scenarios(
+    tracks: Sequence[Track | str],
+    config: RaceConfig,
+    opponents: Floats,
+    characteristics: Sequence[str],
+    *,
+    planner: str = "lattice",
+    starts: int = 2,
+    segment_seconds: float = 8.0,
+    seed: int = 0,
+) -> Scenarios:
+    """Draw the races of a run: on every track, all pairs of ``starts`` start lines and all opponents, from both sides.
+
+    Parameters
+    ----------
+    tracks : sequence of Track or str
+    config : RaceConfig
+    opponents : ndarray, shape (O, P)
+    characteristics : sequence of str
+    planner : str
+    starts : int
+        Start lines on each track, 1 to 1000.
+    segment_seconds : float
+        Length of a piece, s; the duration of the race must be a multiple.
+    seed : int
+        Root of start lines and noise.
+
+    Returns
+    -------
+    Scenarios
+        ``len(tracks) * starts * len(opponents) * 2`` races.
+
+    Raises
+    ------
+    InputError
+        If a number is impossible, a track has no place for the start, or the duration is no multiple of the pieces.
+    """
+    pieces = round(config.duration / segment_seconds) if segment_seconds > 0.0 else 0
+    if pieces < 1 or abs(pieces * segment_seconds - config.duration) > 1e-9:
+        raise InputError(f"a race of {config.duration:g} s is no multiple of segment_seconds, {segment_seconds:g} s")
+    family = get_planner(planner)
+    opponents = check_policies("opponents", opponents, family)
+    if len(tracks) == 0:
+        raise InputError("there are no tracks; name at least one")
+    get_characteristics(characteristics)
+    rules = replace(config, start_lines=starts)
+    line, opponent, side = (part.ravel() for part in np.mgrid[:starts, : len(opponents), :2])
+    start_s, seeds = [], []
+    for index, track in enumerate(tracks):
+        root = np.random.SeedSequence(seed, spawn_key=(index,))
+        lines, noise = root.spawn(2)
+        start_s.append(start_lines(loaded(track), rules, lines)[line])
+        seeds.append(race_seeds(int(noise.generate_state(1, np.uint64)[0]), len(line)))
+    return Scenarios(
+        tracks=tuple(tracks),
+        config=config,
+        planner=planner,
+        characteristics=tuple(characteristics),
+        segment_seconds=float(segment_seconds),
+        opponents=opponents,
+        track=np.repeat(np.arange(len(tracks)), len(line)),
+        start_s=np.concatenate(start_s),
+        side=np.tile(side, len(tracks)),
+        seed=np.concatenate(seeds),
+        opponent=np.tile(opponent, len(tracks)),
+    )
+
+
+def check_policies(name: str, parameters: ArrayLike, planner: Planner) -> Floats:
+    """Return parameters of at least one policy of a planner, shape (K, P)."""
+    policies = check_array(name, parameters, (None, len(planner.parameters)))
+    if len(policies) == 0:
+        raise InputError(f"there are no {name}; give at least one policy of planner {planner.name!r}")
+    return policies
+
+
+def loaded(track: Track | str | Path) -> Track:
+    """Return a circuit, from its name or folder if need be."""
+    return track if isinstance(track, Track) else load_track(track)

@@ -1,0 +1,434 @@
+"""A search for the Pareto set of any function, asked for points and told what came of them.
+
+All objectives are maximised. A search is replayable: the same seed and the same results lead to the same state, so one
+that stopped is taken up by telling it again what it was told.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.checks import check_array, check_choice, check_number, check_seed, check_whole
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.synthesis.indicators import contributions, hypervolume
+from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS, OptimiserOptions
+from pcs_racing_agents.synthesis.optimisers import make_optimiser
+from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
+
+__all__ = ["Generation", "Search", "Synthesis"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class Generation(NamedTuple):
+    """The archive after a generation, and the points and results of that generation.
+
+    Attributes
+    ----------
+    generation : int
+        Its number, from 1; 0 for an initial sample.
+    evaluations : int
+        Of all generations so far.
+    hypervolume : float
+        Of the archive's front in the normalisation of this generation. The range of the front changes unless ideal and
+        nadir were stated, so these numbers can't be compared with each other: see :meth:`Synthesis.hypervolumes`.
+    archive_size : int
+        Points in the front, K.
+    restarts : int
+        So far.
+    step_size : float
+        Largest standard deviation of a parameter, as a share of its range; NaN for methods without one.
+    infeasible : int
+        Points of this generation that violate the constraint.
+    front : ndarray, shape (K, G)
+        Objectives of the archive's front.
+    front_parameters : ndarray, shape (K, P)
+        Its points.
+    parameters : ndarray, shape (n, P)
+        The points evaluated.
+    repeats : ndarray, shape (n,)
+        How often each had been evaluated before.
+    objectives : ndarray, shape (n, G)
+    violation : ndarray, shape (n,)
+    """
+
+    generation: int
+    evaluations: int
+    hypervolume: float
+    archive_size: int
+    restarts: int
+    step_size: float
+    infeasible: int
+    front: Floats
+    front_parameters: Floats
+    parameters: Floats
+    repeats: Indices
+    objectives: Floats
+    violation: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Synthesis:
+    """Result of a search.
+
+    Attributes
+    ----------
+    parameters : ndarray, shape (K, P)
+        The archive's Pareto front, in the order in which its points were found. It is empty if nothing feasible was.
+    objectives : ndarray, shape (K, G)
+    evaluations : ndarray, shape (K,)
+        How often each was evaluated; objectives are means.
+    explored_parameters : ndarray, shape (N, P)
+        Everything evaluated.
+    explored_objectives : ndarray, shape (N, G)
+    explored_violation : ndarray, shape (N,)
+    explored_evaluations : ndarray, shape (N,)
+    generations : tuple of Generation
+    ideal, nadir : ndarray, shape (G,)
+        Of the final front, or what was stated.
+    reference : ndarray, shape (G,)
+        Reference point of hypervolumes in units of ideal (1) and nadir (0).
+    """
+
+    parameters: Floats
+    objectives: Floats
+    evaluations: Indices
+    explored_parameters: Floats
+    explored_objectives: Floats
+    explored_violation: Floats
+    explored_evaluations: Indices
+    generations: tuple[Generation, ...]
+    ideal: Floats
+    nadir: Floats
+    reference: Floats
+
+    def hypervolumes(self) -> Floats:
+        """Hypervolume of the archive's front after each generation, all in the final normalisation, shape (T,)."""
+        scale = Scale(self.ideal, self.nadir)
+        return np.array([hypervolume(scale(news.front), self.reference) for news in self.generations])
+
+
+class Search:
+    """A search to ask and tell.
+
+    Parameters
+    ----------
+    bounds : array_like, shape (P, 2)
+        Smallest and largest value of each parameter.
+    population : int
+        Points of a generation, 4 to 10,000.
+    elite_ratio : float
+        Share of a generation that CMA-ES recombines and adds to its archive, above 0 to 1.
+    loss : {"uhvi", "total_hypervolume"}
+        Loss of CMA-ES: the uncrowded hypervolume improvement, or the paper's words taken literally.
+    mean : {"generation", "archive"}
+        Where the mean of CMA-ES moves: to its generation's elite, or to the mean of the archive's Pareto set.
+    seed : int
+    method : {"mo-cma-es", "nsga2", "comocma", "cma-mae", "random"}
+        The first is the paper's. The options for CMA-ES do nothing in ``nsga2`` and ``random``.
+    reference : float or array_like, shape (G,)
+        Reference point of the hypervolume in normalised objectives; by default a tenth of the range below the nadir.
+    ideal, nadir : array_like, shape (G,), optional
+        Values that normalise to 1 and 0. By default the range of the front, as it is in each generation.
+    start : {"middle", "sample"} or array_like, shape (P,)
+        First mean of CMA-ES: the middle of the bounds, a point, or the middle of the best of a first generation that is
+        a sample of everything within the bounds.
+    step_size : float
+        First standard deviation of CMA-ES, as a share of the bounds' range, above 0 to 1; half of it after a sample.
+
+    Attributes
+    ----------
+    population : int
+    repeats : ndarray, shape (n,)
+        How often each of the points asked for last had been evaluated before.
+
+    Raises
+    ------
+    InputError
+        If one of them is impossible.
+    UnknownNameError
+        If there is no such method.
+    ModuleNotFoundError
+        If a library is missing; the message says how to install it.
+    """
+
+    def __init__(
+        self,
+        bounds: ArrayLike,
+        *,
+        population: int = 50,
+        elite_ratio: float = 0.5,
+        loss: str = "uhvi",
+        mean: str = "generation",
+        seed: int = 0,
+        method: str = "mo-cma-es",
+        reference: ArrayLike = -0.1,
+        ideal: ArrayLike | None = None,
+        nadir: ArrayLike | None = None,
+        start: ArrayLike | str = "middle",
+        step_size: float = 0.2,
+    ) -> None:
+        self._low, self._high = _checked_bounds(bounds)
+        dimension = len(self._low)
+        check_whole("population", population, 4, 10_000)
+        check_seed(seed, most=2**63 - 1)
+        check_number("elite_ratio", elite_ratio, most=1.0, above=0.0)
+        check_number("step_size", step_size, most=1.0, above=0.0)
+        check_choice("loss", loss, LOSSES)
+        check_choice("mean", mean, MEANS)
+        self._reference = check_array("reference", reference, (None,) * np.ndim(reference))
+        self._scale_from = _checked_scale(ideal, nadir)
+        first = self._first_mean(start)
+        self.population = population
+        root = np.random.SeedSequence(int(seed))
+        setting = OptimiserOptions(
+            dimension=dimension,
+            population=population,
+            seed=root,
+            elite_ratio=float(elite_ratio),
+            loss=loss,
+            mean=mean,
+            start=first,
+            step_size=float(step_size),
+            reference=self._reference if self._reference.ndim else float(self._reference),
+            ideal=self._scale_from[0],
+            nadir=self._scale_from[1],
+        )
+        self._optimiser = make_optimiser(method, setting)
+        self._explored = ParetoArchive.empty(dimension)
+        self._parameters = np.zeros((0, dimension))
+        self._generations: list[Generation] = []
+        self._evaluations = 0
+        self._asked = np.zeros((0, dimension))
+        self._new: Floats | None = None  # the points asked for in the unit cube; None where they are old ones
+        self._rows = np.zeros(0, np.int64)
+        self.repeats: Indices = self._rows
+
+    @property
+    def archive(self) -> Floats:
+        """Parameters of the archive's Pareto front as it is now, shape (K, P)."""
+        return self._parameters[self._explored.front]
+
+    def ask(self) -> Floats:
+        """Return the points to evaluate next, shape (n, P).
+
+        Raises
+        ------
+        InputError
+            If the last points were not told yet.
+        """
+        self._check_told()
+        self._new = np.clip(self._optimiser.ask(), 0.0, 1.0)
+        # Rounding may lead beyond the upper bound.
+        self._asked = np.minimum(self._low + self._new * (self._high - self._low), self._high)
+        self.repeats = np.zeros(len(self._asked), np.int64)
+        return self._asked.copy()
+
+    def ask_again(self) -> Floats:
+        """Return points of the archive's front to evaluate once more, shape (n, P), for noisy objectives.
+
+        As many as a generation has, the front's points in turn: those evaluated least often first, and of these the
+        ones that contribute most hypervolume, which are the likeliest to be there by luck. Their objectives become
+        means; the optimiser is told nothing of it.
+
+        Raises
+        ------
+        InputError
+            If the last points were not told yet, or there is no feasible point.
+        """
+        self._check_told()
+        known, front = self._explored, self._explored.front
+        if len(front) == 0:
+            raise InputError("no point of the archive is feasible; there is nothing to evaluate again")
+        lost = contributions(known.scale(*self._scale_from)(known.objectives[front]), self._reference)
+        order = front[np.lexsort((-lost, known.evaluations[front]))]
+        places = np.arange(self.population)
+        self._rows = order[places % len(order)]
+        self.repeats = known.evaluations[self._rows] + places // len(order)
+        self._asked = self._parameters[self._rows]
+        return self._asked.copy()
+
+    def tell(self, objectives: ArrayLike, violation: ArrayLike | None = None) -> Generation:
+        """Tell what came of the points asked for.
+
+        Parameters
+        ----------
+        objectives : array_like, shape (n, G)
+            To maximise.
+        violation : array_like, shape (n,), optional
+            Up to 0 where a point is feasible. Infeasible points never enter the archive and rank behind all others, the
+            more the larger it is. Of points evaluated several times it is averaged, so let it be negative where a
+            constraint is kept with room to spare.
+
+        Raises
+        ------
+        InputError
+            If nothing was asked for, or the values have another shape or are not finite.
+        """
+        asked = self._asked
+        if len(asked) == 0:
+            raise InputError("no points were asked for; ask first")
+        values, violations = self._checked(objectives, violation, asked)
+        if self._new is None:
+            self._explored = self._explored.averaged(self._rows, values, violations)
+        else:
+            self._explored = self._optimiser.tell(self._new, values, violations, self._explored)
+            self._parameters = np.concatenate([self._parameters, asked])
+        self._new, self._asked = None, asked[:0]
+        self._evaluations += len(asked)
+        news = self._generation(len(self._generations) + 1, asked, values, violations)
+        self._generations.append(news)
+        return news
+
+    def add(self, parameters: ArrayLike, objectives: ArrayLike, violation: ArrayLike | None = None) -> Generation:
+        """Add points that were evaluated elsewhere to the archive, at any time between ``tell`` and ``ask``.
+
+        The optimisers see them as what is there already; none of them recombines these points. Returned is the archive
+        with them, as a generation of the number of the last one, 0 before the first.
+
+        Raises
+        ------
+        InputError
+            If the points lie outside the bounds, or values have another shape or are not finite.
+        """
+        given = self.check_points("parameters", parameters)
+        self._check_told()
+        values, violations = self._checked(objectives, violation, given)
+        unit = (given - self._low) / (self._high - self._low)
+        self._explored = self._explored.joined(unit, values, violations)
+        self._parameters = np.concatenate([self._parameters, given])
+        self._evaluations += len(given)
+        self.repeats = np.zeros(len(given), np.int64)
+        return self._generation(len(self._generations), given, values, violations)
+
+    def check_points(self, name: str, points: ArrayLike) -> Floats:
+        """Return points, shape (n, P), all of them within the bounds."""
+        given = check_array(name, points, (None, len(self._low)))
+        if not (np.all(given >= self._low) and np.all(given <= self._high)):
+            raise InputError(f"{name} lie outside the bounds")
+        return given
+
+    def replace(self, objectives: ArrayLike, violation: ArrayLike | None = None) -> None:
+        """State other values of the archive's front (``archive``, in its order), between ``tell`` and ``ask``.
+
+        For objectives that change their meaning during the search, such as results against other opponents. Everything
+        else evaluated so far stays explored, but can't return to the archive: its values are of the old kind.
+
+        Raises
+        ------
+        InputError
+            If values have another shape or are not finite.
+        """
+        self._check_told()
+        values, violations = self._checked(objectives, violation, self.archive)
+        self._evaluations += len(values)
+        self._explored = self._explored.replaced(values, violations)
+
+    def result(self) -> Synthesis:
+        """Return the archive and everything evaluated so far."""
+        known, front = self._explored, self._explored.front
+        scale = known.scale(*self._scale_from)
+        return Synthesis(
+            parameters=self._parameters[front],
+            objectives=known.objectives[front],
+            evaluations=known.evaluations[front],
+            explored_parameters=self._parameters,
+            explored_objectives=known.objectives,
+            explored_violation=known.violation,
+            explored_evaluations=known.evaluations,
+            generations=tuple(self._generations),
+            ideal=scale.ideal,
+            nadir=scale.nadir,
+            reference=np.array(np.broadcast_to(self._reference, scale.ideal.shape)),
+        )
+
+    def _generation(self, number: int, points: Floats, objectives: Floats, violation: Floats) -> Generation:
+        """The archive as it is now, with the points evaluated last."""
+        front = self._explored.objectives[self._explored.front]
+        scale = self._explored.scale(*self._scale_from)
+        return Generation(
+            generation=number,
+            evaluations=self._evaluations,
+            hypervolume=hypervolume(scale(front), self._reference) if len(front) else 0.0,
+            archive_size=len(front),
+            restarts=self._optimiser.restarts,
+            step_size=self._optimiser.step_size,
+            infeasible=int(np.sum(violation > 0.0)),
+            front=front,
+            front_parameters=self.archive,
+            parameters=points,
+            repeats=self.repeats,
+            objectives=objectives,
+            violation=violation,
+        )
+
+    def _first_mean(self, start: Any) -> Floats | None:
+        """Return the first mean in the unit cube, or None for a sample."""
+        if isinstance(start, str):
+            if start not in ("middle", "sample"):
+                raise InputError(f"start is {start!r}; it must be middle, sample, or a point")
+            if start == "sample":
+                return None
+            start = (self._low + self._high) / 2.0
+        first = check_array("start", start, (len(self._low),))
+        if np.any(first < self._low) or np.any(first > self._high):
+            raise InputError(f"start is {first.tolist()}; it must lie within the bounds")
+        return (first - self._low) / (self._high - self._low)
+
+    def _check_told(self) -> None:
+        if len(self._asked):
+            raise InputError("the points asked for last were not told yet; tell what came of them first")
+
+    def _checked(self, objectives: ArrayLike, violation: ArrayLike | None, asked: Floats) -> tuple[Floats, Floats]:
+        try:
+            values = np.array(objectives, np.float64)
+            violations = np.zeros(len(asked)) if violation is None else np.array(violation, np.float64)
+        except (TypeError, ValueError):
+            raise InputError("objectives or violations hold something that is no number") from None
+        axes = self._explored.objectives.shape[1] or None
+        if values.ndim != 2 or len(values) != len(asked) or values.shape[1] < 2 or axes not in (None, values.shape[1]):
+            wanted = f"({len(asked)}, {axes or '2 or more'})"
+            raise InputError(f"objectives have shape {values.shape}; for {len(asked)} points they must have {wanted}")
+        if violations.shape != (len(asked),):
+            raise InputError(f"violations have shape {violations.shape}; they must have ({len(asked)},)")
+        for name, table in (("objective", values), ("violation", violations[:, None])):
+            if not np.isfinite(table).all():
+                row, axis = np.argwhere(~np.isfinite(table))[0]
+                where = f"{name} {axis}" if name == "objective" else name
+                raise InputError(
+                    f"{where} of point {row} is {table[row, axis]}; it must be finite (parameters "
+                    f"{np.array2string(asked[row], precision=6, separator=', ', max_line_width=10_000)})"
+                )
+        for name, vector in (
+            ("reference", self._reference if self._reference.ndim else None),
+            ("ideal", self._scale_from[0]),
+        ):
+            if vector is not None and len(vector) != values.shape[1]:
+                raise InputError(f"{name} has {len(vector)} numbers; there are {values.shape[1]} objectives")
+        return values, violations
+
+
+def _checked_bounds(bounds: ArrayLike) -> tuple[Floats, Floats]:
+    table = check_array("bounds", bounds, (None, 2))
+    if len(table) == 0:
+        raise InputError(f"bounds have shape {table.shape}; they must have (number of parameters, 2)")
+    low, high = table.T.copy()
+    if not np.all(low < high):
+        row = int(np.argmin(low < high))
+        raise InputError(f"bounds of parameter {row} are {low[row]:g} and {high[row]:g}; the second must be larger")
+    return low, high
+
+
+def _checked_scale(ideal: ArrayLike | None, nadir: ArrayLike | None) -> tuple[Floats | None, Floats | None]:
+    if ideal is None and nadir is None:
+        return None, None
+    if ideal is None or nadir is None:
+        raise InputError("only one of ideal and nadir is stated; state both or none")
+    best = check_array("ideal", ideal, (None,))
+    worst = check_array("nadir", nadir, (len(best),))
+    if not np.all(worst < best):
+        raise InputError(f"ideal is {best.tolist()} and nadir {worst.tolist()}; the ideal must be larger on all axes")
+    return best, worst

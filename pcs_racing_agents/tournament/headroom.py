@@ -1,0 +1,218 @@
+"""How much of a game a race holds: what knowing the opponent would be worth, and what its payoff matrix is made of.
+
+If one policy is best against every opponent, no choice between policies can win races, however clever. *Headroom* is
+what an agent would gain that knew its opponent's policy before the start and replied best, over the best policy that
+never looks. It is a property of a pool of policies and of the rules under which they race.
+
+Payoffs are races won minus one half: the score of policy i against policy j in a set of races, 0 between equals. They
+come in *folds*, disjoint sets of races with different start lines and noise, so that what is chosen on some races is
+judged on others: a maximum over noisy numbers flatters itself.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+
+__all__ = ["CyclicPlane", "Headroom", "cyclic_part", "cyclic_planes", "headroom", "ratings", "transitive_share"]
+
+Floats = NDArray[np.float64]
+
+_NOISE_DRAWS = 200
+_NOISE_LEVEL = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Headroom:
+    """What knowing the opponent is worth in a pool of policies, in races won.
+
+    Attributes
+    ----------
+    value : float
+        Mean over opponents j of ``P[best reply to j, j] - P[best fixed policy, j]``. Best reply and best fixed policy
+        are chosen on all folds but one and judged on that one, in turn.
+    low : float
+        The same, minus the best fixed policy of the judging races themselves: a bound from below.
+    opponents_error : float
+        Standard error over opponents: how far ``value`` would move with other opponents of the same kind.
+    pool_error : float
+        Standard error over draws of the pool: the jackknife that leaves one policy out, as reply and as opponent.
+    gains : ndarray, shape (N,)
+        What knowing each opponent is worth; their mean is ``value``.
+    best_fixed : int
+        Policy with the highest mean payoff over all folds.
+    """
+
+    value: float
+    low: float
+    opponents_error: float
+    pool_error: float
+    gains: Floats
+    best_fixed: int
+
+
+@dataclass(frozen=True, eq=False)
+class CyclicPlane:
+    """A plane of the cyclic part of a payoff matrix: rock, paper and scissors lie around its origin.
+
+    Attributes
+    ----------
+    strength : float
+        Singular value of the plane.
+    noise : float
+        Largest singular value that noise alone reaches in 95 of 100 draws.
+    points : ndarray, shape (N, 2)
+        The policies in the plane. Of two policies at right angles the one that lies clockwise of the other beats it;
+        the payoff that the plane adds is ``x_i y_j - y_i x_j``.
+    """
+
+    strength: float
+    noise: float
+    points: Floats
+
+
+def headroom(payoffs: ArrayLike) -> Headroom:
+    """Estimate the headroom of a pool of policies, cross-fitted.
+
+    Parameters
+    ----------
+    payoffs : array_like, shape (F, N, N)
+        Payoff of the row's policy against the column's in each of F >= 2 folds, in -0.5..0.5 and antisymmetric.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two folds or policies, or a payoff is not finite, out of range or not antisymmetric.
+    """
+    folds = _checked(payoffs)
+    value, low, gains = _cross_fitted(folds)
+    count = folds.shape[1]
+    jackknife = np.array([_cross_fitted(np.delete(np.delete(folds, k, 1), k, 2))[0] for k in range(count)])
+    return Headroom(
+        value=value,
+        low=low,
+        opponents_error=float(gains.std(ddof=1) / np.sqrt(count)),
+        pool_error=float(np.sqrt((count - 1) / count * np.square(jackknife - jackknife.mean()).sum())),
+        gains=gains,
+        best_fixed=int(folds.mean(axis=(0, 2)).argmax()),
+    )
+
+
+def ratings(payoffs: ArrayLike) -> Floats:
+    """Return the rating of each policy, shape (N,): its mean payoff over the pool and all folds.
+
+    ``ratings[i] - ratings[j]`` is the transitive part of the payoff matrix, the nearest one in which no cycle exists
+    (least squares on a complete graph; Jiang and others 2011, Statistical ranking and combinatorial Hodge theory).
+    """
+    return np.asarray(_checked(payoffs).mean(axis=(0, 2)))
+
+
+def cyclic_part(payoffs: ArrayLike) -> Floats:
+    """Return what ratings leave unexplained, shape (N, N): the mean payoff matrix minus differences of ratings."""
+    return _cyclic(_checked(payoffs).mean(axis=0))
+
+
+def transitive_share(payoffs: ArrayLike) -> float:
+    """Return the share of the payoffs' variance that ratings explain, free of noise.
+
+    Products of two folds are used instead of squares: their noises are independent, so that it averages out. The
+    estimate may lie a little outside 0..1; it is NaN where no payoff differs from zero beyond noise.
+    """
+    folds = _checked(payoffs)
+    transitive = folds - _cyclic(folds)
+    whole = between = 0.0
+    for f in range(len(folds)):
+        for g in range(f):
+            whole += float((folds[f] * folds[g]).sum())
+            between += float((transitive[f] * transitive[g]).sum())
+    return between / whole if whole > 0.0 else float("nan")
+
+
+def cyclic_planes(payoffs: ArrayLike, seed: int = 0) -> list[CyclicPlane]:
+    """Return the planes of the cyclic part, the strongest first.
+
+    The edge of noise comes from the folds themselves: with signs that add up to zero, drawn anew for each pair, what
+    the two policies are like cancels out and noise of the same size remains.
+
+    Parameters
+    ----------
+    payoffs : array_like, shape (F, N, N)
+        As for :func:`headroom`; F must be even, so that as many folds are added as subtracted. With few folds the edge
+        is itself noisy: of 200 pools without a cycle 14 % pass it with 4 folds, 7 % with 16.
+    seed : int
+        Of the order of the signs.
+
+    Raises
+    ------
+    InputError
+        If F is odd, or as :func:`headroom` does.
+    """
+    folds = _checked(payoffs)
+    if len(folds) % 2:
+        raise InputError(f"payoffs have {len(folds)} folds; the edge of noise needs an even number of them")
+    noise = _noise_edge(folds, np.random.default_rng(seed))
+    # i times an antisymmetric matrix is Hermitian; its eigenvalues come in pairs +-strength, a plane each.
+    strengths, vectors = np.linalg.eigh(1j * _cyclic(folds.mean(axis=0)))
+    planes = []
+    for k in range(len(strengths) - 1, (len(strengths) - 1) // 2, -1):
+        points = np.sqrt(2.0 * max(strengths[k], 0.0)) * np.stack([vectors[:, k].imag, vectors[:, k].real], axis=1)
+        planes.append(CyclicPlane(float(strengths[k]), noise, _turned(points)))
+    return planes
+
+
+def _checked(payoffs: ArrayLike) -> Floats:
+    folds = np.asarray(payoffs, dtype=np.float64)
+    if folds.ndim != 3 or folds.shape[1] != folds.shape[2]:
+        raise InputError(f"payoffs have shape {folds.shape}; it must be (folds, policies, policies)")
+    if folds.shape[0] < 2 or folds.shape[1] < 3:
+        raise InputError(f"payoffs of {folds.shape[0]} folds and {folds.shape[1]} policies; there must be 2 and 3")
+    if not np.isfinite(folds).all() or np.abs(folds).max() > 0.5:
+        raise InputError("a payoff is not a number from -0.5 to 0.5: races won minus one half")
+    if np.abs(folds + folds.transpose(0, 2, 1)).max() > 1e-9:
+        raise InputError("payoffs are not antisymmetric: what one policy wins the other one loses")
+    return folds
+
+
+def _cyclic(matrix: Floats) -> Floats:
+    """Subtract differences of row means; the last two axes are the matrix."""
+    rating = matrix.mean(axis=-1)
+    return np.asarray(matrix - (rating[..., :, None] - rating[..., None, :]))
+
+
+def _cross_fitted(folds: Floats) -> tuple[float, float, Floats]:
+    """Headroom, its lower bound, and what knowing each opponent is worth."""
+    total = folds.sum(axis=0)
+    opponents = np.arange(folds.shape[1])
+    gains, lows = [], []
+    for judged in folds:
+        others = total - judged
+        replies = judged[others.argmax(axis=0), opponents]
+        gains.append(replies - judged[others.sum(axis=1).argmax()])
+        lows.append(float(replies.mean() - judged.mean(axis=1).max()))
+    each = np.mean(gains, axis=0)
+    return float(each.mean()), float(np.mean(lows)), each
+
+
+def _noise_edge(folds: Floats, rng: np.random.Generator) -> float:
+    count, policies, _ = folds.shape
+    pairs = np.triu_indices(policies, 1)
+    played = folds[:, pairs[0], pairs[1]]
+    signs = np.repeat([1.0, -1.0], count // 2)[:, None].repeat(played.shape[1], axis=1)
+    noise = np.zeros((policies, policies))
+    largest = []
+    for _ in range(_NOISE_DRAWS):
+        noise[pairs] = (rng.permuted(signs, axis=0) * played).mean(axis=0)
+        largest.append(np.linalg.norm(_cyclic(noise - noise.T), 2))
+    return float(np.quantile(largest, _NOISE_LEVEL))
+
+
+def _turned(points: Floats) -> Floats:
+    """Turn a plane so that the policy farthest out lies on the first axis: a plane has no direction of its own."""
+    far = points[np.square(points).sum(axis=1).argmax()]
+    length = float(np.hypot(*far))
+    if length == 0.0:
+        return points
+    cos, sin = far / length
+    return np.asarray(points @ np.array([[cos, -sin], [sin, cos]]))

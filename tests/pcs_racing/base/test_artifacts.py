@@ -1,0 +1,98 @@
+import pytest
+import yaml
+
+from pcs_racing import InputError, UnknownNameError
+from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, ManifestFormat, shipped_folder
+
+NOTE = ManifestFormat("note", ("text", "pages"), "write_note")
+
+
+@pytest.fixture
+def album(tmp_path) -> ArtifactFormat:
+    return ArtifactFormat(
+        "album",
+        ("name", "photos_sha256"),
+        "save_album",
+        data_file="photos.bin",
+        digest_key="photos_sha256",
+        max_bytes=10,
+        shipped=tmp_path / "albums",
+    )
+
+
+def test_what_is_saved_is_loaded(album, tmp_path):
+    folder = album.save(tmp_path / "deep" / "summer", {"name": "summer"}, b"sun")
+    fields, data = album.load(folder)
+    assert (fields["name"], data) == ("summer", b"sun")
+    assert {file.name for file in folder.iterdir()} == {"photos.bin", MANIFEST}
+    assert [file.name for file in folder.parent.iterdir()] == ["summer"]  # no temporary folder is left
+    album.save(folder, {"name": "autumn"}, b"rain")  # into a folder that exists
+    assert album.load(folder)[1] == b"rain"
+
+
+def test_a_half_written_folder_never_appears(album, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
+    with pytest.raises(OSError, match="No space left") as caught:
+        album.save(tmp_path / "summer", {"name": "summer"}, b"sun")
+    assert caught.value.filename == str(tmp_path / "summer")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_data_of_another_manifest_are_noticed(album, tmp_path):
+    folder = album.save(tmp_path / "summer", {"name": "summer"}, b"sun")
+    (folder / "photos.bin").write_bytes(b"moon")
+    with pytest.raises(InputError, match="digest differs"):
+        album.load(folder)
+    (folder / "photos.bin").write_bytes(bytes(11))
+    with pytest.raises(InputError, match="more than 10 bytes; that is not an album"):
+        album.load(folder)
+    (folder / "photos.bin").unlink()
+    with pytest.raises(InputError, match=r"can't read .*photos.bin.*written by save_album"):
+        album.load(folder)
+
+
+def test_the_shipped_ones_are_listed_and_found(album, tmp_path):
+    assert album.shipped_names() == []
+    for name in ("winter", "summer"):
+        album.save(tmp_path / "albums" / name, {"name": name}, b"")
+    (tmp_path / "albums" / "notes").mkdir()  # no manifest: none of them
+    assert album.shipped_names() == ["summer", "winter"]
+    assert album.find("winter") == tmp_path / "albums" / "winter"
+    assert album.find(tmp_path) == tmp_path
+    with pytest.raises(UnknownNameError, match=r"unknown album 'spring': .*\(summer, winter\)"):
+        album.find("spring")
+    with pytest.raises(InputError, match="album 3 must be a name or a folder"):
+        album.find(3)
+
+
+def test_shipped_files_lie_beside_the_package_or_in_it(tmp_path):
+    package = tmp_path / "package"
+    package.mkdir()
+    assert shipped_folder(package, "albums") == tmp_path / "albums"
+    (package / "shipped_albums").mkdir()
+    assert shipped_folder(package, "albums") == package / "shipped_albums"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "pcs-racing album"}, "is no manifest of a note: format must be 'pcs-racing note'"),
+        ({"version": 2}, "has version 2; this release reads version 1"),
+        ({"colour": "red"}, "unknown or missing colour; a manifest holds text, pages"),
+        ({"pages": ...}, "unknown or missing pages"),
+    ],
+)
+def test_a_manifest_of_something_else_is_refused(tmp_path, change, message):
+    file = tmp_path / "note.yaml"
+    NOTE.write(file, {"text": "Grüße", "pages": 2})
+    assert NOTE.read(file) == {"text": "Grüße", "pages": 2}
+    values = {**yaml.safe_load(file.read_text(encoding="utf-8")), **change}
+    file.write_text(yaml.safe_dump({key: value for key, value in values.items() if value is not ...}))
+    with pytest.raises(InputError, match=message):
+        NOTE.read(file)
+    file.write_text("- 1")
+    with pytest.raises(InputError, match="is no manifest of a note"):
+        NOTE.read(file)

@@ -1,0 +1,85 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcs_racing.base import checks
+from pcs_racing.base.errors import ConfigError, InputError
+
+
+@pytest.mark.parametrize("value", [True, 1.0, "1", None, np.True_, np.float64(1.0), -1, 6, [1]])
+def test_whole_numbers_within_a_range(value):
+    assert [checks.check_whole("n", good, 0, 5) for good in (0, 5, np.uint8(3))] == [0, 5, 3]
+    assert type(checks.check_whole("n", np.int64(3), 0, 5)) is int
+    with pytest.raises(InputError, match=r"^n is .*; it must be a whole number from 0 to 5$"):
+        checks.check_whole("n", value, 0, 5)
+
+
+@pytest.mark.parametrize("value", [True, "1", None, math.nan, math.inf, -math.inf, -0.1, 1.1, 0.0])
+def test_numbers_within_a_range(value):
+    assert [checks.check_number("x", good, 0.0, 1.0) for good in (0, 1.0, np.float32(0.5))] == [0.0, 1.0, 0.5]
+    assert type(checks.check_number("x", np.float32(0.5))) is float
+    with pytest.raises(InputError, match=r"^x is .*; it must be a number above 0 up to 1$"):
+        checks.check_number("x", value, most=1.0, above=0.0)
+
+
+def test_a_huge_whole_number_is_a_number():
+    assert checks.check_number("x", 10**400) == 10**400
+    with pytest.raises(InputError, match="from 0 to 1"):
+        checks.check_number("x", 10**400, 0.0, 1.0)
+
+
+def test_names_that_resemble_are_suggested():
+    assert checks.check_choice("kind", "map", ("map", "kdpp")) == "map"
+    with pytest.raises(InputError, match=r"kind is 'mpa'; it must be one of map, kdpp \(did you mean 'map'\?\)"):
+        checks.check_choice("kind", "mpa", ("map", "kdpp"))
+    for odd in (None, 3, ["map"], "lattice"):
+        with pytest.raises(ConfigError, match=r"it must be one of map, kdpp$"):
+            checks.check_choice("kind", odd, ("map", "kdpp"), ConfigError)
+
+
+def test_texts_flags_paths_and_seeds():
+    assert checks.check_flag("normalize", np.True_) is True
+    assert checks.check_path("folder", Path("a")) == Path("a")
+    assert checks.check_seed(np.uint64(7)) == 7
+    for check, odd in (
+        (checks.check_flag, 1),
+        (checks.check_text, ""),
+        (checks.check_path, ""),
+        (checks.check_path, 3),
+        (checks.check_names, "abc"),
+        (checks.check_names, ("a", "a")),
+    ):
+        with pytest.raises(InputError, match=r"^it (is|are) "):
+            check("it", odd)
+    with pytest.raises(InputError, match="seed is -1"):
+        checks.check_seed(-1)
+
+
+def test_lists_of_whole_numbers():
+    assert checks.check_wholes("widths", [np.int64(3), 4], 1, 9, (0, 2)) == (3, 4)
+    for odd in ([0], [1, 2, 3], [True], "12", 3, [1.0]):
+        with pytest.raises(InputError, match=r"^widths is .*; it must be a list of at most 2 whole numbers"):
+            checks.check_wholes("widths", odd, 1, 9, (0, 2))
+    with pytest.raises(InputError, match="different"):
+        checks.check_wholes("seeds", [1, 1], 0, 9, different=True)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ([[1.0, 2.0]], "theta has shape (1, 2); it must have (any, 3)"),
+        ([1.0, 2.0, 3.0], "theta has shape (3,); it must have (any, 3)"),
+        ([[1.0, 2.0, np.nan]], "theta holds nan at (0, 2); it must be finite from 0 to 9"),
+        ([[1.0, 2.0, 10.0]], "theta holds 10.0 at (0, 2)"),
+        ([["a", 2.0, 10.0]], "it must hold numbers"),
+        ([[1.0], [2.0, 3.0]], "it must hold numbers"),
+    ],
+)
+def test_arrays(value, message):
+    good = np.zeros((2, 3))
+    assert checks.check_array("theta", good, (None, 3)) is not good
+    with pytest.raises(InputError) as error:
+        checks.check_array("theta", value, (None, 3), least=0.0, most=9.0)
+    assert message in str(error.value)

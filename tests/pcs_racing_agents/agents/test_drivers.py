@@ -1,0 +1,63 @@
+"""Trained drivers as competitors."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from pcs_racing import get_planner, make_game
+from pcs_racing.base.dense import DenseLayers
+from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.planners.network import INPUTS
+from pcs_racing.planners.trained import save_driver
+from pcs_racing_agents.agents import make
+from pcs_racing_agents.tournament.cells import play_cell
+
+made_under_v0 = pytest.mark.xfail(
+    reason="shipped archives, networks and figures were made under -v0; they are made again once all races have changed"
+)
+
+
+@pytest.fixture(scope="module")
+def layers():
+    rng = np.random.default_rng(1)
+    shapes = [(6, len(INPUTS)), (2, 6)]
+    return DenseLayers(
+        tuple(rng.normal(size=shape).astype(np.float32) for shape in shapes),
+        tuple(rng.normal(size=shape[0]).astype(np.float32) for shape in shapes),
+    )
+
+
+@pytest.fixture
+def folder(layers, tmp_path):
+    return save_driver(tmp_path / "mine", layers, name="mine", hold=4, training={"steps": 7})
+
+
+def test_the_zoo_races_the_shipped_driver_or_another_one(folder):
+    shipped, mine = make("ppo-drive"), make("ppo-drive", network=folder)
+    assert shipped.planner is get_planner("ppo-drive")
+    assert pickle.loads(pickle.dumps(shipped)).planner is shipped.planner
+    assert mine.planner.name == "mine"
+    assert len({shipped.content_hash, mine.content_hash, make("pure-pursuit").content_hash}) == 3
+    with pytest.raises(UnknownNameError, match="unknown driver 'nobody'"):
+        make("ppo-drive", network="nobody")
+
+
+def test_drivers_with_other_weights_have_other_hashes(layers, tmp_path):
+    """They are of one name and have no parameters: results of one must not be taken for the other's."""
+    hashes = set()
+    for factor in (1.0, 1.5):
+        scaled = DenseLayers(tuple(factor * weight for weight in layers.weights), layers.biases)
+        place = save_driver(tmp_path / f"{factor}", scaled, name="mine", hold=4, training={})
+        hashes.add(make("ppo-drive", network=place).content_hash)
+    assert len(hashes) == 2
+
+
+@made_under_v0
+def test_the_shipped_driver_drives_away_from_slower_cars_on_a_circuit_that_it_has_never_seen():
+    game = make_game("Saltmere", "default", "contest", threads=1)
+    cell = play_cell(game, make("ppo-drive"), make("pure-pursuit"), egos=1, opponents=1, lines=4, seed=5)
+    ahead = cell.units.starts.side == 0
+    assert ahead.sum() == 4
+    assert (cell.matches.lead[ahead] > 30.0).all()
+    assert not cell.matches.crash.any()

@@ -1,0 +1,102 @@
+"""What a search knows: means, front and scale against the definitions, one point after the other."""
+
+import numpy as np
+import pytest
+
+from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive
+
+
+def known(seed=0, count=30, axes=2):
+    """Random points, some of them infeasible, some no members of the archive, two equal."""
+    rng = np.random.default_rng(seed)
+    objectives = rng.normal(size=(count, axes)).round(1)
+    objectives[5] = objectives[4]
+    violation, member = rng.normal(-0.5, 0.6, count), rng.random(count) < 0.8
+    return ParetoArchive.empty(3).joined(rng.random((count, 3)), objectives, violation, member)
+
+
+def beats(one, other):
+    return (one >= other).all() and (one > other).any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_front_is_what_no_other_feasible_member_beats_and_the_first_of_equals(seed):
+    explored = known(seed, axes=2 + seed % 2)
+    rows = [i for i in range(len(explored)) if explored.member[i] and explored.violation[i] <= 0.0]
+    values = explored.objectives
+    front = [
+        i
+        for i in rows
+        if not any(beats(values[j], values[i]) or (j < i and (values[j] == values[i]).all()) for j in rows)
+    ]
+    assert explored.front.tolist() == front
+    assert 0 < len(front) < len(rows) < len(explored)
+
+
+def test_points_are_added_as_members_unless_stated():
+    one = ParetoArchive.empty(2).joined(np.array([[0.1, 0.2]]), np.array([[1.0, 2.0, 3.0]]), np.array([-1.0]))
+    assert len(one) == 1
+    assert (one.evaluations.tolist(), one.member.tolist(), one.front.tolist()) == ([1], [True], [0])
+    two = one.joined(np.array([[0.3, 0.4]]), np.array([[9.0, 9.0, 9.0]]), np.array([0.0]), np.array([False]))
+    assert two.parameters.tolist() == [[0.1, 0.2], [0.3, 0.4]]
+    assert two.objectives.tolist() == [[1.0, 2.0, 3.0], [9.0, 9.0, 9.0]]
+    assert two.violation.tolist() == [-1.0, 0.0]
+    assert (two.evaluations.tolist(), two.member.tolist(), two.front.tolist()) == ([1, 1], [True, False], [0])
+    assert len(one) == 1  # a value
+
+
+def test_values_are_means_over_all_evaluations():
+    explored = known()
+    rng = np.random.default_rng(1)
+    draws = {row: [explored.objectives[row]] for row in range(3)}
+    excess = {row: [explored.violation[row]] for row in range(3)}
+    for rows in ([0, 2, 0], [2], [1, 0]):
+        values, violation = rng.normal(size=(len(rows), 2)), rng.normal(size=len(rows))
+        for row, value, over in zip(rows, values, violation, strict=True):
+            draws[row].append(value)
+            excess[row].append(over)
+        explored = explored.averaged(np.array(rows), values, violation)
+    for row in range(3):
+        np.testing.assert_allclose(explored.objectives[row], np.mean(draws[row], axis=0))
+        assert explored.violation[row] == pytest.approx(np.mean(excess[row]))
+        assert explored.evaluations[row] == len(draws[row])
+    assert (explored.evaluations[3:] == 1).all()
+    np.testing.assert_array_equal(explored.objectives[3:], known().objectives[3:])
+
+
+def test_other_values_are_given_to_the_front_and_the_rest_leaves_the_archive():
+    explored = known().averaged(np.array([0]), np.zeros((1, 2)), np.zeros(1))
+    front = explored.front
+    values = np.arange(2.0 * len(front)).reshape(-1, 2)
+    after = explored.replaced(values, np.full(len(front), -2.0))
+    np.testing.assert_array_equal(after.objectives[front], values)
+    np.testing.assert_array_equal(after.violation[front], -2.0)
+    np.testing.assert_array_equal(np.flatnonzero(after.member), front)
+    others = np.setdiff1d(np.arange(len(explored)), front)
+    np.testing.assert_array_equal(after.objectives[others], explored.objectives[others])
+    np.testing.assert_array_equal(after.evaluations[front], 1)
+    np.testing.assert_array_equal(after.evaluations[others], explored.evaluations[others])
+    assert after.front.tolist() == [front[-1]]  # the largest on both axes
+
+
+def test_the_scale_runs_from_the_worst_to_the_best_of_the_front():
+    explored = known(1)
+    scale = explored.scale()
+    front = explored.objectives[explored.front]
+    np.testing.assert_array_equal(scale.nadir, front.min(axis=0))
+    np.testing.assert_array_equal(scale.ideal, front.max(axis=0))
+    np.testing.assert_allclose([scale(front).min(axis=0), scale(front).max(axis=0)], [[0.0, 0.0], [1.0, 1.0]])
+    stated = explored.scale(np.array([4.0, 8.0]), np.array([2.0, 0.0]))
+    np.testing.assert_allclose(stated(np.array([3.0, 2.0])), [0.5, 0.25])
+
+
+def test_where_the_front_has_no_extent_all_feasible_points_give_it_or_it_is_1():
+    points = np.zeros((3, 3))
+    single = ParetoArchive.empty(3).joined(
+        points, np.array([[5.0, 2.0], [4.0, 2.0], [9.0, 9.0]]), np.array([0.0, 0.0, 1.0])
+    )
+    assert single.front.tolist() == [0]
+    scale = single.scale()
+    assert (scale.nadir.tolist(), scale.ideal.tolist()) == ([4.0, 2.0], [5.0, 3.0])
+    nothing = single.averaged(np.arange(3), single.objectives, np.full(3, 9.0)).scale()
+    assert (nothing.nadir.tolist(), nothing.ideal.tolist()) == ([0.0, 0.0], [1.0, 1.0])

@@ -1,0 +1,102 @@
+"""The house has floors: no file imports from a higher one, and no files import each other in a circle."""
+
+import ast
+import importlib.util
+from pathlib import Path
+
+import pytest
+from repository import REPOSITORY
+
+
+def drawn_floors() -> list[tuple[str, str]]:
+    """Package and folders of every floor in the picture of the house, the lowest floor first."""
+    spec = importlib.util.spec_from_file_location("house", REPOSITORY / "docs" / "house.py")
+    house = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(house)
+    return [(house.NAME[package], folders) for package, folders, _ in reversed(house.FLOORS)]
+
+
+FLOOR_OF = {
+    f"{package}.{folder.strip('/')}": floor
+    for floor, (package, folders) in enumerate(drawn_floors())
+    for folder in folders.split()
+}
+
+
+def modules() -> dict[str, Path]:
+    """Files of both packages by the name under which they are imported."""
+    return {
+        ".".join(file.relative_to(REPOSITORY).with_suffix("").parts).removesuffix(".__init__"): file
+        for package in ("pcs_racing", "pcs_racing_agents")
+        for file in (REPOSITORY / package).rglob("*.py")
+    }
+
+
+def imports(file: Path, known: dict[str, Path]) -> set[str]:
+    """Modules of the two packages that a file imports, wherever in it."""
+    names = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            members = {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= {member if member in known else node.module or "" for member in members}
+    return names & known.keys()
+
+
+@pytest.fixture(scope="module")
+def graph() -> dict[str, set[str]]:
+    known = modules()
+    return {name: imports(file, known) - {name} for name, file in known.items()}
+
+
+def floor_of(module: str) -> int | None:
+    """None for what stands at the door: ``__init__`` and ``__main__`` of a package."""
+    return FLOOR_OF.get(".".join(module.split(".")[:2]))
+
+
+def test_every_file_stands_on_a_floor(graph):
+    loose = {name for name in graph if floor_of(name) is None}
+    assert loose == {"pcs_racing", "pcs_racing_agents", "pcs_racing_agents.__main__"}
+
+
+def test_no_file_imports_from_a_higher_floor(graph):
+    upward = [
+        (name, other)
+        for name, others in graph.items()
+        for other in others
+        if floor_of(name) is not None and floor_of(other) is not None and floor_of(other) > floor_of(name)
+    ]
+    assert not upward
+
+
+def test_no_floor_imports_its_packages_front_door(graph):
+    """``import pcs_racing`` offers what the floors hold; a floor that asked there would go round in a circle."""
+    assert not [
+        (name, other)
+        for name, others in graph.items()
+        for other in others & {"pcs_racing", "pcs_racing_agents"}
+        if floor_of(name) is not None
+    ]
+
+
+def circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of files each of which reaches all others of its group."""
+    reached: dict[str, set[str]] = {}
+    for name in graph:
+        seen, new = set(), [name]
+        while new:
+            more = graph[new.pop()] - seen
+            seen |= more
+            new += more
+        reached[name] = seen
+    groups = {frozenset(other for other in reached[name] if name in reached[other]) for name in graph}
+    return sorted(sorted(group) for group in groups if group)
+
+
+def test_no_files_import_each_other_in_a_circle(graph):
+    assert not circles(graph)
+
+
+def test_a_circle_would_be_seen():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
