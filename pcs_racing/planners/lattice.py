@@ -483,8 +483,8 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
         for g in range(GOALS):
             if scratch[costs + g] < best:
                 best = scratch[costs + g]
-                best_goal = g
-                best_speed = f
+                best_goal = np.int64(g)
+                best_speed = np.int64(f)
     memory[_M_VALID] = 1.0
     memory[_M_S] = s0
     memory[_M_D] = d0
