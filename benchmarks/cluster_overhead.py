@@ -36,14 +36,13 @@ from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.networks import Rows, game_identity, load_network, train_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.study import StudyConfig, load_study_config
-from pcs_racing_agents.study.moves_made import BLOCK as REPLAYED
 from pcs_racing_agents.study.racing import _Judge
 from pcs_racing_agents.synthesis.archive_run import draw_policies, stage_scenarios
 from pcs_racing_agents.synthesis.archive_search import BLOCK as POLICIES
 from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.synthesis.evaluate import race_policies
 from pcs_racing_agents.tournament import runner
-from pcs_racing_agents.tournament.cells import draw_units
+from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.trees.storage import _Builder, _Task
 from pcs_racing_agents.trees.tree import tree_from_arrays
 
@@ -107,11 +106,8 @@ def measure(moves: int) -> dict[str, Cost]:
     games = [replace(make_game(track), threads=1) for track in CIRCUITS]
     game, setting = games[0], make_setting(games[0].archive, games[0].config)
     ego, never, random = (build(name, setting) for name in ("cfr-argmax", "never-switch", "random-moves"))
-    units = draw_units(game, ego, never, lines=1)
-    pairing = runner.Pairing(game.track, ego, never, units.variants, units.starts, units.seeds)
-    with make_executor("processes", 1) as executor:
-        task = runner._task(pairing, np.arange(runner.BLOCK), game.archive, game.config, executor, kept=True)
-    keep("games", runner._play, [task])
+    pairing = cross_pairing(game, ego, never, lines=1)
+    keep("games", runner.RaceWorker([pairing], False), [runner.RaceBlock("", 0, 0, runner.BLOCK)])
 
     pool = [never, random, build("lane-switcher", setting)]
     arenas = [[learner.game_between(game, random, opponent) for opponent in pool] for game in games]
@@ -226,8 +222,8 @@ def waves(config: StudyConfig, found: Mapping[str, Cost]) -> dict[str, list[Wave
     stages["rivals"] = [again._replace(tasks=rivals * n) for n in (len(config.tracks), circuits)] if rivals else []
     held_out = circuits * max(2, config.pairs // 4)
     stages["exploitability"] = [Wave("tree", held_out, config.seeds), Wave("judging", held_out)] if forest else []
-    main = len(config.tracks) * len(config.opponents) * 2 * ceil(1000 / REPLAYED)
-    stages["report"] = [Wave("games", main, REPLAYED / runner.BLOCK)]
+    main = len(config.tracks) * len(config.opponents) * 2 * ceil(1000 / runner.BLOCK)
+    stages["report"] = [Wave("games", main, 1)]
     return stages
 
 

@@ -71,7 +71,7 @@ def run_steps(step: Callable[[], object], envs: int, steps: int) -> list[Slice]:
 
 def drive(envs: int, steps: int, threads: int) -> list[Slice]:
     """Control-level environments with an opponent on the lattice."""
-    from pcs_racing.envs.drive_vector import DriveVectorEnv
+    from pcs_racing.envs.drive import DriveVectorEnv
 
     env = DriveVectorEnv(envs, threads=threads)
     env.reset(seed=0)
@@ -92,7 +92,7 @@ def drive(envs: int, steps: int, threads: int) -> list[Slice]:
 
 def duel(envs: int, steps: int, threads: int, step_seconds: float) -> list[Slice]:
     """Games against random moves."""
-    from pcs_racing.envs.duel_vector import DuelVectorEnv
+    from pcs_racing.envs.duel import DuelVectorEnv
 
     env = DuelVectorEnv(envs, threads=threads, step_seconds=step_seconds)
     env.reset(seed=0)
@@ -148,7 +148,7 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
         played = play_plan(plan, job=job, executor=workers, progress=progress)
         used = time.process_time() - processor - apart
         print(
-            f"{len(played.rows)} races: {used:.0f} s of processor time, {1e3 * used / len(played.rows):.2f} ms a race"
+            f"{len(played.races)} races: {used:.0f} s of processor time, {1e3 * used / len(played.races):.2f} ms a race"
         )
         print(f"with what came of them: {resident_megabytes():.0f} MB, at most so far {peak_megabytes():.0f} MB")
         begin = time.process_time()

@@ -22,7 +22,7 @@ from pcs_racing_agents import make
 from pcs_racing_agents.agents import as_competitor
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, read_evaluations
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
-from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.tournament import cross_pairing, play_pairing
 from pcs_racing_agents.tournament.matches import variant_count
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
 
@@ -121,17 +121,19 @@ def race_driver(baseline: Shipped, tracks: list[str], arguments: argparse.Namesp
                 opponent = make(name, archive=archive, race=rules)
                 variants = min(arguments.variants, variant_count(game, opponent))
                 draws = {"opponents": variants, "seed": SEED}
-                cell = play_cell(game, driver, opponent, egos=1, lines=min(races // variants, MOST_LINES), **draws)
+                driven = min(races // variants, MOST_LINES)
+                raced = play_pairing(cross_pairing(game, driver, opponent, egos=1, lines=driven, **draws))
                 lines = max(races // (variants * arguments.egos), 1)
-                beside = play_cell(game, policies, opponent, egos=arguments.egos, lines=lines, **draws)
-                matches = cell.matches
-                clusters = [labels for labels in (cell.units.variants[:, 1], cell.units.place) if np.ptp(labels) > 0]
-                clusters = clusters or [np.arange(len(cell.score))]
+                beside = play_pairing(
+                    cross_pairing(game, policies, opponent, egos=arguments.egos, lines=lines, **draws)
+                )
+                clusters = [labels for labels in (raced.variants[:, 1], raced.places) if np.ptp(labels) > 0]
+                clusters = clusters or [np.arange(len(raced))]
                 print(
                     f"| {place(baseline, track)} | {rules} | {name} | "
-                    f"{cell.score.mean():.3f} +- {clustered_mean(cell.score, *clusters).se:.3f} | "
-                    f"{np.mean(matches.winner == 0):.0%} | {np.mean(matches.winner == 1):.0%} | "
-                    f"{np.mean(matches.crash.any(axis=1)):.0%} | {np.mean(matches.fault[:, 0] == 1):.0%} | "
+                    f"{raced.score.mean():.3f} +- {clustered_mean(raced.score, *clusters).se:.3f} | "
+                    f"{np.mean(raced.winner == 0):.0%} | {np.mean(raced.winner == 1):.0%} | "
+                    f"{np.mean(raced.crashed):.0%} | {np.mean(raced.fault[:, 0] == 1):.0%} | "
                     f"{beside.score.mean():.3f} |",
                     flush=True,
                 )
@@ -151,8 +153,8 @@ def race_agent(baseline: Shipped, tracks: list[str], arguments: argparse.Namespa
         game = make_game(load_track(track), world["archive"], world["race"])
         for name in OPPONENTS:
             opponent = make(name, **world)
-            cells = {key: play_cell(game, agent, opponent, **draws) for key, agent in agents.items()}
-            groups = cells["ppo"].units.variants.T
+            cells = {key: play_pairing(cross_pairing(game, agent, opponent, **draws)) for key, agent in agents.items()}
+            groups = cells["ppo"].variants.T
             same = name == "never-switch"  # the archive's policies on both sides
 
             def gain(key: str, over: str, cells=cells, groups=groups, same=same) -> str:

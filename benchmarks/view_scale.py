@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcs_racing_agents.tournament import RaceRow, write_rows
+from pcs_racing_agents.tournament import RaceRow, write_results
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests/pcs_racing_agents/view"))
@@ -76,6 +76,7 @@ def made_up_rows(count: int) -> Iterator[RaceRow]:
         paths = [tuple(rng.integers(0, 46, steps + 1).tolist()) for _ in range(2)]
         lead = float(rng.normal(0.0, 20.0))
         yield RaceRow(
+            preset="paper",
             ego=ego,
             opponent=opponent,
             track=track,
@@ -102,7 +103,7 @@ def made_up_rows(count: int) -> Iterator[RaceRow]:
 def results_file(path: Path, count: int, results: Path | None) -> None:
     """Write a results file of so many races."""
     if results is None:
-        write_rows(made_up_rows(count), "paper", path)
+        write_results(made_up_rows(count), path)
         return
     with open(results / "results.csv", "rb") as lines, open(path, "wb") as file:
         file.writelines(islice(lines, count + 1))

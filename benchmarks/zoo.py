@@ -21,16 +21,16 @@ import numpy as np
 
 from pcs_racing import load_track, make_game, run_races
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing.game.game import take_games
+from pcs_racing.game.state import take_games
 from pcs_racing_agents.agents import Agent, Driver, make_setting, names
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.measured import Measured
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.jobs import open_job, show_progress
-from pcs_racing_agents.tournament.matches import variant_count
+from pcs_racing_agents.results.races import concatenate_races
+from pcs_racing_agents.tournament.pairings import schedule_pairing
 from pcs_racing_agents.tournament.round_robin import round_robin
-from pcs_racing_agents.tournament.rows import RaceRow, pair_races, start_label
-from pcs_racing_agents.tournament.runner import Pairing, play_pairings
+from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
@@ -53,36 +53,26 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
     games = [make_game(load_track(track), setting.archive, setting.config) for track in TRACKS[race]]
     schedules = [draw_schedule(game.track, setting.config.race_rules, races, SEED) for game in games]
     settings = {"archive": setting.archive.content_hash, "race": race, "races": races, "seed": SEED}
-    rows: list[RaceRow] = []
+    tables = []
     with open_job(out / f"{archive}-{race}", "zoo", settings) as job:
         for name, agent in agents.items():
-            pairings, rivals = [], []
-            for (game, schedule), rival in product(zip(games, schedules, strict=True), FIELD):
-                if rival != name:
-                    variants = schedule.variants(variant_count(game, agent), variant_count(game, agents[rival]))
-                    drawn = (variants, schedule.starts, schedule.seeds)
-                    pairings.append(Pairing(game.track, agent, agents[rival], *drawn))
-                    rivals.append(rival)
+            pairings = [
+                schedule_pairing(game, agent, agents[rival], schedule, SEED)
+                for (game, schedule), rival in product(zip(games, schedules, strict=True), FIELD)
+                if rival != name
+            ]
             told = show_progress(f"races: {name}, {race}")
             # Kept by name: a new agent leaves the races of the others as they are.
             kept = name.replace("+", "-plus") if name.endswith("+") else f"{name}minus" if name.endswith("-") else name
-            played = play_pairings(pairings, setting.archive, setting.config, name=kept, job=job, progress=told)
-            for rival, pairing, matches in zip(rivals, pairings, played, strict=True):
-                where = (pairing.track.name, SEED, pairing.starts, pairing.policies)
-                rows += pair_races((name, rival), *where, matches, setting.moves).rows()
-    together = round_robin(
-        list(agents),
-        [row.ego for row in rows],
-        [row.opponent for row in rows],
-        [row.winner for row in rows],
-        [row.crash != "" for row in rows],
-        [start_label(row.track, row.start_s) for row in rows],
-    )
+            played = play_pairings(pairings, name=kept, job=job, progress=told)
+            tables += [pairing.table(matches) for pairing, matches in zip(pairings, played, strict=True)]
+    races_driven = concatenate_races(tables)
+    together = round_robin(list(agents), races_driven)
     found = []
     for name, agent in agents.items():
-        own = [row for row in rows if row.ego == name]
+        own = concatenate_races(table for table in tables if table[0].ego == name)
         scores = {
-            rival: float(np.mean([_score(row) for row in own if row.opponent == rival]))
+            rival: float(own.score[own.agents.codes[:, 1] == own.agents.words.index(rival)].mean())
             for rival in FIELD
             if rival != name
         }
@@ -96,16 +86,12 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
                 len(own),
                 float(np.mean(list(scores.values()))),
                 *together.rating(name),
-                float(np.mean([row.fault in ("ego", "both") for row in own])),
+                float(own.fault[:, 0].mean()),
                 *cost(games[0], agent),
                 scores,
             )
         )
     return sorted(found, key=lambda one: -one.score)
-
-
-def _score(row: Any) -> float:
-    return float(row.winner == "ego") + 0.5 * (row.winner == "" and row.crash == "")
 
 
 def cost(game: Any, agent: Any) -> tuple[float, float]:

@@ -216,7 +216,7 @@ def names_page() -> str:
 
 
 def _where(name: str) -> str:
-    files = sorted((REPOSITORY / "pcs_racing").glob("*.py"))
+    files = sorted((REPOSITORY / "pcs_racing").rglob("*.py"))
     return next(_dotted(file) for file in files if file.stem != "__init__" and name in _public_names(file))
 
 

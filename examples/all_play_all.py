@@ -60,10 +60,10 @@ def main() -> None:
     with open_job(arguments.out, "tournament", tournament_settings(plan)) as job, make_executor("threads") as executor:
         tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
     print(tournament_text(tournament))
-    print("results:", write_results(tournament, arguments.out / "results.csv"))
+    print("results:", write_results(tournament.races, arguments.out / "results.csv"))
 
     # 3. Ratings, with intervals from drawing start lines again.
-    rows = [row for row in tournament.rows if row.winner or not row.crash]
+    rows = [row for row in tournament.races if row.winner or not row.crash]
     result = [{"ego": 1, "opponent": -1, "": 0}[row.winner] for row in rows]
     lines = [row.race // 2 for row in rows]
     rng = np.random.default_rng(arguments.seed)

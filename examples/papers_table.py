@@ -14,10 +14,11 @@ from pathlib import Path
 from pcs_racing import make_game
 from pcs_racing_agents import make
 from pcs_racing_agents.jobs.jobs import open_job, show_progress
-from pcs_racing_agents.study.cell_races import cell_races
+from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import table_text, write_table
-from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.runner import play_pairings
 
 TRACKS = ["Tarnfjord", "Brackwater"]
 SEEN = {"Tarnfjord"}
@@ -36,28 +37,22 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/papers_table"), help="folder for races and table")
     arguments = parser.parse_args()
 
-    # 1. The cells: one agent against one kind of opponent. What was driven before is read from the folder.
+    # 1. The races of each agent against each kind of opponent. What was driven before is read from the folder.
     size = {"egos": arguments.egos, "opponents": arguments.variants, "lines": arguments.lines}
     games = {name: make_game(name, stay=True) for name in arguments.tracks}
     agents = {name: make(name) for name in {*arguments.arms, *OPPONENTS}}
-    cells = {}
+    pairings = [
+        cross_pairing(game, agents[arm], agents[opponent], **size, seed=arguments.seed + number)
+        for game in games.values()
+        for number, opponent in enumerate(OPPONENTS)
+        for arm in arguments.arms
+    ]
     with open_job(arguments.out / "races", "papers-table", {**size, "seed": arguments.seed}) as job:
-        for track, game in games.items():
-            for number, opponent in enumerate(OPPONENTS):
-                for arm in arguments.arms:
-                    cell = play_cell(
-                        game,
-                        agents[arm],
-                        agents[opponent],
-                        **size,
-                        seed=arguments.seed + number,
-                        job=job,
-                        progress=show_progress(f"races: {arm} against {opponent} on {track}"),
-                    )
-                    cells[track, opponent, arm] = cell_races(cell)
+        played = play_pairings(pairings, job=job, progress=show_progress())
+        races = concatenate_races(p.table(matches) for p, matches in zip(pairings, played, strict=True))
 
     # 2. The table: each agent minus the first, race by race; beside it what the paper found.
-    table = make_table(cells, base=arguments.arms[0], seen=SEEN)
+    table = make_table(races, base=arguments.arms[0], seen=SEEN)
     print(table_text(table))
     print("table:", write_table(table, arguments.out / "table.csv"))
 

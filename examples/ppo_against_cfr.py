@@ -22,7 +22,7 @@ from pcs_racing_agents import make
 from pcs_racing_agents.jobs.jobs import show_progress
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.learning.ppo.train import train_ppo
-from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.tournament import cross_pairing, play_pairing
 from pcs_racing_agents.tournament.statistics import compare
 from pcs_racing_agents.tournament.watching import record_match
 
@@ -81,25 +81,18 @@ def main() -> None:
     print(f"\n{game.track.name}, rules {arguments.race}: score (a win 1, a tie a half), difference at 95 %")
     print(f"{'against':>24} {'races':>6} {'never-switch':>13} {'ppo':>7} {'difference':>11} {'interval':>18}")
     for opponent in (rival, never_switch, make("random-moves", **world)):
-        cells = [play_cell(game, ego, opponent, **draws) for ego in (never_switch, ppo)]
-        base, score = (cell.score for cell in cells)
-        egos, opponents = cells[0].units.variants.T
+        pairings = [cross_pairing(game, ego, opponent, **draws) for ego in (never_switch, ppo)]
+        base, score = (play_pairing(pairing).score for pairing in pairings)
+        egos, opponents = pairings[0].variants.T
         gain = compare(score, base, egos, opponents)  # its interval knows which races share a policy
         interval = f"[{gain.low:+.3f}, {gain.high:+.3f}]"
         figures = f"{base.mean():13.3f} {score.mean():7.3f} {gain.difference:+11.3f} {interval:>18}"
         print(f"{opponent.name:>24} {len(score):6} {figures}")
 
     # 4. One of these races to watch.
-    cell = play_cell(game, ppo, rival, **draws)
-    best = int(np.argmax(cell.matches.lead))
-    recording = record_match(
-        game,
-        ppo,
-        rival,
-        policies=cell.units.variants[best],
-        start=cell.units.starts.take([best]),
-        seed=int(cell.units.seeds[best]),
-    )
+    pairing = cross_pairing(game, ppo, rival, **draws)
+    best = int(np.argmax(play_pairing(pairing).lead))
+    recording = record_match(game, ppo, rival, **pairing.one(best))
     print(f"\nto watch: {save_replay(recording.replay, arguments.out / 'race.html')}")
 
 

@@ -60,8 +60,8 @@ def main() -> None:
     print(tournament_text(tournament))
 
     arguments.out.mkdir(parents=True, exist_ok=True)
-    print("\nresults:", write_results(tournament, arguments.out / "results.csv"))
-    replay = record_row(tournament, max(tournament.rows, key=liveliness)).replay
+    print("\nresults:", write_results(tournament.races, arguments.out / "results.csv"))
+    replay = record_row(tournament, max(tournament.races, key=liveliness)).replay
     print("replay: ", save_replay(replay, arguments.out / "replay.html"), f"({replay.title}: {replay.outcome})")
 
 

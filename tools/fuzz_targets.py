@@ -64,15 +64,15 @@ from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.networks.ego_rows import ego_values
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
-from pcs_racing_agents.study.cell_races import read_races
+from pcs_racing_agents.results.race_files import read_results
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.report_inputs import read_curves, read_losses
+from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.tournament.play import plan_tournament, tournament_settings
-from pcs_racing_agents.tournament.result_lines import read_lines
 from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees, load_trees
-from pcs_racing_agents.view.contests import open_results
-from pcs_racing_agents.view.race_columns import packed_columns, race_columns
+from pcs_racing_agents.view.results_folder import open_results
+from pcs_racing_agents.view.view_page import packed_races
 
 __all__ = ["TARGETS", "Target"]
 
@@ -457,19 +457,19 @@ def results_manifest(data: bytes) -> object:
     folder = _copied(tournament_folder(), "manifest")
     (folder / "job.yaml").write_bytes(data)
     results = open_results(folder)
-    return results.contest(results.row(0))
+    return results.pairing(results.row(0))
 
 
 def results_table(data: bytes) -> object:
     folder = _copied(tournament_folder(), "table")
     (folder / "results.csv").write_bytes(data)
-    return open_results(folder), read_races(folder / "results.csv")
+    return make_table(open_results(folder).races)
 
 
 def viewed_table(data: bytes) -> object:
     file = scratch() / "viewed.csv"
     file.write_bytes(data)
-    return packed_columns(race_columns(read_lines(file)))
+    return packed_races(read_results(file))
 
 
 CURVE = (

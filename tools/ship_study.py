@@ -13,7 +13,7 @@ from pathlib import Path
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.networks import load_network, save_network
 from pcs_racing_agents.study.config import load_study_config
-from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.study.study import Study
 
 
 def ship(study: Study, checkout: Path) -> list[Path]:

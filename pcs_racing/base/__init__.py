@@ -1,1 +1,1 @@
-"""What everything else stands on: errors, files, checks, random seeds, compilation."""
+"""Basic tools of both packages: errors, files, checks, random seeds and compilation."""

@@ -1,4 +1,4 @@
-"""How this package compiles its hot paths, keeps them on disk, and says so when the first time takes a while."""
+"""Compilation with numba: decorators for compiled functions, and a message when compilation takes a while."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -16,14 +16,14 @@ __all__ = ["announce_compilation", "compiled", "inner_kernel", "kernel"]
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function with numba: cached on disk, without the GIL, with IEEE division.
 
-    Division by zero then gives infinity as in numpy; a check for it would keep the compiler from using vector
-    instructions. Leave ``fastmath`` off, and take sines and the like from :mod:`pcs_racing.base.elementary`: then a
-    function computes the same bits on every processor, and in each of the copies that its callers contain.
+    Division by zero gives infinity, as in numpy; a check for it would prevent vector instructions. Leave ``fastmath``
+    off, and use the elementary functions of :mod:`pcs_racing.base.elementary`. Then a function computes the same bits
+    on every processor, and in every copy that the compiler inlines into its callers.
 
     Parameters
     ----------
     function : callable, optional
-        What to compile; without it, a decorator is returned.
+        The function to compile; without it, a decorator is returned.
     **options
         Further options of :func:`numba.njit`.
     """
@@ -42,7 +42,7 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function as :func:`compiled` does, but without counting references to its arrays.
+    """Compile a function like :func:`compiled`, but without reference counts for its arrays.
 
     Only for functions that neither allocate nor return arrays (allocating in one is an error when it is compiled).
     Numba offers no public option for that. Without this one (``_nrt=False``) a scan of 108 beams takes 21 us instead of
@@ -51,7 +51,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     Parameters
     ----------
     function : callable, optional
-        What to compile; without it, a decorator is returned.
+        The function to compile; without it, a decorator is returned.
     **options
         Further options of :func:`numba.njit`.
     """
@@ -89,9 +89,9 @@ def announce_compilation(dispatcher: Any, what: str, seconds: int) -> Iterator[N
     dispatcher : numba dispatcher
         The function about to be called.
     what : str
-        What is being compiled, for the reader.
+        Name of the compiled code in the message.
     seconds : int
-        About how long it takes.
+        Approximate time that the compilation takes, s.
     """
     # Without compilation (NUMBA_DISABLE_JIT) it is an ordinary function.
     if what not in _announced and hasattr(dispatcher, "signatures") and not dispatcher.signatures:

@@ -1,8 +1,8 @@
-"""Sine, arctangent, exponential and the like, with the same bits on every processor.
+"""Elementary functions (sine, arctangent, exponential and others) with the same bits on every processor.
 
-The C library and numpy choose their code for these functions by the processor (with or without fused multiply-add, by
-the width of its vectors), and the versions differ in the last bit, which a race doubles again and again. Here they are
-made of additions, multiplications, divisions and square roots in a fixed order alone, which IEEE 754 rounds in one way.
+The C library and numpy select their code for these functions by the processor (fused multiply-add, width of vectors).
+The versions differ in the last bit, and a race amplifies such a difference. The functions here use only additions,
+multiplications, divisions and square roots in a fixed order, for which IEEE 754 defines the rounding.
 
 Reductions and coefficients are those of fdlibm (sine and cosine) [1]_ and Cephes (the others) [2]_. The errors named
 below are checked against long double in the tests.

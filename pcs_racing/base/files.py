@@ -1,4 +1,4 @@
-"""Writing files so that nobody ever reads half of one."""
+"""Atomic writing of files: a reader never sees an incomplete file."""
 
 import os
 import secrets
@@ -12,14 +12,15 @@ __all__ = ["write_atomically"]
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, then put it in place: readers never see half a file.
+    """Write a file completely or not at all: ``write`` fills a temporary file, which then replaces ``path``.
 
     Raises
     ------
     InputError
         If the folder does not exist or ``path`` is a folder.
     OSError
-        If it can't be written, for want of space, say; it names ``path``, and what was there before is as it was.
+        If the file can't be written, for example because the disk is full. The error names ``path``; an existing file
+        stays unchanged.
     """
     if not path.parent.is_dir():
         raise InputError(f"can't write {path}: there is no folder {path.parent}")

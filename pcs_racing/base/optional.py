@@ -1,4 +1,4 @@
-"""One clear error where an optional library is missing."""
+"""Check of optional libraries: one clear error if a library is missing."""
 
 from importlib.util import find_spec
 
@@ -6,14 +6,14 @@ __all__ = ["require"]
 
 
 def require(*modules: str, extra: str = "mapping") -> None:
-    """Raise an error that names the extra to install unless all modules are there; nothing is imported.
+    """Raise an error that names the extra to install if a module is not installed; import nothing.
 
     Parameters
     ----------
     *modules : str
         Names of top-level modules.
     extra : str
-        The extra of this distribution that brings them.
+        The extra of this distribution that installs the modules.
 
     Raises
     ------

@@ -1,9 +1,10 @@
-"""Arrays as short text, for the JSON of a replay.
+"""Compression of arrays to short text, for the JSON of a replay.
 
-An array is rounded to whole multiples of a unit and differenced along chosen axes, which leaves mostly tiny integers.
-Each is written as one or more characters of the base-64 alphabet: five bits a character, lowest first, and a sixth bit
-that says whether more follow. Negative numbers are folded between the positive ones (0, -1, 1, -2, ...), as in Google's
-polyline format. A JSON list of the same integers is about twice as long and slower to parse.
+An array is rounded to whole multiples of a unit and differenced along given axes, which leaves mostly small integers.
+Each integer is written as one or more characters of the base-64 alphabet. A character holds five bits, lowest first,
+and a sixth bit that marks whether more characters follow. Negative integers are interleaved with positive ones
+(0, -1, 1, -2, ...), as in Google's polyline format. A JSON list of the same integers is about twice as long and slower
+to parse.
 """
 
 import math
@@ -44,16 +45,16 @@ _MOST_NUMBERS = 10_000_000
 
 
 def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -> dict[str, Any]:
-    """Write an array as text.
+    """Return an array as compressed text.
 
     Parameters
     ----------
     values : ndarray
-        Finite numbers, at most 2^40 steps in size.
+        Finite numbers, at most 2^40 steps in absolute value.
     per_unit : float
         Steps per unit of ``values``: 1000 keeps three decimals.
     differences : sequence of int
-        Axes along which differences are taken, one after the other; an axis may occur twice.
+        Axes along which differences are taken, in this order; an axis may occur twice.
 
     Returns
     -------
@@ -86,24 +87,24 @@ def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -
 
 
 def unpack(packed: object, name: str = "array") -> np.ndarray:
-    """Read an array that `pack` wrote; every part of it is checked first.
+    """Return the array of a text that `pack` wrote, after a check of all its fields.
 
     Parameters
     ----------
     packed : object
-        What stood in the JSON.
+        The value read from the JSON.
     name : str
-        How error messages call it.
+        Name of the value in error messages.
 
     Returns
     -------
     ndarray, float64
-        Finite numbers below 1e15 in size.
+        Finite numbers below 1e15 in absolute value.
 
     Raises
     ------
     InputError
-        If it is not such an array, or larger than 10 million numbers.
+        If the value is not a packed array, or has more than 10 million numbers.
     """
     parts = _parts(packed, name, ("shape", "per_unit", "differences", "data"))
     shape, per_unit, differences, data = parts
@@ -140,7 +141,7 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
 
 
 def join_segments(segments: np.ndarray) -> list[np.ndarray]:
-    """Join segments (S, 4) end to start into polylines (n, 2), rounded to 1 cm; a loop ends with its first point."""
+    """Join segments (S, 4) into polylines (n, 2), rounded to 1 cm; a closed polyline ends with its first point."""
     ends = [tuple(row) for row in (np.rint(segments * COARSE) / COARSE + 0.0).tolist()]
     following: dict[tuple[float, ...], list[int]] = {}
     for i in range(len(ends) - 1, -1, -1):
@@ -164,14 +165,14 @@ def join_segments(segments: np.ndarray) -> list[np.ndarray]:
 
 
 def pack_segments(segments: np.ndarray) -> dict[str, Any]:
-    """Write segments of shape (S, 4) as polylines (which may change their order)."""
+    """Return segments of shape (S, 4) as packed polylines; the order of the segments may change."""
     polylines = join_segments(segments)
     counts = np.array([len(points) for points in polylines])
     return {"points": pack(np.vstack([np.empty((0, 2)), *polylines]), COARSE, [0]), "counts": pack(counts, 1)}
 
 
 def unpack_segments(packed: object, name: str) -> np.ndarray:
-    """Read segments that `pack_segments` wrote, shape (S, 4)."""
+    """Return the segments that `pack_segments` packed, shape (S, 4)."""
     points, counts = _parts(packed, name, ("points", "counts"))
     points, counts = unpack(points, f"{name}.points"), unpack(counts, f"{name}.counts").astype(np.int64)
     if points.ndim != 2 or points.shape[1] != 2 or counts.ndim != 1:
@@ -185,10 +186,11 @@ def unpack_segments(packed: object, name: str) -> np.ndarray:
 
 
 def pack_paths(paths: np.ndarray, per_unit: float) -> dict[str, Any]:
-    """Write paths (..., P, columns) that end in NaN: full rows, the last point held, and each path's number of points.
+    """Return packed paths (..., P, columns), of which each may end in rows of NaN.
 
-    Second differences along a path are small because its points are evenly spaced; those of neighbouring paths (the
-    axis before the points; of a car's plans, the previous plan) are alike.
+    The rows of NaN are replaced by copies of the last point, and the number of points of each path is stored. Second
+    differences along a path are small because its points are evenly spaced. Neighbouring paths (along the axis before
+    the points; for a car's plans, consecutive plans) have similar second differences.
     """
     counts = np.count_nonzero(~np.isnan(paths).any(axis=-1), axis=-1)
     last = np.minimum(np.arange(paths.shape[-2]), np.maximum(counts - 1, 0)[..., None])
@@ -199,7 +201,7 @@ def pack_paths(paths: np.ndarray, per_unit: float) -> dict[str, Any]:
 
 
 def unpack_paths(packed: object, name: str) -> np.ndarray:
-    """Read paths that `pack_paths` wrote."""
+    """Return the paths that `pack_paths` packed."""
     points, counts = _parts(packed, name, ("points", "counts"))
     points, counts = unpack(points, f"{name}.points"), unpack(counts, f"{name}.counts")
     if points.ndim < 3 or counts.shape != points.shape[:-2]:
@@ -209,7 +211,7 @@ def unpack_paths(packed: object, name: str) -> np.ndarray:
 
 
 def pack_costs(costs: np.ndarray) -> dict[str, Any]:
-    """Write costs, three digits of a middling one, in steps above the smallest; 0 stands for infinity."""
+    """Return packed costs as steps above the smallest cost, three digits for a medium one; 0 stands for infinity."""
     finite = costs[np.isfinite(costs)]
     offset = float(finite.min()) if finite.size else 0.0
     middle = float(np.median(finite - offset)) if finite.size else 0.0
@@ -222,7 +224,7 @@ def pack_costs(costs: np.ndarray) -> dict[str, Any]:
 
 
 def unpack_costs(packed: object, name: str) -> np.ndarray:
-    """Read costs that `pack_costs` wrote."""
+    """Return the costs that `pack_costs` packed."""
     offset, per_unit, steps = _parts(packed, name, ("offset", "per_unit", "steps"))
     offset = _number(offset, f"{name}.offset", -1e15, 1e15)
     per_unit = _number(per_unit, f"{name}.per_unit", 1e-15, 1e9)
@@ -247,5 +249,5 @@ def _number(value: object, name: str, low: float, high: float) -> float:
 
 
 def _whole_numbers(values: object, most: int) -> bool:
-    """Whether this is a list of plain integers from 0 to ``most``."""
+    """Return whether a value is a list of plain integers from 0 to ``most``."""
     return isinstance(values, list) and all(type(value) is int and 0 <= value <= most for value in values)

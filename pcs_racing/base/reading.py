@@ -1,7 +1,7 @@
-"""Reading files that anybody may have written: nothing in them is run, and none costs more than it is worth.
+"""Safe reading of untrusted files: no code in them is executed, and time and memory are limited.
 
-A few bytes can ask for a lot of memory: YAML whose names stand for lists of names, an array's header that promises
-terabytes, a zip file that unpacks to them. What is read here is measured before it is built.
+A few bytes can request much memory: YAML with aliases of aliases, an array header with a size of terabytes, a zip file
+that unpacks to terabytes. The functions here check the size before they build the content.
 """
 
 import io
@@ -20,7 +20,7 @@ from pcs_racing.base.errors import InputError
 __all__ = ["MAX_YAML", "parse_yaml", "plain_yaml", "read_limited", "unpack_arrays"]
 
 MAX_YAML = 200_000
-"""Bytes of a YAML file that people write; more would take seconds to parse."""
+"""Maximum size of a YAML file in bytes; larger files would take seconds to parse."""
 
 _MOST_VALUES = 2_000_000  # of a YAML text, names written out; letters count as a tenth
 _DEEPEST = 50
@@ -30,21 +30,21 @@ _KINDS = "biufcUS"  # of arrays: booleans, numbers and texts
 
 
 def read_limited(path: str | os.PathLike[str], limit: int, what: str) -> bytes:
-    """Return the content of an ordinary file.
+    """Return the content of a regular file.
 
     Parameters
     ----------
     path : path
         A pipe or a device is refused: it may never end.
     limit : int
-        Most bytes.
+        Maximum number of bytes.
     what : str
-        What it ought to be, for the message: "an archive".
+        Expected kind of file, for the message: "an archive".
 
     Raises
     ------
     InputError
-        If it is too large or no ordinary file.
+        If it is too large or not a regular file.
     OSError
         If it can't be read.
     """
@@ -65,12 +65,12 @@ def _ordinary(path: str, flags: int) -> int:
 
 
 def plain_yaml(data: bytes | str) -> Any:
-    """Return what a YAML text holds: mappings, lists, texts, numbers.
+    """Parse a YAML text of mappings, lists, texts and numbers.
 
     Raises
     ------
     InputError
-        If it is no such text, is nested too deeply, or is a great deal longer when its names are written out; the
+        If the text is not valid YAML, is nested too deeply, or is much longer when its aliases are expanded. The
         message does not name the file.
     """
     try:
@@ -90,7 +90,7 @@ def plain_yaml(data: bytes | str) -> Any:
 
 
 def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputError] = InputError) -> Any:
-    """Return what the content of a YAML file holds, as :func:`plain_yaml` does; the error names the file.
+    """Parse the content of a YAML file like :func:`plain_yaml`; the error names the file.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputEr
 
 
 def _size(node: yaml.Node, known: dict[int, float], depth: int) -> float:
-    """How many values a node stands for, names written out; every node is looked at once."""
+    """Return the number of values of a node with all aliases expanded; every node is visited once."""
     if isinstance(node, yaml.ScalarNode):
         number = node.tag.rpartition(":")[2] in ("int", "float", "timestamp")
         if number and len(node.value) > _LONGEST_NUMBER:
@@ -147,7 +147,7 @@ def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArr
 
 
 def _array(content: bytes) -> NDArray[Any]:
-    """Array of an ``.npy`` file, whose header must promise what is there."""
+    """Return the array of an ``.npy`` file, after a check that its header matches its size."""
     stream = io.BytesIO(content)
     version = np.lib.format.read_magic(stream)
     if version == (1, 0):

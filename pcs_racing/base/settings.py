@@ -1,4 +1,4 @@
-"""Declared settings: a frozen dataclass whose fields state type, default, range and meaning in one place.
+"""Declared settings: a frozen dataclass whose fields state type, default, range and meaning in one place::
 
     @dataclass(frozen=True)
     class Soup(Settings):

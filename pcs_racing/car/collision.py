@@ -1,8 +1,8 @@
-"""Contact of cars with cars and with walls, by their true rectangles, and who is to blame for it.
+"""Contacts between cars and of cars with walls, by exact rectangles, and the fault for a contact.
 
 A car is the rectangle of ``2 half_length x 2 half_width`` centred on its pose. Two cars are in contact when they share
-a positive area, a car and a wall when a piece of the wall lies inside the car; touching alone is none. Nothing here
-looks at a lidar scan.
+a positive area. A car and a wall are in contact when a piece of the wall is inside the car. Touching alone is not a
+contact. No lidar scan is needed.
 """
 
 import numpy as np
@@ -133,9 +133,7 @@ def hits_wall(  # type: ignore[no-untyped-def]
     half_length,
     half_width,
 ):
-    """Do the work of `car_hits_wall`, on single arrays: handing on a whole track costs more than the test
-    itself.
-    """
+    """Compute `car_hits_wall` on single arrays, because passing a whole track takes longer than the test."""
     per_cell = 1.0 / cell
     u = (x - origin_x) * per_cell
     v = (y - origin_y) * per_cell
@@ -286,7 +284,7 @@ def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
 
 @compiled
 def contact_fault(state0, state1, half_length0, half_width0, half_length1, half_width1):  # type: ignore[no-untyped-def]
-    """Who ran into whom when two cars touch.
+    """Decide which car is at fault for a contact of two cars.
 
     The contact direction is the axis of least penetration of the two rectangles, from the first car to the second. Each
     car's share is the speed with which its own body moves into the other one: the velocity of its material point in the

@@ -1,4 +1,4 @@
-"""The smallest instantaneous time to collision around a car, exact over all directions and without a scan.
+"""The minimum instantaneous time to collision of a car, exact over all directions and without a scan.
 
 A beam that hits a point p (relative to the lidar) which approaches with the relative velocity v has the range |p|, the
 range rate -(v . p) / |p| and so the instantaneous time to collision |p|^2 / (v . p). The points of equal time t form
@@ -21,7 +21,7 @@ _ROUNDING = 1e-9
 
 @kernel(forceinline=True)
 def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untyped-def]
-    """The smaller of ``best`` and the least time to collision with the points of a segment.
+    """Return the smaller of ``best`` and the minimum time to collision with the points of a segment.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
 
 @inner_kernel
 def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
-    """The smaller of ``best`` and the least time to collision with the walls that can be seen from a stretch."""
+    """Return the smaller of ``best`` and the minimum time to collision with the walls visible from a stretch."""
     speed = np.sqrt(vx * vx + vy * vy)
     if speed == 0.0:
         return best
@@ -91,7 +91,7 @@ def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy,
 
 @inner_kernel
 def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: ignore[no-untyped-def]
-    """The smaller of ``best`` and the least time to collision with a rectangle centred at (x, y) from the lidar."""
+    """Return the smaller of ``best`` and the minimum time to collision with a rectangle at (x, y) from the lidar."""
     speed = np.sqrt(vx * vx + vy * vy)
     nearest = np.sqrt(x * x + y * y) - half_length - half_width  # no point of it is nearer
     if speed == 0.0 or nearest >= best * speed:
@@ -109,7 +109,7 @@ def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: i
 
 @kernel
 def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon):  # type: ignore[no-untyped-def]
-    """Least instantaneous time to collision of a lidar with the walls and, if asked, with the opponent.
+    """Return the minimum instantaneous time to collision of a lidar with the walls and, optionally, the opponent.
 
     Walls hidden by the opponent count too. Rotation of either car is left out: a beam is taken to keep its direction.
 

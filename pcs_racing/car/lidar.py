@@ -1,4 +1,4 @@
-"""A 2D lidar: ranges to walls and to the opponent."""
+"""A 2D lidar that measures ranges to walls and to the opponent."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -49,11 +49,11 @@ class Lidar:
     ----------
     track : Track
     beams : int
-        Number of beams, 1 to 100,000; a single one looks straight ahead.
+        Number of beams, 1 to 100,000; a single beam points straight ahead.
     fov : float
         Angle from the first beam to the last in rad, up to 2 pi.
     max_range : float
-        Longest range that is reported, m.
+        Maximum range, m.
     noise : float
         Standard deviation of the noise that `scan` adds to ranges, m.
 
@@ -79,14 +79,14 @@ class Lidar:
 
     @cached_property
     def angles(self) -> NDArray[np.float64]:
-        """Angles of the beams relative to the heading, shape (beams,), rad, counter-clockwise; read-only."""
+        """Return the angles of the beams relative to the heading, shape (beams,), rad, counter-clockwise; read-only."""
         angles = np.linspace(-0.5 * self.fov, 0.5 * self.fov, self.beams) if self.beams > 1 else np.zeros(1)
         angles.flags.writeable = False
         return angles
 
     @cached_property
     def kernel(self) -> Beams:
-        """The beams as `scan_into` takes them."""
+        """Return the beams in the form that `scan_into` takes."""
         step = self.fov / (self.beams - 1) if self.beams > 1 else 2.0 * np.pi
         sin, cos = sines_cosines(self.angles)
         cos.flags.writeable = sin.flags.writeable = False
@@ -100,7 +100,7 @@ class Lidar:
         opponent_size: tuple[float, float] = (0.58, 0.31),
         rng: np.random.Generator | None = None,
     ) -> NDArray[np.float64]:
-        """Ranges seen from any number of poses.
+        """Measure the ranges from any number of poses.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class Lidar:
         if self.noise > 0.0 and not isinstance(rng, np.random.Generator):
             raise InputError(f"a lidar with noise needs rng, a numpy.random.Generator, got {rng!r}")
         out = np.empty((at.size // 3, self.beams))
-        # Writeable though nobody writes: numba compiles read-only arrays as a type of their own.
+        # Writeable, although no code writes to it: numba compiles read-only arrays as a separate type.
         _scan_all(
             self.track.arrays,
             self.kernel,

@@ -1,4 +1,4 @@
-"""One lidar scan in compiled code, without marching along beams.
+"""One lidar scan in compiled code, without ray marching.
 
 The wall segments that can be seen from the car's stretch of track are projected into polar coordinates and drawn into a
 depth buffer of beams, the nearest winning. Along a segment the inverse range is linear in the cosine and sine of the
@@ -35,7 +35,7 @@ WORK_SHAPE = (4, 256)
 
 
 class Beams(NamedTuple):
-    """The beams of a lidar as a compiled kernel sees them.
+    """The beams of a lidar, in the form that compiled kernels read.
 
     Attributes
     ----------

@@ -355,7 +355,7 @@ def simulate(
     dt: float = 0.01,
     params: VehicleParams | list[VehicleParams] = F1TENTH,
 ) -> NDArray[np.float64]:
-    """Drive one vehicle, or a batch of them, with given controls and return every state.
+    """Simulate one vehicle, or a batch of vehicles, with given controls, and return all states.
 
     Parameters
     ----------
@@ -380,7 +380,7 @@ def simulate(
     Raises
     ------
     InputError
-        If a shape, a value or the mode is impossible.
+        If a shape, a value or the mode is not allowed.
 
     Examples
     --------

@@ -55,14 +55,12 @@ class GameConfig(Settings):
         checked(_race),
         "Rules of the race, a preset's name or a YAML file; its duration is replaced by (moves + 1) * step_seconds.",
     )
-    moves: int = setting(
-        4, whole(1, 100), "Moves of each player; before the first, the players only watch for one step of driving."
-    )
-    step_seconds: float = setting(8.0, tenths(0.1, 600.0), "Driving per move, s.")
+    moves: int = setting(4, whole(1, 100), "Moves of each player; one step without moves precedes the first.")
+    step_seconds: float = setting(8.0, tenths(0.1, 600.0), "Simulated time per move, s.")
     epsilon: float | tuple[float, ...] = setting(
         EPSILON,
         EPSILON_RULE,
-        "How far a move goes, in units of the archive's range; with several values there are moves of each.",
+        "Length of a move, in units of the archive's range; each of several values has its own moves.",
     )
     stay: bool | None = setting(
         None, flag(), "Whether there is a move that keeps the policy; None takes the race's stay_move."
@@ -70,10 +68,10 @@ class GameConfig(Settings):
     utility: str | None = setting(
         None,
         choice(tuple(UTILITIES)),
-        'What an outcome is worth; None takes the paper\'s "lead", or "win" where the crash rule names a loser.',
+        'Utility of an outcome; None takes the paper\'s "lead", or "win" if the crash rule names a loser.',
     )
     fault_penalty: float = setting(
-        0.0, number(0.0, 1e6), "What the car to blame for a crash pays to the other, in units of the utility."
+        0.0, number(0.0, 1e6), "Utility that is transferred from the car at fault for a crash to the other car."
     )
     discount: float = setting(
         1.0, number(1e-6, 1.0), "Factor per move made: below 1 an early end of the game is worth more."
@@ -82,7 +80,7 @@ class GameConfig(Settings):
         None, checked(_axes), "Axes of the game, out of the archive's; None takes all of them."
     )
     mask_duplicates: bool = setting(
-        False, flag(), "Whether the action mask forbids moves that lead where an earlier move of the list leads, too."
+        False, flag(), "Whether the action mask forbids a move if an earlier move leads to the same policy."
     )
 
     def __post_init__(self) -> None:

@@ -34,12 +34,12 @@ def _speed_range(value: Any) -> tuple[float, float]:
 class RaceConfig(Settings):
     """How two cars race; :data:`PAPER` and :data:`CONTEST` are the two presets."""
 
-    name: str = setting("paper", text(), "Name that archives, trees, networks and results carry.")
+    name: str = setting("paper", text(), "Name of the rules in archives, trees, networks and results.")
     duration: float = setting(40.0, tenths(0.1, 3600.0), "Length of a race, s.")
     start: Literal["side-by-side", "staggered", "rolling"] = setting(
         "side-by-side",
         choice(("side-by-side", "staggered", "rolling")),
-        "Both cars on one line; one start_gap behind the other; or so at the speed of the race line.",
+        "Both cars on one line; one start_gap behind the other; or the same at the speed of the race line.",
     )
     start_gap: float = setting(
         0.0, number(0.0, 50.0), "Distance between the cars along the track for staggered and rolling starts, m."
@@ -47,8 +47,8 @@ class RaceConfig(Settings):
     start_spacing: float = setting(
         0.9,
         number(0.0, 10.0),
-        "Distance between their centres across the track, m; on a circuit where that never works, a preset takes the "
-        "nearest distance that does.",
+        "Distance between their centres across the track, m; on a circuit where that is impossible, a preset takes the "
+        "nearest possible distance.",
     )
     start_speed: float = setting(4.0, number(0.0, 15.0), "Speed at the start, m/s; not for rolling starts.")
     start_lines: int = setting(
@@ -63,12 +63,12 @@ class RaceConfig(Settings):
     speed_range: tuple[float, float] | None = setting(
         None,
         checked(_speed_range, "0.1 <= low < high <= 3"),
-        "Speed scales that stand for pace 0 and pace 1; None takes the circuit's calibrated range for this preset.",
+        "Speed scales of pace 0 and pace 1; None takes the circuit's calibrated range for this preset.",
     )
     crash_rule: Literal["nobody", "fault-loses"] = setting(
         "nobody",
         choice(("nobody", "fault-loses")),
-        "Who is paid after a crash: nobody (the paper), or the car that was not at fault.",
+        "Reward after a crash: none for either car (the paper), or only for the car that was not at fault.",
     )
     aggressiveness: Literal["lead", "pace"] = setting(
         "lead",
@@ -77,7 +77,7 @@ class RaceConfig(Settings):
         "crash twice.",
     )
     ittc_horizon: float = setting(
-        10.0, number(0.1, 1000.0), "Largest time to collision that counts, s; without a cap the mean is infinite."
+        10.0, number(0.1, 1000.0), "Cap of the time to collision, s; without a cap the mean is infinite."
     )
     stay_move: bool = setting(False, flag(), "Whether the game offers a move that keeps the policy.")
 

@@ -1,7 +1,7 @@
-"""Results of slow work on maps, kept on disk from one run to the next.
+"""Cache on disk for results of slow computations on maps.
 
-The folder is ``$PCS_RACING_CACHE``, else ``~/.cache/pcs_racing``; it may be deleted at any time. A file that is damaged
-or can't be written is as good as none.
+The folder is ``$PCS_RACING_CACHE``, else ``~/.cache/pcs_racing``; it may be deleted at any time. A damaged file counts
+as missing, and a file that can't be written is left out.
 """
 
 import contextlib
@@ -65,7 +65,7 @@ _CODE = {
 
 
 def cache_folder() -> Path | None:
-    """Folder of cached results; None if there is no home to put it in."""
+    """Return the folder of cached results; None if there is no home directory."""
     named = os.environ.get("PCS_RACING_CACHE")
     if named:
         return Path(named)
@@ -85,7 +85,7 @@ def _code(kind: str) -> bytes:
 
 
 def cache_key(parts: Mapping[str, bytes], kind: str) -> str:
-    """Hash of named inputs and of the code that works on them."""
+    """Return a hash of named inputs and of the code that processes them."""
     digest = hashlib.sha256(_code(kind))
     for name in sorted(parts):
         digest.update(f"{name}\0{len(parts[name])}\0".encode())
@@ -94,7 +94,7 @@ def cache_key(parts: Mapping[str, bytes], kind: str) -> str:
 
 
 def load_cached(kind: str, key: str) -> dict[str, NDArray[Any]] | None:
-    """Arrays stored under a key; None if there are none, or they are damaged."""
+    """Return the arrays stored under a key; None if they are missing or damaged."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -105,7 +105,7 @@ def load_cached(kind: str, key: str) -> dict[str, NDArray[Any]] | None:
 
 
 def store(kind: str, key: str, arrays: Mapping[str, Any]) -> None:
-    """Store arrays under a key, all or nothing."""
+    """Store arrays under a key; the file is written completely or not at all."""
     folder = cache_folder()
     if folder is None:
         return

@@ -1,4 +1,4 @@
-"""A track as compiled code sees it, and the Frenet conversions on its race line.
+"""The data of a track for compiled code, and conversions between map and Frenet coordinates.
 
 Frenet coordinates are (s, d): arc length along the closed race line in metres, and signed distance from it, positive to
 the left. Between two samples the line is the cubic that has their points and headings at its ends, so position and
@@ -40,7 +40,7 @@ LINE_COLUMNS = ("x", "y", "cos", "sin", "psi", "kappa", "speed", "right", "left"
 
 
 class TrackArrays(NamedTuple):
-    """Everything a compiled kernel needs of a track; plain arrays, never written to.
+    """The data of a track that compiled kernels read, as plain arrays.
 
     Attributes
     ----------
@@ -111,20 +111,20 @@ def _wrap(length, s):  # type: ignore[no-untyped-def]
 
 @kernel(forceinline=True)
 def wrap_s(track, s):  # type: ignore[no-untyped-def]
-    """Bring an arc length into [0, length)."""
+    """Wrap an arc length into [0, length)."""
     return _wrap(track.length, s)
 
 
 @kernel(forceinline=True)
 def angle_between(a, b):  # type: ignore[no-untyped-def]
-    """Difference a - b of two angles, brought into [-pi, pi)."""
+    """Return the difference a - b of two angles, wrapped into [-pi, pi)."""
     d = a - b
     return d - 2.0 * np.pi * np.floor((d + np.pi) / (2.0 * np.pi))
 
 
 @inner_kernel(forceinline=True)
 def _cubic(line, ds, i):  # type: ignore[no-untyped-def]
-    """Coefficients of the line between sample ``i`` and the next one, for u in [0, 1].
+    """Return the coefficients of the line between sample ``i`` and the next one, for u in [0, 1].
 
     The cubic Hermite polynomial ``p + u (q + u (a + u b))`` has the samples' points and headings at its ends.
     """
@@ -140,7 +140,7 @@ def _cubic(line, ds, i):  # type: ignore[no-untyped-def]
 
 @kernel
 def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
-    """Do the work of `project`."""
+    """Compute `project` on single arrays."""
     n = line.shape[0]
     i = int(_wrap(length, hint) / ds + 0.5)
     if i >= n:
@@ -225,7 +225,7 @@ def project(track, x, y, hint):  # type: ignore[no-untyped-def]
 
 @kernel
 def offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
-    """Do the work of `to_cartesian`."""
+    """Compute `to_cartesian` on single arrays."""
     at = _wrap(length, s) / ds
     i = min(int(at), line.shape[0] - 1)
     u = at - i
@@ -272,7 +272,7 @@ def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # type: ignore[no-untyped-def]
-    """Do the work of `locate`; the point is (x, y) in m and (u, v) in cells, ``coarse`` cells to one of the look-up."""
+    """Compute `locate`; the point is (x, y) in m and (u, v) in cells, ``coarse`` cells to one of the look-up."""
     rows, cols = lookup.shape
     row = int(min(max(np.floor(v / coarse - 0.5), -1.0), rows + 0.0))
     col = int(min(max(np.floor(u / coarse - 0.5), -1.0), cols + 0.0))
@@ -317,7 +317,7 @@ def locate(track, x, y):  # type: ignore[no-untyped-def]
 
 @kernel
 def interpolate(distance, u, v):  # type: ignore[no-untyped-def]
-    """Do the work of `wall_distance`, for a point in cells from the centre of cell [0, 0]."""
+    """Compute `wall_distance` for a point in cells from the centre of cell [0, 0]."""
     rows, cols = distance.shape
     if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
         return 0.0

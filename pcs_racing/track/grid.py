@@ -1,4 +1,4 @@
-"""Compiled tools for occupancy grids: flood fill, distance to the walls, exact rays, nearest points.
+"""Compiled functions for occupancy grids: flood fill, distance to the walls, exact rays, nearest points.
 
 Grids are indexed ``[row, column]`` with row 0 at the bottom, so that cell ``[i, j]`` covers
 ``origin + resolution * ([j, j + 1], [i, i + 1])``.
@@ -15,7 +15,7 @@ __all__ = ["cast", "distance_to_walls", "flood", "lookup_grid", "spread_labels",
 
 @compiled
 def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
-    """Cells that can be reached from the seeds over free cells, in steps to one of four neighbours.
+    """Flood fill: mark the free cells that are connected with the seeds by steps to one of four neighbours.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
     -------
     reached : ndarray of bool, shape (H, W)
     box : tuple of int
-        First and last row, first and last column that were reached; (H, -1, W, -1) if none was.
+        First and last row, first and last column of the reached cells; (H, -1, W, -1) if there are none.
     """
     height, width = occupied.shape
     reached = np.zeros((height, width), dtype=np.bool_)
@@ -71,10 +71,10 @@ def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
 
 @compiled
 def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
-    """Exact distance from the centre of each drivable cell to the nearest cell that is not drivable.
+    """Return the exact distance from the centre of each drivable cell to the nearest cell that is not drivable.
 
-    The distance is to the nearest point of that cell's square, so the smallest is half a cell; it is 0 on every other
-    cell. Two passes after Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled
+    The distance is measured to the nearest point of that cell's square, so its minimum is half a cell; it is 0 on all
+    other cells. Two passes after Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled
     Functions" (2012), with the parabolas rooted at cell faces instead of cell centres.
 
     Parameters
@@ -146,7 +146,7 @@ def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
     cos, sin : float
         Direction.
     reach : float
-        Give up after this many cells.
+        Maximum distance, in cells.
 
     Returns
     -------
@@ -155,7 +155,7 @@ def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
     row, col : int
         The last drivable cell (the start's cell if that is not drivable).
     side : int
-        Side of that cell through which the ray left: 0 bottom, 1 right, 2 top, 3 left; -1 if it did not.
+        Side through which the ray left that cell: 0 bottom, 1 right, 2 top, 3 left; -1 if it met no wall.
     """
     height, width = drivable.shape
     i = int(np.floor(y))
@@ -199,17 +199,17 @@ def _push_neighbours(queue, mask, label, x, y, i, j):  # type: ignore[no-untyped
 
 @compiled
 def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
-    """Spread the numbers of points from some cells of a region to all of it, the nearest point first.
+    """Label every cell of a region with the number of a near point, starting from the labelled cells.
 
-    A number goes from a cell to its four neighbours in the region, so a cell beside a thin wall gets a point on its own
-    side of the wall even if one on the other side is nearer.
+    A label spreads from a cell to its four neighbours in the region, the nearest point first. So a cell beside a thin
+    wall gets a point on its own side of the wall, even if a point on the other side is nearer.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
         The region.
     label : ndarray, shape (H, W), int32
-        Number of a point, or -1, which is filled in place except outside the region or out of reach.
+        Number of a point, or -1. Each -1 is replaced in place, except outside the region and where no label reaches.
     x, y : ndarray, shape (N,)
         The points, in cells from the grid's lower left corner.
     """
@@ -230,7 +230,7 @@ def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
-    """Nearest of some points for blocks of cells, found without going through walls.
+    """Return the nearest point for each block of cells, measured without crossing walls.
 
     Parameters
     ----------
@@ -243,8 +243,8 @@ def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
     Returns
     -------
     ndarray, shape (ceil(H / block), ceil(W / block)), int32
-        Number of a point for each block: that of the drivable cell nearest to its centre, or, in blocks that have none,
-        what spreads to them from other blocks.
+        Number of a point for each block: that of the drivable cell nearest to its centre. Blocks without a drivable
+        cell get the number of a neighbouring block.
     """
     height, width = drivable.shape
     label = np.full((height, width), -1, dtype=np.int32)
@@ -269,18 +269,18 @@ def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
 
 @compiled
 def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
-    """Shortest way over free cells from the seeds to the border of the grid, else to the farthest cell within reach.
+    """Return the shortest path over free cells from the seeds to the border of the grid, else to the farthest cell.
 
     Parameters
     ----------
     occupied : ndarray of bool, shape (H, W)
     rows, cols : ndarray of int, shape (N,)
-        Free cells to start from.
+        Free cells at which the path may start.
 
     Returns
     -------
     ndarray, shape (K, 2)
-        Rows and columns of the cells on the way, its end first.
+        Rows and columns of the cells of the path, its end first.
     """
     height, width = occupied.shape
     parent = np.full((height, width), -2, dtype=np.int32)

@@ -1,6 +1,6 @@
-"""The kinds of file in a map folder, each read with every value checked: yaml, picture, csv.
+"""Parsers for the files of a map folder (yaml, picture, csv), which check every value.
 
-Nothing here looks at the disk: every function takes the content of a file, and its path to name it in errors.
+The functions do not read from the disk. Each takes the content of a file, and its path for error messages.
 """
 
 import io
@@ -49,11 +49,11 @@ INFO_KEYS = {
     "resolution": "of the grid in m, for the generator",
     "calibration": "for each race preset speed_range, start_spacing, start_places and left_share",
 }
-"""What ``NAME_track.yaml`` may hold."""
+"""Allowed keys of ``NAME_track.yaml``."""
 
 
 def parse_yaml(file: Path, data: bytes) -> dict[Any, Any]:
-    """Keys and values of a yaml file."""
+    """Parse a yaml file that contains a mapping."""
     try:
         values = plain_yaml(data)
     except InputError as error:
@@ -64,7 +64,7 @@ def parse_yaml(file: Path, data: bytes) -> dict[Any, Any]:
 
 
 def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
-    """Values of the yaml file of a ROS map, with the defaults of ``nav2_map_server`` for missing ones."""
+    """Parse the yaml file of a ROS map; missing values get the defaults of ``nav2_map_server``."""
     values = parse_yaml(file, data)
     unknown = [key for key in values if key not in ROS_KEYS]
     missing = [key for key in ("image", "resolution", "origin") if key not in values]
@@ -103,7 +103,7 @@ def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
 
 
 def parse_info(file: Path, data: bytes) -> dict[str, Any]:
-    """Values of our ``NAME_track.yaml``, see `INFO_KEYS`."""
+    """Parse a file ``NAME_track.yaml``; `INFO_KEYS` lists its keys."""
     values = parse_yaml(file, data)
     unknown = [key for key in values if key not in INFO_KEYS]
     if unknown:
@@ -152,11 +152,11 @@ def _check_stretches(file: Path, what: str, stretches: Any) -> None:
 
 
 def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
-    """Occupancy grid of a picture, row 0 at the bottom; ``ros`` is what `parse_ros_yaml` returned.
+    """Return the occupancy grid of a picture, row 0 at the bottom; ``ros`` is the result of `parse_ros_yaml`.
 
-    Darkness (255 - grey) / 255 (grey / 255 if negated) above ``occupied_thresh`` is wall, below ``free_thresh`` free.
-    Unknown cells between them are wall in regions at least three cells across. A narrower fringe is what drawing with
-    soft edges leaves around a wall; it counts as free, or every wall would grow by a cell.
+    A cell is wall if its darkness (255 - grey) / 255 (grey / 255 if negated) is above ``occupied_thresh``, and free if
+    it is below ``free_thresh``. Unknown cells between the thresholds are wall in regions at least three cells across.
+    Narrower regions are the soft edges of a drawn wall; they count as free, or every wall would grow by a cell.
     """
     level = np.arange(256)
     dark = (level if ros["negate"] else 255 - level) / 255.0
@@ -170,7 +170,7 @@ def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
 
 
 def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str) -> Floats:
-    """Rows of finite numbers, shape (K, columns), 10 to 100,000; lines that begin with '#' are left out."""
+    """Parse 10 to 100,000 rows of finite numbers, shape (K, columns); lines that begin with '#' are comments."""
     try:
         lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -216,7 +216,7 @@ def _range(file: Path, key: str, value: Any, highest: float) -> None:
 
 
 def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
-    """Grey levels of a picture, row 0 at the bottom."""
+    """Return the grey levels of a picture, row 0 at the bottom."""
     kinds = ", ".join(PICTURE_FORMATS)
     try:
         with warnings.catch_warnings():
@@ -245,7 +245,7 @@ def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
 
 
 def _opened(cells: Grid) -> Grid:
-    """Morphological opening: the union of all squares of 3 x 3 cells that lie in a region."""
+    """Return the morphological opening of a region: the union of all squares of 3 x 3 cells inside it."""
     height, width = cells.shape
     if min(height, width) < 3:
         return np.zeros_like(cells)

@@ -1,4 +1,4 @@
-"""Map folders: a ROS occupancy grid, the lines of f1tenth_racetracks, and what else belongs to a circuit.
+"""Map folders: read and write the occupancy grid, the lines and the settings of a circuit.
 
 A folder ``NAME`` holds
 
@@ -7,7 +7,7 @@ A folder ``NAME`` holds
 - ``NAME_raceline.csv`` (optional): s, x, y, psi, kappa, vx, ax, separated by semicolons,
 - ``NAME_track.yaml`` (optional, ours): origin and calibration of the circuit, see `map_files.INFO_KEYS`.
 
-If no file is called after the folder, the only ``*_map.yaml`` in it, or else the only yaml file that names an image,
+If no file has the name of the folder, the only ``*_map.yaml`` in it, or else the only yaml file that names an image,
 gives the name.
 """
 
@@ -55,7 +55,7 @@ MAX_LINE = 8_000_000  # of a csv file
 
 
 class MapFiles(NamedTuple):
-    """The files of a map folder, none of them read yet.
+    """Paths of the files of a map folder.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class MapFiles(NamedTuple):
     yaml : Path
         The map's yaml file.
     centerline, raceline, info : Path or None
-        The optional files that are there.
+        The optional files, None if missing.
     """
 
     name: str
@@ -77,7 +77,7 @@ class MapFiles(NamedTuple):
 
 
 class MapFolder(NamedTuple):
-    """What a map folder holds, in its files' own terms.
+    """The content of a map folder, in the units of its files.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def shipped_folder() -> Path:
 
 
 def list_tracks() -> list[str]:
-    """Names of the circuits that come with the package, sorted."""
+    """Return the names of the circuits that ship with the package, sorted."""
     folder = shipped_folder()
     if not folder.is_dir():
         return []
@@ -121,12 +121,12 @@ def list_tracks() -> list[str]:
 
 
 def find_shipped(name: str) -> Path:
-    """Folder of a circuit that comes with the package; case does not matter.
+    """Return the folder of a circuit that ships with the package; case does not matter.
 
     Raises
     ------
     UnknownNameError
-        If there is none of that name; the message lists those there are.
+        If there is no circuit of that name; the message lists all names.
     """
     known = list_tracks()
     for candidate in known:
@@ -148,7 +148,7 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
     Raises
     ------
     MapError
-        If the folder or the map's yaml file is not there, or several could be meant.
+        If the folder or the map's yaml file does not exist, or if several yaml files are possible.
     """
     folder = Path(path)
     # The functions of os answer no where those of Path raise errors: for names that no file can have.
@@ -167,7 +167,7 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
 def read_map(path: str | os.PathLike[str]) -> MapFolder:
     """Read a map folder and check every value in it.
 
-    Whether the lines and the grid fit together is checked when a track is built of them.
+    This does not check that the lines and the grid fit together; `build_track` does.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def read_map(path: str | os.PathLike[str]) -> MapFolder:
     Raises
     ------
     MapError
-        If a file is missing or broken; the message names the file, the value and what would be right.
+        If a file is missing or invalid; the message names the file, the value and the correct form.
     """
     files = find_map(path)
     return parse_map(files, read_bytes(files))
@@ -193,7 +193,7 @@ def read_bytes(files: MapFiles) -> dict[str, bytes]:
 
 
 def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
-    """Make sense of what `read_bytes` read; see `read_map`."""
+    """Parse the files that `read_bytes` read; see `read_map`."""
     ros = parse_ros_yaml(files.yaml, contents[files.yaml.name])
     picture = _picture(files, ros)
     centerline = raceline = None
@@ -231,7 +231,7 @@ def write_map(content: MapFolder) -> Path:
     Raises
     ------
     MapError
-        If a value is impossible, or the folder holds something else or can't be written.
+        If a value is not allowed, the folder has other content, or a file can't be written.
     """
     name, folder = content.name, Path(content.folder)
     if not name.isprintable() or name != name.strip(" .") or not name or set(name) & set('/\\:*?"<>|'):
@@ -258,7 +258,7 @@ def write_map(content: MapFolder) -> Path:
 
 
 def _files(content: MapFolder) -> dict[str, bytes]:
-    """Content of the files of a map folder; csv numbers have 9 decimals, the rest reads back exactly."""
+    """Return the content of all files of a map folder; csv numbers have 9 decimals, other values are exact."""
     name = content.name
     picture = io.BytesIO()
     grey = np.where(content.occupied[::-1], 0, 255).astype(np.uint8)
@@ -293,7 +293,7 @@ def _dump(values: dict[str, Any]) -> bytes:
 
 
 def _map_yaml(folder: Path) -> Path:
-    """Yaml file of the map in a folder."""
+    """Return the path of the map's yaml file in a folder."""
     own = folder / f"{folder.resolve().name}_map.yaml"
     if own.is_file():
         return own
@@ -311,7 +311,7 @@ def _map_yaml(folder: Path) -> Path:
 
 
 def _picture(files: MapFiles, ros: dict[str, Any]) -> Path:
-    """Path of the map's picture, which must lie in the folder, links followed."""
+    """Return the path of the map's picture, which must be in the folder after links are resolved."""
     file = files.folder / ros["image"]
     try:
         inside = file.resolve().is_relative_to(files.folder.resolve())

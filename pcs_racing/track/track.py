@@ -1,4 +1,4 @@
-"""The Track: everything about a circuit that never changes while cars race on it."""
+"""The Track: the immutable data of a circuit, and functions that load and build it."""
 
 import hashlib
 import json
@@ -29,17 +29,16 @@ __all__ = ["Calibration", "Track", "build_track", "calibration_from_values", "ca
 Floats = NDArray[np.float64]
 
 CLEARANCE = 0.305
-"""What a race line keeps from the walls, in m: half the width of a car (0.155) and 0.15 of air."""
+"""Minimum distance of a race line from the walls, in m: half the width of a car (0.155) and a margin of 0.15."""
 TOLERANCE = 0.02
-"""By how much a given race line may fall short of that, in m: about what a cell's corner adds."""
+"""Amount by which a given race line may be below that distance, in m: about the size of a cell's corner."""
 
 _log = logging.getLogger("pcs_racing")
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """How fast a circuit may be driven under a race preset, and where two cars may start
-    (`pcs_racing.race.calibration`).
+    """Speed range and start positions of a circuit under a race preset, from `pcs_racing.race.calibration`.
 
     Attributes
     ----------
@@ -48,10 +47,10 @@ class Calibration:
     start_spacing : float
         Distance between the cars across the track at the start, m.
     start_places : dict
-        For each side that start places favour ("left" and "right", or "front") the stretches of such places: arc
-        lengths of the first and the last one, m, ascending.
+        Stretches of start positions for each side that they favour ("left" and "right", or "front"): arc lengths of the
+        first and the last position, m, ascending.
     left_share : float
-        Share of start lines that are drawn from the places that favour the left, so that neither side gains.
+        Share of start lines that are drawn from positions that favour the left car, so that neither side wins more.
     """
 
     speed_range: tuple[float, float]
@@ -61,7 +60,7 @@ class Calibration:
 
 
 def calibration_values(calibration: Calibration) -> dict[str, Any]:
-    """A calibration as plain lists and numbers, for yaml and json."""
+    """Return a calibration as plain lists and numbers, for yaml and json."""
     return {
         "speed_range": list(calibration.speed_range),
         "start_spacing": calibration.start_spacing,
@@ -73,7 +72,7 @@ def calibration_values(calibration: Calibration) -> dict[str, Any]:
 
 
 def calibration_from_values(values: dict[str, Any]) -> Calibration:
-    """Undo `calibration_values`; the values have been checked."""
+    """Return the calibration of checked values; the inverse of `calibration_values`."""
     low, high = values["speed_range"]
     places = {
         side: tuple((float(first), float(last)) for first, last in stretches)
@@ -92,17 +91,17 @@ class Track:
     ----------
     name : str
     arrays : TrackArrays
-        What compiled kernels see. Its arrays are technically writeable, so that all tracks have the same compiled type;
-        nobody writes to them.
+        The data that compiled kernels read. Its arrays are technically writeable, so that all tracks have the same
+        compiled type, but no code writes to them.
     centerline : ndarray, shape (M, 4)
         x, y, width to the right, width to the left, in m; as given, read-only.
     calibration : dict
-        For each race preset the calibration that the map's files hold; may be empty.
+        The calibration of each race preset that the map's files contain; may be empty.
     folder : Path or None
-        The map folder it came from.
+        The map folder of the circuit.
     content_hash : str
-        SHA-256 of the drivable region and the lines, in hexadecimal: equal for equal tracks, whatever files they came
-        from.
+        SHA-256 of the drivable region and the lines, in hexadecimal. Equal tracks have equal hashes, also if their
+        files differ.
     """
 
     name: str
@@ -126,15 +125,15 @@ class Track:
         return _read_only(self.arrays.line)
 
     def to_frenet(self, points: ArrayLike) -> Floats:
-        """Frenet coordinates (s, d) in m of points (x, y), shape (..., 2) both; see `frenet.locate`."""
+        """Return Frenet coordinates (s, d) in m of points (x, y), shape (..., 2) both; see `frenet.locate`."""
         return self._each(_to_frenet, points, 2)
 
     def to_cartesian(self, sd: ArrayLike) -> Floats:
-        """Points and headings of the line (x, y, psi), shape (..., 3), of Frenet coordinates (s, d), shape (..., 2)."""
+        """Return points and headings (x, y, psi), shape (..., 3), of Frenet coordinates (s, d), shape (..., 2)."""
         return self._each(_to_cartesian, sd, 3)
 
     def wall_distance(self, points: ArrayLike) -> Floats:
-        """Distance in m to the nearest wall, shape (...,), of points (x, y), shape (..., 2); 0 off the track."""
+        """Return the distance in m from points (x, y), shape (..., 2), to the nearest wall; 0 off the track."""
         return self._each(_wall_distance, points, 1)[..., 0]
 
     def _each(self, function: Any, values: ArrayLike, columns: int) -> Floats:
@@ -146,7 +145,7 @@ class Track:
         return out
 
     def summary(self) -> str:
-        """Describe the circuit in a few lines."""
+        """Return a description of the circuit in a few lines."""
         line = self.arrays.line
         width = line[:, RIGHT] + line[:, LEFT]
         turn = "left" if line[-1, frenet.PSI] > line[0, frenet.PSI] else "right"
@@ -179,7 +178,7 @@ def build_track(
     calibration: dict[str, Calibration] | None = None,
     folder: Path | None = None,
 ) -> Track:
-    """Build a track from values.
+    """Build a track from a grid and its lines.
 
     Parameters
     ----------
@@ -195,9 +194,9 @@ def build_track(
     raceline_xy : array_like, shape (K, 2)
         Points of the closed race line in m, in driving order; it is the reference of all Frenet coordinates.
     calibration : dict of Calibration, optional
-        For each race preset how fast the circuit may be driven and where cars start, where that is known.
+        Speed range and start positions for each race preset, as far as they are known.
     folder : Path, optional
-        Where the map came from.
+        The map folder of the circuit.
 
     Returns
     -------
@@ -206,7 +205,7 @@ def build_track(
     Raises
     ------
     MapError
-        If a value is impossible or the lines and the grid don't fit together.
+        If a value is not allowed, or if the lines and the grid do not fit together.
     """
     what = f"track {name}"
     grid, resolution, corner = check_grid(occupied, resolution, origin, what)
@@ -229,16 +228,16 @@ def build_track(
 def load_track(name_or_path: str | os.PathLike[str]) -> Track:
     """Load a track by the name of a shipped circuit or from a map folder.
 
-    Missing lines are made (this needs ``pip install "pcs-racing[mapping]"``), and so is the race line if the one in the
-    folder leaves a car less than 0.15 m of air to the walls; the logger ``pcs_racing`` then says so. That and the
-    processing of the walls take a second or so; the result is kept on disk (see `pcs_racing.track.cache`), and in
-    memory for as long as the process lives. A map whose files have changed is loaded anew.
+    Missing lines are built, which needs ``pip install "pcs-racing[mapping]"``. The race line is built again if the
+    given one leaves a car less than 0.15 m to the walls; the logger ``pcs_racing`` then reports this. Building lines
+    and processing the walls takes about a second. The result is cached on disk (see `pcs_racing.track.cache`), and in
+    memory as long as the process runs. A map whose files have changed is loaded again.
 
     Parameters
     ----------
     name_or_path : str or path-like
         Name of a shipped circuit (case does not matter), a map folder, or a map's yaml file. See
-        `pcs_racing.track.maps` for what a folder holds.
+        `pcs_racing.track.maps` for the files of a folder.
 
     Returns
     -------
@@ -250,7 +249,7 @@ def load_track(name_or_path: str | os.PathLike[str]) -> Track:
     UnknownNameError
         If there is neither a folder nor a shipped circuit of that name.
     MapError
-        If the folder, or a file in it, can't be raced on.
+        If the folder, or a file in it, is not a valid map.
     """
     files = find_map(_resolve(name_or_path))
     with _lock:
@@ -288,7 +287,7 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
 
 
 def _stamp(paths: tuple[Path, ...]) -> tuple[tuple[int, int], ...] | None:
-    """What changes when a file does; None if one is gone."""
+    """Return values that change when one of the files changes; None if a file is missing."""
     try:
         return tuple((status.st_mtime_ns, status.st_size) for status in map(os.stat, paths))
     except OSError:
@@ -296,7 +295,7 @@ def _stamp(paths: tuple[Path, ...]) -> tuple[tuple[int, int], ...] | None:
 
 
 def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
-    """Take a track from the cache on disk, or build it and put it there."""
+    """Return a track from the cache on disk, or build and cache it."""
     key = cache_key(contents, TRACK)
     found = load_cached(TRACK, key)
     restored = None if found is None else _restore(files, found)
@@ -326,7 +325,7 @@ def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
 
 
 def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
-    """Centre line and race line of a map, made where they are missing or unfit; and a word on what was made."""
+    """Return centre line and race line of a map, built if missing or unsuitable, and a note with the reason."""
     from pcs_racing.track.building.centerline import centerline_from_grid
     from pcs_racing.track.building.raceline import minimum_curvature_raceline
 
@@ -363,7 +362,7 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
 
 
 def _flatten(track: Track, note: str) -> dict[str, Any]:
-    """Everything of a track as arrays; the distance field as the region it follows from."""
+    """Return all data of a track as arrays; the drivable region stands for the distance field."""
     values = {name: np.asarray(value) for name, value in track.arrays._asdict().items() if name != "distance"}
     own = {preset: calibration_values(calibration) for preset, calibration in track.calibration.items()}
     return values | {
@@ -375,7 +374,7 @@ def _flatten(track: Track, note: str) -> dict[str, Any]:
 
 
 def _restore(files: MapFiles, found: dict[str, NDArray[Any]]) -> tuple[Track, str] | None:
-    """Undo `_flatten`; None if something is missing."""
+    """Return the track of arrays from `_flatten`; None if an array is missing."""
     try:
         drivable = np.unpackbits(found["drivable"], axis=1, count=int(found["columns"])).view(np.bool_)
         note, content_hash, own = json.loads(str(found["text"]))

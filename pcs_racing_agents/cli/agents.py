@@ -1,4 +1,4 @@
-"""``pcs-racing agents``: agents and drivers, what they do, what they learned from, how strong they are."""
+"""``pcs-racing agents``: list agents and drivers with their method, training and strength."""
 
 import argparse
 
@@ -9,23 +9,25 @@ __all__ = ["add"]
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``agents``."""
     parser = add_command(
         commands,
         "agents",
-        "list agents and drivers, or tell all about one: options, training, strength, cost, hash",
+        "list all agents and drivers, or describe one of them: options, training, strength, cost, hash",
         "pcs-racing agents",
         "pcs-racing agents best-fixed",
         "pcs-racing agents response --archive contest --preset contest",
     )
-    parser.add_argument("agent", nargs="?", help="only this one, with its options")
-    parser.add_argument("--archive", default="default", help="archive that agents move in (default: default)")
+    parser.add_argument("agent", nargs="?", help="name of the agent to describe (default: list all)")
+    parser.add_argument(
+        "--archive", default="default", help="archive whose policies the agents drive (default: default)"
+    )
     add_preset(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Print one agent, or a line for each."""
+    """Print a description of one agent, or one line for each agent."""
     from pcs_racing_agents.agents.describe import describe, facts_of
     from pcs_racing_agents.agents.setting import make_setting
     from pcs_racing_agents.agents.zoo import entries, names

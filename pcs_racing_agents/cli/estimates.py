@@ -1,10 +1,10 @@
-"""How long a long command will take, told before it begins: how much it has to do, times rates that were measured.
+"""Estimates of the running time of long commands: the amount of work times measured rates.
 
     python benchmarks/command_rates.py
 
-measures every rate below and prints them in this order. They are processor seconds, on two cores of an AMD EPYC that
-other work shared; where nothing else runs it goes faster (races in 0.6 of the time, ``benchmarks/race_speed.py`` in
-README.md). Compilation is not counted.
+measures all rates below and prints them in this order. They are processor seconds on two cores of an AMD EPYC that were
+shared with other work; an idle machine is faster (races take 0.6 of the time, ``benchmarks/race_speed.py`` in
+README.md). Compilation is not included.
 """
 
 import argparse
@@ -64,21 +64,21 @@ def duration_text(seconds: float) -> str:
 
 
 def cores_of(arguments: argparse.Namespace) -> int | None:
-    """Return how many cores the options of an executor give to the work; None for a cluster that runs elsewhere."""
+    """Return the number of cores that the options of an executor use; None for a cluster on other machines."""
     if arguments.scheduler is not None:
         return None
     return arguments.workers or default_threads()
 
 
 def announce(seconds: float, cores: int | None, *, most: bool = False) -> None:
-    """Say on stderr how long the work takes, if that is more than a minute.
+    """Print the estimated time of the work on stderr, if it is more than a minute.
 
     Parameters
     ----------
     seconds : float
         Processor time.
     cores : int or None
-        How many share it; None if nobody knows.
+        Number of cores that share the work; None if it is not known.
     most : bool
         Whether the work may end earlier.
     """
@@ -93,26 +93,26 @@ def announce(seconds: float, cores: int | None, *, most: bool = False) -> None:
 
 
 def racing_seconds(races: int, duration: float) -> float:
-    """Processor seconds of so many races of ``duration`` seconds each."""
+    """Estimate the processor seconds of races of ``duration`` seconds each."""
     return RACING * races * duration
 
 
 def tree_seconds(config: GameConfig, moves: int, trees: int, seeds: int) -> float:
-    """Processor seconds of full game trees.
+    """Estimate the processor seconds of full game trees.
 
     Parameters
     ----------
     config : GameConfig
     moves : int
-        Moves that each player can choose from.
+        Number of moves of each player.
     trees, seeds : int
-        Trees, and seeds of the noise in each of them.
+        Number of trees, and of noise realisations in each tree.
     """
     return _tree(TREE_SEGMENT, config, moves**2) * trees * seeds
 
 
 def ego_seconds(config: GameConfig, moves: int, roots: int) -> float:
-    """Processor seconds of so many ego trees."""
+    """Estimate the processor seconds of ego trees."""
     return _tree(EGO_SEGMENT, config, moves) * roots
 
 
@@ -122,7 +122,7 @@ def _tree(rate: float, config: GameConfig, branches: int) -> float:
 
 
 def synthesis_seconds(config: ArchiveConfig) -> float:
-    """Processor seconds of an archive: the races of its search, its choice and its measurement."""
+    """Estimate the processor seconds of an archive: the races of its search, its selection and its measurement."""
     sides = 2 * len(config.tracks)
     search = (config.scouts + config.generations * config.population) * config.opponents * config.starts
     choice = config.candidates * config.choice_opponents * config.choice_starts
@@ -139,21 +139,21 @@ def ppo_seconds(settings: PPOSettings) -> float:
 
 
 def training_seconds(settings: TrainSettings) -> float:
-    """Processor seconds of a network; training ends earlier where nothing more is learned."""
+    """Estimate the processor seconds of training a network; early stopping may shorten it."""
     return ROW * settings.rows_per_epoch * settings.epochs
 
 
 def response_seconds(settings: ResponseSettings, config: GameConfig, moves: int, games: int) -> float:
-    """Processor seconds of an answer learned from branched games.
+    """Estimate the processor seconds of a response learned from branched games.
 
     Parameters
     ----------
     settings : ResponseSettings
     config : GameConfig
     moves : int
-        Moves that each player can choose from.
+        Number of moves of each player.
     games : int
-        Circuits times opponents.
+        Number of circuits times number of opponents.
     """
     # A game is driven to a step, and every move from there to the end.
     steps = [(k + 1) + moves * (config.moves - k) for k in range(config.moves)]
@@ -163,7 +163,7 @@ def response_seconds(settings: ResponseSettings, config: GameConfig, moves: int,
 
 
 def stage_estimates(config: StudyConfig) -> dict[str, float]:
-    """Processor seconds of the stages of a study that take long; the others take seconds."""
+    """Estimate the processor seconds of the long stages of a study; the other stages take seconds."""
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
     from pcs_racing_agents.networks.settings import load_train_settings
     from pcs_racing_agents.synthesis.config import load_archive_config

@@ -1,4 +1,4 @@
-"""``pcs-racing explain``: what an agent did in a race and why; or which move it makes in which situation."""
+"""``pcs-racing explain``: explain the moves of an agent in one race, or summarise them over many races."""
 
 import argparse
 from pathlib import Path
@@ -17,17 +17,17 @@ from pcs_racing_agents.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from pcs_racing_agents.view.contests import Contest
+    from pcs_racing_agents.tournament.pairings import Pairing
 
 __all__ = ["add"]
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``explain``."""
     parser = add_command(
         commands,
         "explain",
-        "tell what an agent saw and did in a race, and why",
+        "explain the moves of an agent in a race: its observations, its moves and their effect",
         "pcs-racing explain --agents cfr-argmax never-switch",
         "pcs-racing explain out/mine 12",
         "pcs-racing explain out/mine 12 --car 1 --out out/race-12",
@@ -36,26 +36,39 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("results", nargs="?", type=Path, metavar="RACE", help="folder of a tournament or a study")
     parser.add_argument(
-        "number", nargs="?", type=int, metavar="N", help="line of its results, from 0 (default: 0)", default=None
+        "number",
+        nargs="?",
+        type=int,
+        metavar="N",
+        help="line of its results, counted from 0 (default: 0)",
+        default=None,
     )
-    parser.add_argument("--agents", nargs=2, metavar="AGENT", help="instead of a folder: who drives car 0 and car 1")
+    parser.add_argument("--agents", nargs=2, metavar="AGENT", help="instead of a folder: the agents of car 0 and car 1")
     parser.add_argument("--track", metavar="T", help=f"with --agents: {TRACK_HELP} (default: {DEFAULT_TRACK})")
     add_rules(parser)
-    parser.add_argument("--archive", default="default", help="archive that agents move in (default: default)")
     parser.add_argument(
-        "--races", type=int, metavar="N", help="with --agents: races that the two would drive, even (default: 20)"
+        "--archive", default="default", help="archive whose policies the agents drive (default: default)"
     )
-    parser.add_argument("--index", type=int, metavar="K", help="with --agents: which of these races (default: 0)")
-    parser.add_argument("--car", type=int, choices=(0, 1), help="whose moves to explain (default: the one that moves)")
     parser.add_argument(
-        "--situations", metavar="AGENT", help="which move this agent made in which situation, over all its races"
+        "--races", type=int, metavar="N", help="with --agents: number of planned races, even (default: 20)"
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures, the text, and the race to watch")
+    parser.add_argument(
+        "--index", type=int, metavar="K", help="with --agents: number of the race to explain (default: 0)"
+    )
+    parser.add_argument(
+        "--car", type=int, choices=(0, 1), help="car whose moves are explained (default: the first that makes moves)"
+    )
+    parser.add_argument(
+        "--situations",
+        metavar="AGENT",
+        help="instead of one race: summarise the moves of this agent by situation, over all its races",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the pictures, the text and the replay")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Print the explanation; write it with its pictures if asked to."""
+    """Print the explanation; with ``--out``, also write it with its pictures."""
     _check(arguments)
     if arguments.situations is not None:
         _situations(arguments)
@@ -64,7 +77,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Refuse options that do not go together before anything is driven."""
+    """Refuse options that can't be combined, before any race is simulated."""
     if (arguments.results is None) == (arguments.agents is None):
         raise InputError("give a folder of results, or two agents with --agents; one of the two")
     if arguments.results is not None:
@@ -77,45 +90,45 @@ def _check(arguments: argparse.Namespace) -> None:
         output_folder(arguments.out)
 
 
-def _planned(arguments: argparse.Namespace) -> "Contest":
-    """Races of the two agents that the options name."""
-    from pcs_racing_agents.view.contests import planned_contest
+def _planned(arguments: argparse.Namespace) -> "Pairing":
+    """Races of the two agents that the options name: those that a tournament between them would drive."""
+    from pcs_racing.track.track import load_track
+    from pcs_racing_agents.tournament import plan_tournament
 
-    return planned_contest(
+    plan = plan_tournament(
+        load_track(DEFAULT_TRACK if arguments.track is None else arguments.track),
         arguments.agents,
-        DEFAULT_TRACK if arguments.track is None else arguments.track,
         rules(arguments),
         archive=arguments.archive,
-        races=20 if arguments.races is None else arguments.races,
+        races_per_pair=20 if arguments.races is None else arguments.races,
         seed=arguments.seed,
     )
+    return plan.pairings[0]
 
 
 def _race(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.agents.agent import Driver
     from pcs_racing_agents.explain.explain import explain_match
     from pcs_racing_agents.explain.words import story
-    from pcs_racing_agents.view.contests import open_results
+    from pcs_racing_agents.view.results_folder import open_results
 
     lead = None
     if arguments.results is not None:
         results = open_results(arguments.results)
         row = results.row(arguments.number or 0)
-        contest, race, lead = results.contest(row), int(row["race"]), row["lead"]
+        pairing, race, lead = results.pairing(row), row.race, f"{row.lead:.4f}"
     else:
-        contest, race = _planned(arguments), arguments.index or 0
-        if not 0 <= race < len(contest.seeds):
-            raise InputError(f"--index is {race}; there are races 0 to {len(contest.seeds) - 1}")
+        pairing, race = _planned(arguments), arguments.index or 0
+        if not 0 <= race < len(pairing):
+            raise InputError(f"--index is {race}; there are races 0 to {len(pairing) - 1}")
     car = arguments.car
     if car is None:
-        car = int(isinstance(contest.ego, Driver))
+        car = int(isinstance(pairing.ego, Driver))
     explanation = explain_match(
-        contest.game,
-        contest.ego,
-        contest.opponent,
-        policies=contest.variants[race],
-        start=contest.starts.take([race]),
-        seed=int(contest.seeds[race]),
+        pairing.game,
+        pairing.ego,
+        pairing.opponent,
+        **pairing.one(race),
         car=car,
         candidates=arguments.out is not None,
     )
@@ -147,36 +160,30 @@ def _situations(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.cli.estimates import announce, racing_seconds
     from pcs_racing_agents.explain.situations import situations_text, summarise, write_situations
     from pcs_racing_agents.jobs.jobs import show_progress
-    from pcs_racing_agents.tournament.matches import game_between, play_games
-    from pcs_racing_agents.view.contests import open_results
+    from pcs_racing_agents.tournament.matches import game_between
+    from pcs_racing_agents.view.results_folder import open_results
 
     agent = arguments.situations
     if arguments.results is not None:
-        contests = list(open_results(arguments.results).contests(agent))
+        pairings = list(open_results(arguments.results).pairings(agent))
     else:
         if agent not in arguments.agents:
             raise InputError(f"--situations is {agent!r}; it must be one of {', '.join(arguments.agents)}")
-        contests = [(_planned(arguments), arguments.agents.index(agent))]
-    progress, total, done = show_progress(), sum(len(contest.seeds) for contest, _ in contests), 0
-    announce(racing_seconds(total, contests[0][0].game.config.horizon), default_threads())
+        pairings = [(_planned(arguments), arguments.agents.index(agent))]
+    progress, total, done = show_progress(), sum(len(pairing) for pairing, _ in pairings), 0
+    first = pairings[0][0]
+    announce(racing_seconds(total, first.game.config.horizon), default_threads())
     seen, made = [], []
-    for contest, car in contests:
-        matches = play_games(
-            contest.game,
-            contest.ego,
-            contest.opponent,
-            policies=contest.variants,
-            starts=contest.starts,
-            seeds=contest.seeds,
-        )
+    for pairing, car in pairings:
+        matches = pairing.play()
         seen.append(matches.seen[:, car])
         made.append(matches.moves[:, car])
-        done += len(contest.seeds)
+        done += len(pairing)
         progress(done, total, agent)
-    arena = game_between(contests[0][0].game, contests[0][0].ego, contests[0][0].opponent)
+    arena = game_between(first.game, first.ego, first.opponent)
     found = summarise(np.concatenate(seen), np.concatenate(made), arena.archive, arena.move_names, agent)
     if arguments.results is None:
-        print(f"{contests[0][0].game.track.name}, {contests[0][0].game.config.race.name} rules, {total} races")
+        print(f"{first.game.track.name}, {first.game.config.race.name} rules, {total} races")
     print(situations_text(found))
     if arguments.out is not None:
         print(f"table: {write_situations(found, arguments.out / 'situations.csv')}")

@@ -1,4 +1,4 @@
-"""``pcs-racing export``: a game tree as a file that other programs read."""
+"""``pcs-racing export``: write a game tree in a format that other programs read."""
 
 import argparse
 from pathlib import Path
@@ -12,7 +12,7 @@ __all__ = ["add"]
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``export``."""
     parser = add_command(
         commands,
         "export",
@@ -20,17 +20,19 @@ def add(commands: Commands) -> None:
         "pcs-racing export out/trees --format efg --out out/tree.efg",
         "pcs-racing export out/trees --tree 3 --format efg --out out/tree3.efg",
     )
-    parser.add_argument("trees", type=Path, metavar="DIR", help="folder that 'pcs-racing tree' wrote")
-    parser.add_argument("--tree", type=int, default=0, metavar="N", help="which tree of the folder (default: 0)")
+    parser.add_argument("trees", type=Path, metavar="DIR", help="folder of game trees, written by 'pcs-racing tree'")
     parser.add_argument(
-        "--format", choices=("efg",), default="efg", help="efg: Gambit's extensive form, as text (default)"
+        "--tree", type=int, default=0, metavar="N", help="number of the tree in the folder (default: 0)"
+    )
+    parser.add_argument(
+        "--format", choices=("efg",), default="efg", help="format: efg, the extensive form of Gambit as text (default)"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write (.efg)")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the file."""
+    """Load the tree and write the file."""
     target = output_file(arguments.out, ".efg")
     trees = load_trees(arguments.trees)
     if not 0 <= arguments.tree < len(trees):

@@ -1,4 +1,4 @@
-"""The command line, ``pcs-racing``: reads arguments, hands over to a command, and prints errors as one line."""
+"""The command line ``pcs-racing``: parse the arguments, run the command, and print an error as one line."""
 
 import argparse
 import logging
@@ -12,6 +12,7 @@ from pcs_racing_agents.cli import (
     agents,
     explain,
     export,
+    headroom,
     policies,
     ppo,
     race,
@@ -37,12 +38,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        What follows ``pcs-racing``; the process's own arguments by default.
+        The words after ``pcs-racing``; by default those of the process.
 
     Returns
     -------
     int
-        0, or 2 after an error that the user can mend, which is told in one line on stderr.
+        0, or 2 after an error that the user can correct, which is printed as one line on stderr.
     """
     logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     chosen = _parser().parse_args(arguments)
@@ -52,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (InputError, ModuleNotFoundError) as error:
         return _fail(error)
     except BrokenPipeError:
-        # The reader (a pager, head) has gone: nothing is left to say, not even at the interpreter's end.
+        # The reader (a pager, head) has closed the pipe. Without this the interpreter would fail again at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
@@ -77,8 +78,8 @@ def _fail(error: Exception) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="pcs-racing",
-        description="Head-to-head autonomous racing in Policy Characteristic Space.",
-        epilog="'pcs-racing COMMAND --help' shows the options of a command, and an example.",
+        description="Simulate head-to-head races of two cars; search, train and compare policies and agents for them.",
+        epilog="'pcs-racing COMMAND --help' shows the options of a command and an example of its use.",
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
@@ -90,6 +91,7 @@ def _parser() -> argparse.ArgumentParser:
         agents,
         policies,
         synthesize,
+        headroom,
         tree,
         solve,
         export,

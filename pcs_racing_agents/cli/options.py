@@ -1,4 +1,4 @@
-"""What several commands share: the options that describe a race, and checks of where they may write."""
+"""Options that several commands share, and checks of the files and folders that they write."""
 
 import argparse
 import sys
@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 DEFAULT_TRACK = "Quillburg"
-"""The circuit of a command that is told none, as of the environments."""
+"""The circuit that commands and environments use by default."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
 POLICY_HELP = "planner, planner:variant or planner:parameter=value,... (see 'pcs-racing policies')"
 
@@ -38,7 +38,7 @@ class Commands(Protocol):
 
 
 def add_command(commands: Commands, name: str, summary: str, *examples: str) -> argparse.ArgumentParser:
-    """Add a command with a sentence of help and its examples."""
+    """Add a command with one sentence of help and examples of its use."""
     return commands.add_parser(
         name,
         help=summary,
@@ -50,12 +50,12 @@ def add_command(commands: Commands, name: str, summary: str, *examples: str) -> 
 
 
 def add_track(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names one circuit."""
+    """Add the option ``--track`` for one circuit."""
     parser.add_argument("--track", default=DEFAULT_TRACK, metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})")
 
 
 def add_preset(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names the rules."""
+    """Add the option ``--preset`` for the rules of the race."""
     presets = ", ".join(PRESETS)
     parser.add_argument(
         "--preset", default="paper", help=f"rules of the race: {presets} or a YAML file (default: paper)"
@@ -63,11 +63,13 @@ def add_preset(parser: argparse.ArgumentParser) -> None:
 
 
 def add_rules(parser: argparse.ArgumentParser, seed: int = 0) -> None:
-    """Add the options that :func:`rules` reads, and the seed with its default."""
+    """Add the options that :func:`rules` reads, and the option ``--seed`` with its default."""
     add_preset(parser)
-    parser.add_argument("--duration", type=float, metavar="S", help="length of a race in s (default: the preset's, 40)")
     parser.add_argument(
-        "--seed", type=int, default=seed, metavar="N", help=f"root of starts and noise (default: {seed})"
+        "--duration", type=float, metavar="S", help="duration of a race in s (default: that of the preset, 40)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=seed, metavar="N", help=f"seed of the starts and of the noise (default: {seed})"
     )
 
 
@@ -78,7 +80,7 @@ def rules(arguments: argparse.Namespace) -> RaceConfig:
 
 
 def can_draw(what: str) -> bool:
-    """Whether pictures can be drawn; if they can't, say on stderr that one is left out, and what draws it."""
+    """Return whether matplotlib is installed; if not, print on stderr which picture is missing and what to install."""
     if find_spec("matplotlib") is not None:
         return True
     print(f'pcs-racing: {what} is not drawn: pip install "pcs-racing[plots]" draws it', file=sys.stderr)
@@ -86,12 +88,12 @@ def can_draw(what: str) -> bool:
 
 
 def output_file(path: Path, *endings: str) -> Path:
-    """Return a path after checking that it can be written, before any work is done for it.
+    """Check that a file can be written, before any long work, and return its path.
 
     Raises
     ------
     InputError
-        If its ending is none of these, its folder does not exist, or it is a folder.
+        If its suffix is not one of ``endings``, if its folder does not exist, or if it is a folder.
     """
     if path.suffix not in endings:
         raise InputError(f"can't write {path}: its name must end in {' or '.join(endings)}")
@@ -103,12 +105,12 @@ def output_file(path: Path, *endings: str) -> Path:
 
 
 def output_folder(path: Path) -> Path:
-    """Return a folder that exists from now on.
+    """Make a folder if it does not exist, and return its path.
 
     Raises
     ------
     InputError
-        If it can't be made.
+        If the folder can't be made.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)

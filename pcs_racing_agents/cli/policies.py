@@ -1,4 +1,4 @@
-"""``pcs-racing policies``: the planners there are, and what their parameters mean."""
+"""``pcs-racing policies``: list the planners and their parameters."""
 
 import argparse
 
@@ -10,16 +10,19 @@ __all__ = ["add"]
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``policies``."""
     parser = add_command(
-        commands, "policies", "list planners with their parameters, bounds and meanings", "pcs-racing policies lattice"
+        commands,
+        "policies",
+        "list planners with the bounds and meanings of their parameters",
+        "pcs-racing policies lattice",
     )
-    parser.add_argument("planner", nargs="?", help="only this one")
+    parser.add_argument("planner", nargs="?", help="name of the planner to list (default: all)")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Print one planner, or all."""
+    """Print one planner, or all planners."""
     names = [arguments.planner] if arguments.planner else planner_names()
     print("\n\n".join(_describe(get_planner(name)) for name in names))
 

@@ -1,4 +1,4 @@
-"""``pcs-racing ppo``: train a baseline by PPO, at the level of strategy or of control."""
+"""``pcs-racing ppo``: train a baseline by PPO, at the strategy level or at the control level."""
 
 import argparse
 from importlib.util import find_spec
@@ -11,25 +11,39 @@ __all__ = ["add"]
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``ppo``."""
     parser = add_command(
         commands,
         "ppo",
-        "train a baseline by PPO, or go on with a training that was stopped",
+        "train a baseline by PPO at the strategy or control level, or resume such a training",
         "pcs-racing ppo --config duel-paper --out out/ppo",
         "pcs-racing ppo --config drive --steps 2000000 --seeds 0 1 2 --executor processes --out out/ppo-drive",
     )
     configs = ", ".join(shipped_configs("ppo"))
-    parser.add_argument("--config", required=True, metavar="NAME", help=f"settings: a YAML file or one of {configs}")
-    parser.add_argument("--steps", type=int, metavar="N", help="steps of the environment for each seed, at most")
-    parser.add_argument("--seeds", type=int, nargs="+", metavar="N", help="train with each of them and keep the best")
+    parser.add_argument("--config", required=True, metavar="NAME", help=f"settings: {configs} or a YAML file")
+    parser.add_argument("--steps", type=int, metavar="N", help="maximum number of environment steps for each seed")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="seeds; one policy is trained with each seed, and the best is kept",
+    )
     parser.add_argument(
         "--checkpoint", type=float, default=20.0, metavar="S", help="time between two checkpoints in s (default: 20)"
     )
-    parser.add_argument("--name", help="name of the policy (default: the one that the zoo looks for)")
-    parser.add_argument("--tensorboard", action="store_true", help="write the curves for TensorBoard, too")
-    parser.add_argument("--no-picture", action="store_true", help="draw no learning curves")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for weights and curves")
+    parser.add_argument(
+        "--name", help="name of the policy (default: the name under which the agent 'ppo' looks for it)"
+    )
+    parser.add_argument("--tensorboard", action="store_true", help="also write the learning curves for TensorBoard")
+    parser.add_argument("--no-picture", action="store_true", help="do not draw the learning curves")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder for weights and learning curves; a training that was stopped resumes in its folder",
+    )
     from pcs_racing_agents.jobs.jobs import add_executor_options
 
     add_executor_options(parser)
@@ -37,7 +51,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Train, and print what the policy is worth."""
+    """Train the policy, and print its evaluation."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, ppo_seconds
     from pcs_racing_agents.jobs.jobs import executor_from, show_progress
     from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, mean_score, score_table

@@ -1,4 +1,4 @@
-"""``pcs-racing race``: one race, told in a few lines and kept as a replay."""
+"""``pcs-racing race``: simulate one race, print its events and write a replay."""
 
 import argparse
 import shlex
@@ -20,39 +20,45 @@ from pcs_racing_agents.cli.options import (
 
 __all__ = ["add"]
 
-# The race of a command that is told nothing: driven to its end, with an overtake. The seed is out of
-# `python benchmarks/first_race.py`.
+# The default race. It lasts its full time and has an overtake; `python benchmarks/first_race.py` searched the seed.
 EGO = "lattice:pace=0.8,overtaking=1"
 OPPONENT = "lattice:pace=0.4"
 SEED = 1
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``race``."""
     parser = add_command(
         commands,
         "race",
-        "drive one race between two policies",
+        "simulate one race between two policies",
         "pcs-racing race",
         "pcs-racing race --replay race.html",
         "pcs-racing race --track Tarnfjord --ego lattice:pace=0.6 --opponent lattice --seed 3 --replay race.html",
         'pcs-racing race --track "my maps/Spielberg" --ego lattice --opponent lattice --preset contest',
     )
     add_track(parser)
-    parser.add_argument("--ego", default=EGO, metavar="POLICY", help=f"driver of car 0: {POLICY_HELP} (default: {EGO})")
-    parser.add_argument("--opponent", default=OPPONENT, metavar="POLICY", help=f"driver of car 1 (default: {OPPONENT})")
+    parser.add_argument("--ego", default=EGO, metavar="POLICY", help=f"policy of car 0: {POLICY_HELP} (default: {EGO})")
+    parser.add_argument("--opponent", default=OPPONENT, metavar="POLICY", help=f"policy of car 1 (default: {OPPONENT})")
     add_rules(parser, seed=SEED)
     parser.add_argument(
-        "--index", type=int, default=0, metavar="K", help=f"which race of the seed, 0 to {LAST_INDEX} (default: 0)"
+        "--index",
+        type=int,
+        default=0,
+        metavar="K",
+        help=f"number of the race of this seed, 0 to {LAST_INDEX} (default: 0)",
     )
     parser.add_argument(
-        "--replay", type=Path, metavar="FILE", help="write a page that plays the race (.html, or .json)"
+        "--replay",
+        type=Path,
+        metavar="FILE",
+        help="file for a replay: a page that plays the race (.html), or data (.json)",
     )
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Drive the race and tell what happened."""
+    """Simulate the race and print what happened."""
     config = rules(arguments)
     ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
     target = output_file(arguments.replay, ".html", ".json") if arguments.replay else None
@@ -71,7 +77,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _again(arguments: argparse.Namespace) -> str:
-    """Return the command that drives this very race, with nothing left to defaults but what was left to the rules."""
+    """Return the command that repeats this race; it names every option except those left to the preset."""
     names = ("track", "ego", "opponent", "preset", "duration", "seed", "index")
     given = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
     return shlex.join(["pcs-racing", "race", *(f for name, value in given.items() for f in (f"--{name}", str(value)))])

@@ -1,4 +1,4 @@
-"""``pcs-racing solve``: value, exploitability and agreement of all methods, on every tree of a folder."""
+"""``pcs-racing solve``: solve every tree of a folder with several methods, and compare their strategies."""
 
 import argparse
 import csv
@@ -11,13 +11,12 @@ import numpy as np
 
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.cli.options import Commands, add_command, output_file
+from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.solvers.compare import METHODS, MethodRow, compare_methods
 from pcs_racing_agents.trees import load_trees
 
 __all__ = ["add", "solve_table"]
 
-
-COLUMNS = ("tree", "policies", "method", "value", "exploitability", "agreement", "on path", "ms")
 
 NOTE = """value: what car 0 gets; exploitability: half of what both could gain by best responses; units of the utility
 agreement: decisions whose likeliest move is a best one against the exact solution; on path: the same, each as often
@@ -25,16 +24,16 @@ as the exact solution leads to it; decisions at which all moves are worth the sa
 
 
 class SolvedTree(NamedTuple):
-    """One tree and how all methods did on it.
+    """The results of all methods on one tree.
 
     Attributes
     ----------
     number : int
-        Its place in the folder.
+        Number of the tree in its folder.
     policies : tuple of int
-        What the cars started with.
+        Policies of both cars at the start.
     seeds : int
-        Noise seeds of the tree.
+        Number of noise realisations of the tree.
     rows : list of MethodRow
     """
 
@@ -45,25 +44,32 @@ class SolvedTree(NamedTuple):
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``solve``."""
     parser = add_command(
         commands,
         "solve",
-        "solve game trees exactly and by regret minimisation, and judge the strategies",
+        "solve game trees exactly and by regret minimisation, and print value and exploitability of each solution",
         "pcs-racing solve out/trees",
         "pcs-racing solve out/trees --iterations 1000 --methods exact alternating+ --out out/solved.csv",
     )
-    parser.add_argument("trees", type=Path, metavar="DIR", help="folder that 'pcs-racing tree' wrote")
-    parser.add_argument("--iterations", type=int, default=100, metavar="N", help="iterations of CFR (default: 100)")
+    parser.add_argument("trees", type=Path, metavar="DIR", help="folder of game trees, written by 'pcs-racing tree'")
     parser.add_argument(
-        "--methods", nargs="+", default=list(METHODS), choices=METHODS, metavar="M", help=f"out of {', '.join(METHODS)}"
+        "--iterations", type=int, default=100, metavar="N", help="number of iterations of CFR (default: 100)"
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="CSV file to write the table to, too")
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        default=list(METHODS),
+        choices=METHODS,
+        metavar="M",
+        help=f"one or more of {', '.join(METHODS)} (default: all)",
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="file for the table (.csv)")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Solve, print the table, write it."""
+    """Solve all trees, print the table, and write it."""
     target = output_file(arguments.out, ".csv") if arguments.out else None
     trees = load_trees(arguments.trees)
     solved = []
@@ -83,7 +89,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def solve_table(solved: Sequence[SolvedTree]) -> str:
-    """Return the table for people: every tree and method, and the means over the trees."""
+    """Return a text table of every tree and method, and of the means over the trees."""
     lines: list[tuple[str, ...]] = [
         ("tree", "policies", "method", "value", "exploitability", "agreement", "on path", "ms")
     ]
@@ -95,12 +101,7 @@ def solve_table(solved: Sequence[SolvedTree]) -> str:
     for i, rows in enumerate(zip(*(tree.rows for tree in solved), strict=True)):
         mean = MethodRow(rows[0].method, *(float(np.mean(numbers)) for numbers in list(zip(*rows, strict=True))[1:]))
         lines.append(("mean" if i == 0 else "", "", *_cells(mean)))
-    widths = [max(len(line[column]) for line in lines) for column in range(len(COLUMNS))]
-    left = {0, 1, 2}
-    table = "\n".join(
-        "  ".join(c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(line, widths, strict=True)))
-        for line in lines
-    )
+    table = "\n".join(aligned(lines, left=3))
     return f"{table}\n\n{NOTE}"
 
 

@@ -1,4 +1,4 @@
-"""``pcs-racing study``: the paper's study, from the search for policies to the report."""
+"""``pcs-racing study``: run a study, from the search for policies to the report."""
 
 import argparse
 from pathlib import Path
@@ -10,20 +10,28 @@ __all__ = ["add"]
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``study``."""
     parser = add_command(
         commands,
         "study",
-        "run a study: archive, game trees, networks, agents, races, report",
+        "run a complete study: archive, game trees, networks, agents, races and report",
         "pcs-racing study quick --out out/quick",
         "pcs-racing study paper --out out/paper",
         "pcs-racing study out/my-study.yaml --out out/mine --stage archive trees",
     )
     names = ", ".join(shipped_configs("study"))
-    parser.add_argument("config", help=f"one of {names}, or a YAML file")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the study; goes on there")
-    parser.add_argument("--stage", nargs="+", metavar="NAME", help="stages to run (default: all that are not done)")
-    parser.add_argument("--seed", type=int, metavar="N", help="another root of everything that is drawn")
+    parser.add_argument("config", help=f"settings: {names} or a YAML file")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder of the study; a study that was stopped resumes in its folder",
+    )
+    parser.add_argument("--stage", nargs="+", metavar="NAME", help="stages to run (default: all that are not finished)")
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="seed of all random draws (default: that of the settings)"
+    )
     from pcs_racing_agents.jobs.jobs import add_executor_options
 
     add_executor_options(parser)
@@ -31,15 +39,16 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Run a study and say where its results are."""
+    """Run a study, and print the paths of its results."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, stage_estimates
     from pcs_racing_agents.jobs.jobs import executor_from
     from pcs_racing_agents.study import load_study_config, run_study
-    from pcs_racing_agents.study.run import stage_seconds, stages_to_run
+    from pcs_racing_agents.study.run import stages_to_run
+    from pcs_racing_agents.study.stages import stage_seconds
 
     changes = {} if arguments.seed is None else {"seed": arguments.seed}
     config = load_study_config(arguments.config, **changes)
-    left = stages_to_run(config, arguments.out, arguments.stage)
+    left = {stage.name for stage in stages_to_run(config, arguments.out, arguments.stage)}
     seconds = sum(spent for stage, spent in stage_estimates(config).items() if stage in left)
     with executor_from(arguments) as executor:
         announce(seconds, cores_of(arguments))

@@ -1,4 +1,4 @@
-"""``pcs-racing synthesize``: an archive of policies from a directed search, which may be stopped and goes on."""
+"""``pcs-racing synthesize``: search for an archive of policies; a stopped search can be resumed."""
 
 import argparse
 import time
@@ -20,18 +20,26 @@ OPTIONS = ("preset", "generations", "population", "method", "seed", "name")
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``synthesize``."""
     parser = add_command(
         commands,
         "synthesize",
-        "search an archive of policies on some circuits",
+        "search for an archive of policies that drive differently, by racing on one or more circuits",
         "pcs-racing synthesize --out out/archive",
         "pcs-racing synthesize --track Tarnfjord Pipkin --generations 30 --population 24 --out out/mine",
         "pcs-racing synthesize --config default --out out/default",
     )
     shipped = ", ".join(list_archive_configs())
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the archive, new or begun")
-    parser.add_argument("--config", metavar="C", help=f"settings: {shipped} or a YAML file; what follows changes them")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder of the archive; a search that was stopped resumes in its folder",
+    )
+    parser.add_argument(
+        "--config", metavar="C", help=f"settings: {shipped} or a YAML file; other options override them"
+    )
     parser.add_argument(
         "--track",
         nargs="+",

@@ -1,4 +1,4 @@
-"""``pcs-racing tournament``: all against all, as a table, a payoff matrix and a results file."""
+"""``pcs-racing tournament``: race every pair of competitors; print a table, write results and a payoff matrix."""
 
 import argparse
 from pathlib import Path
@@ -21,11 +21,11 @@ __all__ = ["add"]
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``tournament``."""
     parser = add_command(
         commands,
         "tournament",
-        "play every pair of agents, drivers and policies against each other",
+        "race every pair of agents, drivers and policies against each other, and print a table",
         "pcs-racing tournament --agents cfr-argmax never-switch",
         "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher --races 40",
         "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --preset contest --out out/mine",
@@ -38,28 +38,34 @@ def add(commands: Commands) -> None:
         nargs="+",
         default=[],
         metavar="AGENT",
-        help="name, or name:option=value,... (see 'pcs-racing agents' and docs/agents.md)",
+        help="name of an agent, or name:option=value,... (see 'pcs-racing agents' and docs/agents.md)",
     )
     parser.add_argument("--policies", nargs="+", default=[], metavar="POLICY", help=POLICY_HELP)
     add_rules(parser)
     parser.add_argument(
-        "--archive", default="default", help="archive that agents move in: its name or folder (default: default)"
+        "--archive",
+        default="default",
+        help="archive whose policies the agents drive: its name or folder (default: default)",
     )
     parser.add_argument(
-        "--races", type=int, default=20, metavar="N", help="races of each pair on each track, even (default: 20)"
+        "--races",
+        type=int,
+        default=20,
+        metavar="N",
+        help="number of races of each pair on each track, even (default: 20)",
     )
     parser.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
-        help="folder for results.csv and the payoff matrix; a tournament that was stopped there goes on",
+        help="folder for results.csv and the payoff matrix; a tournament that was stopped resumes in its folder",
     )
     add_executor_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Play, print the table, write the results."""
+    """Run the races, print the table and write the results."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
     from pcs_racing_agents.tournament import (
         payoff_picture,
@@ -88,6 +94,6 @@ def run(arguments: argparse.Namespace) -> None:
         with open_job(arguments.out, "tournament", tournament_settings(plan)) as job:
             tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
             print(tournament_text(tournament))
-            print(f"results: {write_results(tournament, arguments.out / 'results.csv')}")
+            print(f"results: {write_results(tournament.races, arguments.out / 'results.csv')}")
             if can_draw("the payoff matrix"):
                 print(f"picture: {payoff_picture(tournament, arguments.out / 'payoffs.png')}")

@@ -26,7 +26,7 @@ __all__ = ["add"]
 
 
 def add(commands: Commands) -> None:
-    """Add the group and its commands."""
+    """Add the group ``track`` and its commands."""
     group = add_command(
         commands,
         "track",
@@ -35,73 +35,86 @@ def add(commands: Commands) -> None:
     )
     tracks: Commands = group.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
-    parser = add_command(tracks, "list", "list the circuits that come with the package", "pcs-racing track list")
+    parser = add_command(tracks, "list", "list the circuits that ship with the package", "pcs-racing track list")
     parser.set_defaults(run=run_list)
 
     parser = add_command(
-        tracks, "show", "say what a circuit is like, and draw it", "pcs-racing track show Tarnfjord --out tarnfjord.png"
+        tracks,
+        "show",
+        "print a summary of a circuit, and draw it",
+        "pcs-racing track show Tarnfjord --out tarnfjord.png",
     )
     parser.add_argument("track", nargs="?", default=DEFAULT_TRACK, help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})")
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="picture to write (.png, .svg or .pdf; needs matplotlib)"
+        "--out", type=Path, metavar="FILE", help="file for the picture (.png, .svg or .pdf; needs matplotlib)"
     )
     parser.set_defaults(run=run_show)
 
     parser = add_command(
         tracks,
         "import",
-        "complete a map: centre line from its picture, race line from the centre line",
+        "complete a map folder: build the missing centre line from the picture, and the race line from the centre line",
         "pcs-racing track import downloads/hall --out maps/hall --seed-point 1.5 0.2 --direction clockwise",
     )
-    parser.add_argument("source", help="map folder; a ROS yaml file and its picture are enough")
+    parser.add_argument("source", help="map folder to read; a ROS yaml file and its picture are enough")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="map folder to write")
-    parser.add_argument("--name", help="name of the circuit (default: the folder's)")
+    parser.add_argument("--name", help="name of the circuit (default: that of the folder)")
     parser.add_argument(
-        "--seed-point", type=float, nargs=2, metavar=("X", "Y"), help="a point on the track, m (default: found)"
+        "--seed-point", type=float, nargs=2, metavar=("X", "Y"), help="a point on the track in m (default: searched)"
     )
     parser.add_argument(
-        "--direction", type=_direction, help="counterclockwise (default), clockwise, or the heading at the start in rad"
+        "--direction",
+        type=_direction,
+        help="driving direction: counterclockwise (default), clockwise, or the heading at the start in rad",
     )
     parser.set_defaults(run=run_import)
 
     parser = add_command(
         tracks,
         "generate",
-        "make a new circuit from a seed",
+        "generate a new circuit from a seed",
         "pcs-racing track generate --seed 7 --style voronoi --out maps/Sevenhills",
     )
-    parser.add_argument("--seed", type=int, required=True, metavar="N", help="the same seed gives the same circuit")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        required=True,
+        metavar="N",
+        help="seed of the circuit; the same seed and style give the same circuit",
+    )
     parser.add_argument(
         "--style",
         default="hull",
-        help="hull (flowing), voronoi (many braking zones) or hairpin (long straights) (default: hull)",
+        help="hull (flowing bends), voronoi (many braking zones) or hairpin (long straights) (default: hull)",
     )
     parser.add_argument("--width", type=float, default=2.2, metavar="M", help="width of the track in m (default: 2.2)")
-    parser.add_argument("--name", help="name of the circuit (default: the folder's)")
+    parser.add_argument("--name", help="name of the circuit (default: that of the folder)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="map folder to write")
     parser.set_defaults(run=run_generate)
 
     parser = add_command(
         tracks,
         "calibrate",
-        "find the speeds at which driving on a circuit becomes a risk",
+        "measure the speed range and the start positions of a circuit by simulation",
         "pcs-racing track calibrate maps/Sevenhills --preset contest --write",
     )
     parser.add_argument("track", nargs="?", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK}, unless --write is given)")
     add_preset(parser)
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="root of the noise (default: 0)")
-    parser.add_argument("--write", action="store_true", help="keep the speed range in the circuit's NAME_track.yaml")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the noise (default: 0)")
+    parser.add_argument(
+        "--write", action="store_true", help="store the result in the file NAME_track.yaml of the map folder"
+    )
     parser.set_defaults(run=run_calibrate)
 
 
 def run_list(arguments: argparse.Namespace) -> None:
-    """Print a line for each shipped circuit."""
+    """Print one line for each shipped circuit."""
     for name in list_tracks():
         print(f"{name:14} {load_track(name).length:6.1f} m")
 
 
 def run_show(arguments: argparse.Namespace) -> None:
-    """Print a track's summary; draw it."""
+    """Print a summary of a track, and draw it."""
     target = output_file(arguments.out, ".png", ".svg", ".pdf") if arguments.out else None
     track = load_track(arguments.track)
     print(track.summary())
@@ -113,7 +126,7 @@ def run_show(arguments: argparse.Namespace) -> None:
 
 
 def run_import(arguments: argparse.Namespace) -> None:
-    """Complete a map folder."""
+    """Build the missing lines of a map and write its folder."""
     from pcs_racing.track.mapping.folders import import_map
 
     track = import_map(
@@ -128,7 +141,7 @@ def run_import(arguments: argparse.Namespace) -> None:
 
 
 def run_generate(arguments: argparse.Namespace) -> None:
-    """Generate a circuit."""
+    """Generate a circuit and write its folder."""
     from pcs_racing.track.mapping.folders import generate_map
 
     track = generate_map(
@@ -143,7 +156,7 @@ def run_generate(arguments: argparse.Namespace) -> None:
 
 
 def run_calibrate(arguments: argparse.Namespace) -> None:
-    """Scan the hazard, try the start places; keep what was found."""
+    """Measure the crash rate over the speed and the start positions; print and store the calibration."""
     config = load_race_config(arguments.preset)
     if arguments.write and arguments.track is None:
         raise InputError("--write changes a map folder: say which, as in 'pcs-racing track calibrate FOLDER --write'")
@@ -155,7 +168,7 @@ def run_calibrate(arguments: argparse.Namespace) -> None:
 
 
 def _keep_calibration(track: Track, preset: str, calibration: Calibration) -> Path:
-    """Put a calibration into the file beside the map, whose other entries stay."""
+    """Store a calibration in the file NAME_track.yaml, and keep the other entries of the file."""
     if track.folder is None:
         raise InputError(f"track {track.name!r} does not come from a folder: there is nowhere to write")
     path = track.folder / f"{track.name}_track.yaml"
@@ -167,7 +180,7 @@ def _keep_calibration(track: Track, preset: str, calibration: Calibration) -> Pa
 
 
 def _direction(text: str) -> str | float:
-    """A heading if it is a number, else the word for the mapping tools to judge."""
+    """Return a heading if the text is a number, else the text itself, which the mapping tools check."""
     try:
         return float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""``pcs-racing train``: train a network that predicts from an observation what each move is worth."""
+"""``pcs-racing train``: train a network that predicts counterfactual regrets from observations."""
 
 import argparse
 import csv
@@ -37,30 +37,40 @@ _Learn = Callable[[Executor | None], _Outcome]
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``train``."""
     parser = add_command(
         commands,
         "train",
-        "train the regret approximator on game trees or ego trees",
+        "train a network that predicts counterfactual regrets, or another value of each move, from observations",
         "pcs-racing train out/trees --target regret --out out/networks/regret",
         "pcs-racing train out/trees-a out/trees-b --config study --target advantage --out out/networks/advantage",
         "pcs-racing train out/ego --out out/networks/static-q",
     )
-    parser.add_argument("trees", nargs="+", type=Path, metavar="DIR", help="folders that 'pcs-racing tree' wrote")
+    parser.add_argument(
+        "trees",
+        nargs="+",
+        type=Path,
+        metavar="DIR",
+        help="folders of game trees or ego trees, written by 'pcs-racing tree'",
+    )
     parser.add_argument(
         "--target",
-        help="what to learn: regret (the paper; the default), normalised, advantage, static-q "
-        "(the only one of ego trees) or nash",
+        help="value to predict: regret (of the paper; the default), normalised, advantage, nash, or static-q "
+        "(the only target for ego trees)",
     )
     configs = ", ".join(shipped_configs("train"))
     parser.add_argument("--config", metavar="NAME", help=f"settings: {configs} or a YAML file")
-    parser.add_argument("--epochs", type=int, metavar="N", help="at most so many epochs")
-    parser.add_argument("--hidden", type=int, nargs="+", metavar="N", help="widths of the hidden layers")
-    parser.add_argument("--seed", type=int, metavar="N", help="root of the split, the first weights and the draws")
+    parser.add_argument("--epochs", type=int, metavar="N", help="maximum number of epochs")
+    parser.add_argument("--hidden", type=int, nargs="+", metavar="N", help="number of units of each hidden layer")
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="seed of the data split, the initial weights and the random draws"
+    )
     parser.add_argument("--name", help="name of the network (default: that of the folder)")
-    parser.add_argument("--no-tensorboard", action="store_true", help="write no curves for TensorBoard")
-    parser.add_argument("--no-picture", action="store_true", help="draw no learning curves")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the network and its curves")
+    parser.add_argument("--no-tensorboard", action="store_true", help="do not write learning curves for TensorBoard")
+    parser.add_argument("--no-picture", action="store_true", help="do not draw the learning curves")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the network and its learning curves"
+    )
     from pcs_racing_agents.jobs.jobs import add_executor_options
 
     add_executor_options(parser)
@@ -68,7 +78,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Train, print what the network is worth, and write it."""
+    """Train the network, print its scores, and write it."""
     from pcs_racing_agents.cli.estimates import announce, training_seconds
     from pcs_racing_agents.jobs.jobs import executor_from
     from pcs_racing_agents.networks.network_files import save_network
@@ -115,7 +125,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
-    """Open folders of game trees; what is returned learns from them."""
+    """Open folders of game trees; return the function that trains on them."""
     from pcs_racing_agents.jobs.jobs import show_progress
     from pcs_racing_agents.networks.from_trees import train_on_trees, trees_identity
     from pcs_racing_agents.networks.metrics import TreeScore, score_table
@@ -149,7 +159,7 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
 
 
 def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
-    """Open folders of ego trees; what is returned learns from them."""
+    """Open folders of ego trees; return the function that trains on them."""
     from pcs_racing_agents.jobs.jobs import show_progress
     from pcs_racing_agents.jobs.tasks import in_other_processes, run_task
     from pcs_racing_agents.networks.from_ego import check_ego_target, ego_score_table, train_on_ego
@@ -194,12 +204,12 @@ def _holds_ego_trees(folder: Path) -> bool:
     try:
         read_settings(folder, KIND)
     except InputError:
-        return False  # what else it holds, or not, is said where it is opened
+        return False  # other content, or none, is reported where the folder is opened
     return True
 
 
 def _check_one_game(folders: Sequence[Path], made: Sequence[Mapping[str, Any]]) -> None:
-    """Check that all trees are of one archive, whatever it is called, and one set of rules; tracks may differ."""
+    """Check that all trees have the same archive (by content) and the same rules; tracks may differ."""
 
     def facts(settings: Mapping[str, Any]) -> dict[str, Any]:
         rules = {key: value for key, value in settings["rules"].items() if key != "race"}
@@ -226,7 +236,7 @@ def _about(made: Sequence[Mapping[str, Any]]) -> dict[str, str | int | float | b
 
 
 def _check_packages(arguments: argparse.Namespace) -> None:
-    """Say what is missing before any work is done."""
+    """Check that the optional libraries are installed, before any long work."""
     from importlib.util import find_spec
 
     wanted = [("torch", "learning", True), ("tensorboard", "learning", not arguments.no_tensorboard)]
@@ -237,7 +247,7 @@ def _check_packages(arguments: argparse.Namespace) -> None:
 
 
 def _write_scores(scores: list[dict[str, str | float]], file: Path) -> None:
-    """Write what the network and others lose, or get, where the network did not learn."""
+    """Write the scores of the network and of other strategies on the trees held out from training."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(scores[0]) if scores else ["strategy"], lineterminator="\n")
     writer.writeheader()

@@ -1,4 +1,4 @@
-"""``pcs-racing tree``: play game trees, or the cheaper ego trees, into a folder."""
+"""``pcs-racing tree``: build game trees, or the cheaper ego trees, and store them in a folder."""
 
 import argparse
 import time
@@ -7,10 +7,11 @@ from typing import Any
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import UTILITIES
-from pcs_racing.game.game import RaceGame, make_game
+from pcs_racing.game.rules import RaceGame, make_game
 from pcs_racing_agents.cli.estimates import announce, cores_of, ego_seconds, tree_seconds
 from pcs_racing_agents.cli.options import Commands, add_command, add_preset, add_track
 from pcs_racing_agents.jobs.jobs import Progress, add_executor_options, executor_from, show_progress
+from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.trees import StoredTrees, build_ego_trees, build_trees
 from pcs_racing_agents.trees.ego import OPPONENTS
 from pcs_racing_agents.trees.paths import check_size
@@ -21,49 +22,69 @@ __all__ = ["add", "tree_table"]
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``tree``."""
     parser = add_command(
         commands,
         "tree",
-        "play game trees: every move of both players, for pairs of starting policies",
+        "build game trees: simulate all moves of both players, for pairs of starting policies",
         "pcs-racing tree --pairs 8 --out out/trees",
         "pcs-racing tree --archive default --track Tarnfjord --pairs 20 --out out/trees",
         "pcs-racing tree --archive default --track Tarnfjord --preset contest --pairs 10 --seeds 4 --out out/contest",
         "pcs-racing tree --archive default --track Tarnfjord --ego 640 --out out/ego",
     )
     parser.add_argument(
-        "--archive", default="default", help="name of a shipped archive, or its folder (default: default)"
+        "--archive", default="default", help="name of a shipped archive, or a folder (default: default)"
     )
     add_track(parser)
     add_preset(parser)
-    parser.add_argument("--moves", type=int, metavar="M", help="moves of each player (default: 4)")
-    parser.add_argument("--step", type=float, metavar="S", help="driving per move in s (default: 8)")
-    parser.add_argument("--epsilon", type=float, nargs="+", metavar="E", help="length of a move (default: 0.5)")
-    parser.add_argument("--utility", choices=list(UTILITIES), help="what the end is worth (default: the preset's)")
+    parser.add_argument("--moves", type=int, metavar="M", help="number of moves of each player (default: 4)")
+    parser.add_argument("--step", type=float, metavar="S", help="simulated time per move in s (default: 8)")
     parser.add_argument(
-        "--stay", action=argparse.BooleanOptionalAction, help="whether there is a move that keeps the policy"
-    )
-    parser.add_argument("--pairs", type=int, default=20, metavar="N", help="pairs of starting policies (default: 20)")
-    parser.add_argument(
-        "--seeds", type=int, metavar="S", help="noise seeds of a pair (default: 4 where there is noise, else 1)"
+        "--epsilon",
+        type=float,
+        nargs="+",
+        metavar="E",
+        help="length of a move in normalised coordinates (default: 0.5)",
     )
     parser.add_argument(
-        "--ego", type=int, metavar="N", help="play N ego trees instead: all moves of car 0 against one line of car 1"
+        "--utility", choices=list(UTILITIES), help="utility at the end of a game (default: that of the preset)"
+    )
+    parser.add_argument(
+        "--stay", action=argparse.BooleanOptionalAction, help="whether the game has a move that keeps the policy"
+    )
+    parser.add_argument(
+        "--pairs", type=int, default=20, metavar="N", help="number of pairs of starting policies (default: 20)"
+    )
+    parser.add_argument(
+        "--seeds", type=int, metavar="S", help="noise realisations per pair (default: 4 with noise, else 1)"
+    )
+    parser.add_argument(
+        "--ego",
+        type=int,
+        metavar="N",
+        help="build N ego trees instead: all moves of car 0 against one sequence of moves of car 1",
     )
     parser.add_argument(
         "--opponent",
         choices=list(OPPONENTS),
         default="random",
-        help="car 1 of ego trees: " + "; ".join(f"{name}: {meaning}" for name, meaning in OPPONENTS.items()),
+        help="behaviour of car 1 in ego trees: "
+        + "; ".join(f"{name}: {meaning}" for name, meaning in OPPONENTS.items()),
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="root of all that is drawn (default: 0)")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write, or to go on with")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of all random draws (default: 0)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder for the trees; a command that was stopped resumes in its folder",
+    )
     add_executor_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Play, and say what it took."""
+    """Build the trees, and print a summary with the time that it took."""
     game = _game(arguments)
     moves = len(game.move_names)
     if arguments.ego is None:
@@ -114,7 +135,7 @@ def _game(arguments: argparse.Namespace) -> RaceGame:
 
 
 def tree_table(trees: StoredTrees) -> str:
-    """Return a table of what each tree cost, and of what it saved."""
+    """Return a table of the simulated segments of each tree, and of the share that sharing saved."""
     rows: list[tuple[str, ...]] = [
         ("tree", "policies", "start", "side", "seeds", "driven", "of shared", "of replayed", "crashes", "repeats")
     ]
@@ -124,8 +145,7 @@ def tree_table(trees: StoredTrees) -> str:
         total.append(s)
         first, second = tree.policies
         rows.append((str(i), f"{first} {second}", f"{tree.start_s:.1f} m", str(tree.side), str(s.seeds), *_shares(s)))
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    lines = aligned(rows, left=0)
     driven, live, shared, replayed = (sum(getattr(s, key) for s in total) for key in TreeStatistics._fields[1:5])
     lines += [
         f"{driven} segments driven of {live} different ones: {driven / shared:.0%} of the {shared} of trees that share "

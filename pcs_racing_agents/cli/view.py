@@ -1,4 +1,4 @@
-"""``pcs-racing view``: a page that lists the races of a tournament and plays them."""
+"""``pcs-racing view``: write or serve a page that lists the races of a tournament and plays them."""
 
 import argparse
 import os
@@ -12,9 +12,9 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli.options import Commands, add_command, output_file
 
 if TYPE_CHECKING:
-    from pcs_racing_agents.view.contests import Results
+    from pcs_racing_agents.results.races import RaceTable
     from pcs_racing_agents.view.race_choice import Pick
-    from pcs_racing_agents.view.race_columns import RaceColumns
+    from pcs_racing_agents.view.results_folder import ResultsFolder
     from pcs_racing_agents.view.view_page import ViewContent
 
 __all__ = ["add"]
@@ -25,11 +25,11 @@ LONE_FILE = "there is no job.yaml beside this file that says how its races were 
 
 
 def add(commands: Commands) -> None:
-    """Add the command."""
+    """Add the command ``view``."""
     parser = add_command(
         commands,
         "view",
-        "list the races of a tournament on a page, and watch them",
+        "write a page that lists the races of a tournament or a study and plays them",
         "pcs-racing view out/mine",
         "pcs-racing view out/mine --races 12 40 --out chosen.html",
         "pcs-racing view out/mine --serve",
@@ -37,43 +37,45 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "results", type=Path, metavar="RESULTS", help="folder of a tournament or a study, or its results.csv"
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the page to write (default: view.html there)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="file for the page (default: view.html in the folder of the results)"
+    )
     parser.add_argument(
         "--replays",
         type=int,
         metavar="N",
-        help=f"races to put into the page, chosen by rule (default: {REPLAYS}; with --races or --serve: 0)",
+        help=f"number of races to include, selected by a rule (default: {REPLAYS}; with --races or --serve: 0)",
     )
-    parser.add_argument("--races", type=int, nargs="+", default=[], metavar="K", help="races to put into the page")
+    parser.add_argument("--races", type=int, nargs="+", default=[], metavar="K", help="numbers of races to include")
     parser.add_argument(
-        "--serve", action="store_true", help="write nothing; serve the page from this machine, any race to be watched"
+        "--serve",
+        action="store_true",
+        help="write no file; serve the page from this machine, where any race can be watched",
     )
-    parser.add_argument("--port", type=int, metavar="P", help="with --serve: the port (default: a free one)")
+    parser.add_argument("--port", type=int, metavar="P", help="with --serve: port of the server (default: a free port)")
     parser.add_argument("--no-open", action="store_true", help="do not open the page in a browser")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the page, or serve it."""
-    from pcs_racing_agents.tournament.result_lines import read_lines
-    from pcs_racing_agents.view.race_columns import race_columns
+    from pcs_racing_agents.results.race_files import read_results
 
     target = _check(arguments)
     results, file = _find(arguments.results)
-    lines = results.rows if results is not None else read_lines(file)
-    columns = race_columns(lines)
-    picks = _picks(arguments, columns, results)
+    races = results.races if results is not None else read_results(file)
+    picks = _picks(arguments, races, results)
     if arguments.serve:
         assert results is not None  # _picks has checked
-        _serve(arguments, columns, results, picks)
+        _serve(arguments, races, results, picks)
         return
     from pcs_racing.base.files import write_atomically
     from pcs_racing_agents.view.view_page import view_page
 
-    content = _content(arguments, columns, results, picks)
+    content = _content(arguments, races, results, picks)
     page = view_page(content).encode()
     write_atomically(target, lambda stream: stream.write(page))
-    print(f"{len(columns)} races, {len(picks)} of them to be watched, {len(page) / 1e6:.1f} MB")
+    print(f"{len(races)} races, {len(picks)} of them to be watched, {len(page) / 1e6:.1f} MB")
     if results is None:
         print(f"{LONE_FILE}; the page lists them")
     print(f"page: {target}")
@@ -82,7 +84,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> Path:
-    """Refuse options that do not go together, before any work; return where the page goes."""
+    """Refuse options that can't be combined, before any work; return the path of the page."""
     if arguments.serve and arguments.out is not None:
         raise InputError("--out goes without --serve: a page that is served is not written")
     if arguments.port is not None and not arguments.serve:
@@ -100,9 +102,9 @@ def _check(arguments: argparse.Namespace) -> Path:
     return output_file(arguments.out or place / "view.html", ".html")
 
 
-def _find(place: Path) -> "tuple[Results | None, Path]":
+def _find(place: Path) -> "tuple[ResultsFolder | None, Path]":
     """Return the races of a folder, or of a file; None where nobody knows how a file's races were driven."""
-    from pcs_racing_agents.view.contests import open_results
+    from pcs_racing_agents.view.results_folder import open_results
 
     folder = place
     if place.is_file():
@@ -120,7 +122,7 @@ def _find(place: Path) -> "tuple[Results | None, Path]":
     return results, folder.with_suffix(".csv") if ratings else folder / "results.csv"
 
 
-def _picks(arguments: argparse.Namespace, columns: "RaceColumns", results: "Results | None") -> "list[Pick]":
+def _picks(arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None") -> "list[Pick]":
     """Return which races the page is to hold."""
     from pcs_racing_agents.view.race_choice import Pick, choose_races
 
@@ -129,19 +131,19 @@ def _picks(arguments: argparse.Namespace, columns: "RaceColumns", results: "Resu
             raise InputError(f"can't drive races of {arguments.results} again: {LONE_FILE[:1].lower()}{LONE_FILE[1:]}")
         return []
     for number in arguments.races:
-        if not 0 <= number < len(columns):
-            raise InputError(f"--races names {number}; there are races 0 to {len(columns) - 1}")
+        if not 0 <= number < len(races):
+            raise InputError(f"--races names {number}; there are races 0 to {len(races) - 1}")
     default = 0 if arguments.races or arguments.serve else REPLAYS
     count = default if arguments.replays is None else arguments.replays
     asked = {number: Pick(number, "a race that was asked for") for number in arguments.races}
-    chosen = {pick.race: pick for pick in choose_races(columns, count)}
+    chosen = {pick.race: pick for pick in choose_races(races, count)}
     return list({**asked, **chosen, **asked}.values())
 
 
 def _content(
-    arguments: argparse.Namespace, columns: "RaceColumns", results: "Results | None", picks: "Sequence[Pick]"
+    arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None", picks: "Sequence[Pick]"
 ) -> "ViewContent":
-    """Drive the chosen races, and return what the page shows."""
+    """Simulate the selected races, and return the content of the page."""
     from pcs_racing_agents.jobs.jobs import show_progress
     from pcs_racing_agents.view.race_replays import RaceDriver
     from pcs_racing_agents.view.view_page import ViewContent
@@ -149,7 +151,7 @@ def _content(
     title = arguments.results.resolve()
     name = title.parent.name if title.name == "results.csv" else title.name
     if results is None:
-        return ViewContent(name, columns, str(arguments.results), why_not=f"{LONE_FILE[:1].upper()}{LONE_FILE[1:]}.")
+        return ViewContent(name, races, str(arguments.results), why_not=f"{LONE_FILE[:1].upper()}{LONE_FILE[1:]}.")
     driver, progress = RaceDriver(results), show_progress()
     driven = []
     try:
@@ -160,7 +162,7 @@ def _content(
         raise InputError(f"{error} (--replays 0 lists the races without any to be watched)") from None
     return ViewContent(
         name,
-        columns,
+        races,
         str(arguments.results),
         start=_kind_of_start(results),
         picks=picks,
@@ -170,7 +172,7 @@ def _content(
     )
 
 
-def _kind_of_start(results: "Results") -> str:
+def _kind_of_start(results: "ResultsFolder") -> str:
     """Return how the races start, as far as the folder tells."""
     if results.study is not None:
         return results.study.config.game.race.start
@@ -179,7 +181,9 @@ def _kind_of_start(results: "Results") -> str:
     return str(race.get("start", "side-by-side")) if isinstance(race, dict) else "side-by-side"
 
 
-def _serve(arguments: argparse.Namespace, columns: "RaceColumns", results: "Results", picks: "Sequence[Pick]") -> None:
+def _serve(
+    arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder", picks: "Sequence[Pick]"
+) -> None:
     """Serve the page until the viewer ends the command."""
     from dataclasses import replace
 
@@ -187,11 +191,11 @@ def _serve(arguments: argparse.Namespace, columns: "RaceColumns", results: "Resu
     from pcs_racing_agents.view.view_page import view_page
     from pcs_racing_agents.view.view_server import RaceService, make_server
 
-    page = view_page(replace(_content(arguments, columns, results, picks), serve=True))
-    service = RaceService(RaceDriver(results), len(columns))
+    page = view_page(replace(_content(arguments, races, results, picks), serve=True))
+    service = RaceService(RaceDriver(results), len(races))
     with make_server(page, service.answer, arguments.port or 0) as server:
         address = f"http://127.0.0.1:{server.server_address[1]}/"
-        print(f"{len(columns)} races at {address} (Ctrl-C ends it)", flush=True)
+        print(f"{len(races)} races at {address} (Ctrl-C ends it)", flush=True)
         if not arguments.no_open:
             _open(address)
         try:
@@ -201,7 +205,7 @@ def _serve(arguments: argparse.Namespace, columns: "RaceColumns", results: "Resu
 
 
 def _open(address: str) -> None:
-    """Open a browser, where there is a screen for one: Python would start one that runs in this terminal instead."""
+    """Open a browser if there is a display; without one, Python would start a browser in this terminal."""
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         return
     webbrowser.open(address)

@@ -33,9 +33,9 @@ __all__ = [
 
 EXECUTORS = {
     "serial": "one task after the other",
-    "threads": "threads of this process; compiled code holds no lock",
+    "threads": "threads of this process",
     "processes": "processes of this machine",
-    "dask": "workers of a dask cluster (--scheduler), or as many processes",
+    "dask": "workers of a dask cluster (--scheduler), else processes",
 }
 
 ANSWER_SECONDS = 5.0
@@ -286,8 +286,12 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that :func:`executor_from` reads."""
     kinds = "; ".join(f"{kind}: {meaning}" for kind, meaning in EXECUTORS.items())
     parser.add_argument("--executor", choices=list(EXECUTORS), default="threads", help=f"{kinds} (default: threads)")
-    parser.add_argument("--workers", type=int, metavar="N", help="threads or processes (default: the cores there are)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a running dask scheduler, like tcp://host:8786")
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="number of threads or processes (default: number of cores)"
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="address of a running dask scheduler, like tcp://host:8786"
+    )
 
 
 def executor_from(arguments: argparse.Namespace) -> AbstractContextManager[Executor | None]:

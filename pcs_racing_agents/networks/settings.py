@@ -22,37 +22,37 @@ class TrainSettings(Settings):
     """
 
     target: str = setting(
-        "regret", choice(tuple(TARGETS)), "What is learned (pcs_racing_agents.networks.targets.TARGETS)."
+        "regret", choice(tuple(TARGETS)), "Target of the network (pcs_racing_agents.networks.targets.TARGETS)."
     )
-    iterations: int = setting(1000, whole(1, 1_000_000), "Iterations of CFR behind the targets made of regrets.")
+    iterations: int = setting(1000, whole(1, 1_000_000), "Iterations of CFR for targets based on regrets.")
     variant: str = setting(
         "vanilla",
         choice(tuple(VARIANTS)),
-        'Kind of CFR behind them; "vanilla" is the paper\'s, whose cumulative regrets can be negative.',
+        'Variant of CFR; "vanilla" is that of the paper, whose cumulative regrets can be negative.',
     )
     opponent: str = setting("fixed-sequence", choice(tuple(OPPONENTS)), 'Opponent of the target "static-q".')
     continuation: str = setting(
         "learned",
         choice(("learned", "best")),
-        "What follows a move in the targets of ego trees: what the network learned of the later moves, or what would "
-        "have been best in hindsight.",
+        "Moves after the evaluated one in the targets of ego trees: those of the networks for later steps, or the best "
+        "ones in hindsight.",
     )
     row_weights: str | None = setting(
         None,
         choice(tuple(ROW_WEIGHTS)),
-        'How much each node of a tree counts; None takes "uniform" for "regret", since at a tree\'s root cumulative '
-        'regrets are a hundred times as large as at its ends, and "random" for all other targets.',
+        'Weight of each node of a tree; None takes "uniform" for "regret", because at a tree\'s root cumulative '
+        'regrets are a hundred times as large as at its leaves, and "random" for all other targets.',
     )
     rows_per_step: int = setting(
-        0, whole(0, 1_000_000), "Most nodes of each step that are taken from a tree, drawn at random; 0 for all."
+        0, whole(0, 1_000_000), "Maximum number of nodes of each step from a tree, selected at random; 0 for all."
     )
-    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Widths of the hidden layers.")
+    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer.")
     learning_rate: float = setting(
         1e-3,
         number(1e-8, 10.0),
-        "Of Adam, at the beginning; halved whenever a quarter of the patience has brought nothing.",
+        "Initial learning rate of Adam; halved after a quarter of the patience without improvement.",
     )
-    weight_decay: float = setting(0.01, number(0.0, 10.0), "Decoupled from the gradient (AdamW); 0 for plain Adam.")
+    weight_decay: float = setting(0.01, number(0.0, 10.0), "Weight decay of AdamW; 0 for plain Adam.")
     floor: float | None = setting(
         None,
         number(0.0, 1000.0),
@@ -71,21 +71,17 @@ class TrainSettings(Settings):
         "For clipped targets: weight of the errors below 0 in rows that have no positive target. There the paper "
         "allows any move; with this above 0 the network learns which is the least bad.",
     )
-    batch_size: int = setting(1024, whole(1, 1_000_000), "Rows of a gradient step.")
+    batch_size: int = setting(1024, whole(1, 1_000_000), "Rows in the batch of a gradient step.")
     rows_per_epoch: int = setting(
         100_000,
         whole(1, 100_000_000),
         "Rows drawn per epoch, with replacement, in proportion to their weights; at most as many as there are.",
     )
-    epochs: int = setting(200, whole(1, 100_000), "At most.")
-    patience: int = setting(
-        20, whole(1, 100_000), "Stop after so many epochs without a lower loss on the validation rows."
-    )
-    validation_share: float = setting(0.15, number(0.01, 0.9), "Share of the starting pairs that decides when to stop.")
-    test_share: float = setting(
-        0.15, number(0.0, 0.9), "Share of the starting pairs kept away from both, to judge the network by."
-    )
-    seed: int = setting(0, whole(0, 2**63 - 1), "Root of the initial weights and of all that is drawn.")
+    epochs: int = setting(200, whole(1, 100_000), "Maximum number of epochs.")
+    patience: int = setting(20, whole(1, 100_000), "Epochs without a lower validation loss after which training stops.")
+    validation_share: float = setting(0.15, number(0.01, 0.9), "Share of the starting pairs used for early stopping.")
+    test_share: float = setting(0.15, number(0.0, 0.9), "Share of the starting pairs held out to evaluate the network.")
+    seed: int = setting(0, whole(0, 2**63 - 1), "Seed of the initial weights and of all random draws.")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -27,39 +27,37 @@ class StudyConfig(Settings):
     """Everything that decides the results of a study."""
 
     race: str = setting("paper", text(), "Rules: a preset's name or a YAML file.")
-    epsilon: float | tuple[float, ...] = setting(
-        0.5, EPSILON_RULE, "How far a move goes, in the archive's normalised units."
-    )
+    epsilon: float | tuple[float, ...] = setting(0.5, EPSILON_RULE, "Length of a move, in normalised coordinates.")
     moves: int = setting(4, whole(1, 100), "Moves of each car in a game.")
     step_seconds: float = setting(8.0, tenths(0.1, 600.0), "Time between two moves, s.")
     synthesis: str | None = setting(
         None,
         text(),
-        "Configuration of the archive's synthesis; None takes the archive that is named instead of making one.",
+        "Configuration of the synthesis; None uses an existing archive instead.",
     )
-    archive: str = setting("default", text(), "Shipped archive, or folder of one, where none is made.")
-    circuits: tuple[str, ...] = setting(("Tarnfjord",), names(), "Where trees are played and answers are learned.")
+    archive: str = setting("default", text(), "Name or folder of the existing archive.")
+    circuits: tuple[str, ...] = setting(("Tarnfjord",), names(), "Circuits of the trees and of training.")
     pairs: int = setting(12, whole(0, 100_000), "Game trees on each circuit; 0 for none.")
-    seeds: int = setting(1, whole(1, 1000), "Seeds of the noise in each tree; 1 where the races have no noise.")
+    seeds: int = setting(1, whole(1, 1000), "Noise realisations in each tree; 1 without noise.")
     training: str = setting("study", text(), "Settings of the networks' training.")
     targets: tuple[str, ...] = setting(
-        ("regret", "normalised", "advantage", "static-q"), names(), "What networks are trained to say, in this order."
+        ("regret", "normalised", "advantage", "static-q"), names(), "Targets of the networks, in this order."
     )
     responses: tuple[str, ...] = setting(
-        (), names(0), "Settings of the answers to learn (pcs_racing_agents.learning.responses.ResponseSettings)."
+        (), names(0), "Settings of the learned responses (pcs_racing_agents.learning.responses.ResponseSettings)."
     )
     response_pool: tuple[str, ...] = setting(
-        ("never-switch", "random-moves"), names(), "Opponents that answers are learned against."
+        ("never-switch", "random-moves"), names(), "Opponents in the training of responses."
     )
     fitting_games: int = setting(
         100,
         whole(2, 1_000_000),
-        "Games against each opponent on each circuit, for the choice of the best blind strategies; even.",
+        "Games against each opponent on each circuit, to select the best open-loop strategies; even.",
     )
     fixed_targets: int = setting(
         16,
         whole(0, 1_000_000),
-        "Policies among which the best one to walk to is chosen, spread over the archive; 0 for all.",
+        "Candidate policies for the target of best-fixed, spread over the archive; 0 for all.",
     )
     fitting_opponents: tuple[str, ...] = setting(("never-switch",), names(), "Opponents in those games.")
     tracks: tuple[str, ...] = setting(("Tarnfjord",), names(), "Circuits of the table.")
@@ -69,26 +67,26 @@ class StudyConfig(Settings):
     arms: tuple[str, ...] = setting(
         ("never-switch", "best-fixed", "best-schedule", "cfr-argmax"),
         names(),
-        "Agents of the table; the first is what the others are compared with. With both best blind agents among them "
+        "Agents of the table; the first is the baseline. With both best open-loop agents among them "
         "the table has the adaptivity gain; one without the other is refused.",
     )
-    best: str = setting("cfr-argmax", text(), "Our best agent among them.")
+    best: str = setting("cfr-argmax", text(), "The agent of main interest among them.")
     egos: int = setting(20, whole(2, 1000), "Start policies of the ego in each cell.")
     variants: int = setting(20, whole(2, 1000), "Variants of the opponent in each cell.")
     lines: int = setting(5, whole(1, 1000), "Start lines of each cell; races start from both sides.")
-    further_tracks: tuple[str, ...] = setting((), names(0), "Circuits of the second table, beside the first's.")
-    further_opponents: tuple[str, ...] = setting((), names(0), "Opponents of the second table, beside the first's.")
-    further_arms: tuple[str, ...] = setting((), names(0), "Agents of the second table, beside the first's.")
+    further_tracks: tuple[str, ...] = setting((), names(0), "Additional circuits of the second table.")
+    further_opponents: tuple[str, ...] = setting((), names(0), "Additional opponents of the second table.")
+    further_arms: tuple[str, ...] = setting((), names(0), "Additional agents of the second table.")
     further_lines: int = setting(0, whole(0, 1000), "Start lines of its cells; 0 for no second table.")
     ppo: str | None = setting(
         None,
         text(),
-        "Settings, of level duel, of a PPO baseline that is trained along the way on the study's circuits, with its "
-        'archive and by its rules; None for none. Without it the agent "ppo" is the shipped one.',
+        "Settings (level duel) of a PPO baseline that is trained on the study's circuits, with its archive and "
+        'rules; None trains none, and the agent "ppo" is then the shipped one.',
     )
-    rivals: tuple[str, ...] = setting((), names(0), "Agents that play all against all for the ratings.")
-    rival_races: int = setting(100, whole(2, 2000), "Races of each pair of them on each circuit of the table; even.")
-    seed: int = setting(0, whole(0, 2**62), "Root of everything that is drawn.")
+    rivals: tuple[str, ...] = setting((), names(0), "Agents of the round robin for the ratings.")
+    rival_races: int = setting(100, whole(2, 2000), "Races of each pair of rivals on each circuit of the table; even.")
+    seed: int = setting(0, whole(0, 2**62), "Seed of all random draws.")
 
     def __post_init__(self) -> None:
         super().__post_init__()

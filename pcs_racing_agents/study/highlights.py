@@ -6,12 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.game import RaceGame
 from pcs_racing.race.replay import Replay
-from pcs_racing_agents.agents.agent import Competitor
 from pcs_racing_agents.explain.explain import explain_match
 from pcs_racing_agents.explain.words import story
-from pcs_racing_agents.tournament.cells import Cell
+from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.tournament.pairings import Pairing
 
 __all__ = ["KINDS", "TellingRace", "Watched", "telling_races", "watch_race"]
 
@@ -45,15 +44,15 @@ class TellingRace(NamedTuple):
     title : str
         What the race is.
     race : int
-        Its number in the cells.
+        Its number in the pairing.
     """
 
     title: str
     race: int
 
 
-def telling_races(agent: Cell, base: Cell) -> dict[str, TellingRace]:
-    """Pick a win by switching, a loss, and a crash from the cells of an agent and of the one that never switches.
+def telling_races(ours: RaceTable, theirs: RaceTable) -> dict[str, TellingRace]:
+    """Pick a win by switching, a loss, and a crash from the races of an agent and of the one that never switches.
 
     A win or a loss is rather one where keeping the policy brings the contrary in the same race; a crash is the agent's
     fault, and rather one after its first move. Where there are several such races, it is the one with the median lead:
@@ -61,19 +60,17 @@ def telling_races(agent: Cell, base: Cell) -> dict[str, TellingRace]:
 
     Parameters
     ----------
-    agent, base : Cell
-        With the same units.
+    ours, theirs : RaceTable
+        The same races, driven by the agent and by the one that never switches.
 
     Returns
     -------
     dict of str to TellingRace
         By its kind, one of ``KINDS``; what did not occur is left out.
     """
-    ours, theirs = agent.matches, base.matches
-    clean = ~ours.crash.any(axis=1)
-    switched = (ours.policy[:, 0] != ours.policy[:, 0, :1]).any(axis=1)
+    clean, switched = ~ours.crashed, ours.switches[:, 0] > 0
     won, lost, fault = clean & (ours.winner == 0), clean & (ours.winner == 1), ours.fault[:, 0] > 0
-    keeps = f"{base.ego} starts alike and"
+    ego, keeps = ours[0].ego, f"{theirs[0].ego} starts alike and"
     wanted = (
         {
             f"A win by switching; {keeps} loses": won & switched & (theirs.winner == 1),
@@ -81,8 +78,8 @@ def telling_races(agent: Cell, base: Cell) -> dict[str, TellingRace]:
         },
         {f"A loss; {keeps} wins": lost & (theirs.winner == 0), "A loss": lost},
         {
-            f"A crash that {agent.ego} is to blame for": fault & (ours.moves[:, 0, 0] >= 0),
-            f"A crash before the first move that {agent.ego} is to blame for": fault,
+            f"A crash that {ego} is to blame for": fault & (ours.moves.codes[:, 0, 0] >= 0),
+            f"A crash before the first move that {ego} is to blame for": fault,
         },
     )
     found = {}
@@ -95,41 +92,20 @@ def telling_races(agent: Cell, base: Cell) -> dict[str, TellingRace]:
     return found
 
 
-def watch_race(
-    game: RaceGame,
-    ego: Competitor,
-    opponent: Competitor,
-    cell: Cell,
-    race: int,
-    title: str,
-    *,
-    candidates: bool = False,
-) -> Watched:
-    """Drive a race of a cell again, for the report.
+def watch_race(pairing: Pairing, race: int, title: str, *, candidates: bool = False) -> Watched:
+    """Drive a race again, for the report.
 
     Parameters
     ----------
-    game : RaceGame
-        The cell's.
-    ego, opponent : Competitor
-        Those of the cell; the ego an agent that moves.
-    cell : Cell
+    pairing : Pairing
+        Its ego is an agent that moves.
     race : int
         Number of the race in it.
     title : str
     candidates : bool
         Whether to keep the paths that the planners chose from: about a megabyte.
     """
-    units = cell.units
-    explanation = explain_match(
-        game,
-        ego,
-        opponent,
-        policies=units.variants[race],
-        start=units.starts.take([race]),
-        seed=int(units.seeds[race]),
-        candidates=candidates,
-    )
+    explanation = explain_match(pairing.game, pairing.ego, pairing.opponent, **pairing.one(race), candidates=candidates)
     picture = b""
     if find_spec("matplotlib") is not None:
         from pcs_racing_agents.explain.pictures import explanation_picture

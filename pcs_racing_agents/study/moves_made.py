@@ -1,112 +1,51 @@
-"""Which move the study's agents make in which situation: a part of their races, driven again to see what they saw."""
+"""Which move the study's agents make in which situation: races driven again to see what they observed."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcs_racing.game.game import RaceGame
-from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.agents.agent import Agent, Competitor, competitor_hash
+from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.explain.explain import is_blind
 from pcs_racing_agents.explain.situations import Situations, summarise, write_situations
-from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.study.racing import StudyCell
-from pcs_racing_agents.study.run import Study
-from pcs_racing_agents.tournament.matches import play_games
+from pcs_racing_agents.study.racing import StudyRaces
+from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.tournament.runner import play_pairings
 
 __all__ = ["moves_in_situations"]
 
 SEED = 7_000_000
-BLOCK = 500  # races of one task
 
 
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """Races of a cell to be driven again; the digest is of all that their result depends on."""
-
-    content_hash: str
-    track: str
-    arm: str
-    opponent: str
-    variants: NDArray[np.int64]
-    starts: Starts
-    seeds: NDArray[np.uint64]
-
-
-@dataclass(frozen=True, eq=False)
-class _Driver:
-    """What drives them; it travels to other processes together with the games and the agents."""
-
-    games: Mapping[str, RaceGame]
-    agents: Mapping[str, Competitor]
-
-    def __call__(self, task: _Task) -> dict[str, NDArray[Any]]:
-        matches = play_games(
-            self.games[task.track],
-            self.agents[task.arm],
-            self.agents[task.opponent],
-            policies=task.variants,
-            starts=task.starts,
-            seeds=task.seeds,
-        )
-        return {"seen": matches.seen[:, 0], "moves": matches.moves[:, 0]}
-
-
-def moves_in_situations(study: Study, played: Sequence[StudyCell], races: int = 1000) -> list[Situations]:
+def moves_in_situations(study: Study, played: Sequence[StudyRaces], races: int = 1000) -> list[Situations]:
     """Sum up the moves of every agent of the main table that looks at the race; write each as CSV.
 
     Parameters
     ----------
     study : Study
-    played : sequence of StudyCell
+    played : sequence of StudyRaces
     races : int
-        Of each cell, at most; drawn by the study's seed, the same ones for all agents.
+        Of each pairing, at most; drawn by the study's seed, the same ones for all agents.
     """
-    agents = [name for name in study.config.arms if not is_blind(study.agent(name))]
-    agents = [name for name in agents if isinstance(study.agent(name), Agent)]
-    cells = [found for found in played if found.table == "main" and found.arm in agents]
-    tasks = [task for found in cells for task in _tasks(study, found, races)]
-    if not tasks:
+    pairings = []
+    for found in played:
+        ego = found.pairing.ego
+        if found.table == "main" and isinstance(ego, Agent) and not is_blind(ego):
+            rng = np.random.default_rng(np.random.SeedSequence(study.config.seed, spawn_key=(SEED,)))
+            pairings.append(found.pairing.take(np.sort(rng.permutation(len(found.pairing))[:races])))
+    if not pairings:
         return []
-    threads = None if study.executor is None else 1
-    driver = _Driver(
-        {name: replace(study.game(name), threads=threads) for name in {task.track for task in tasks}},
-        {name: study.agent(name) for task in tasks for name in (task.arm, task.opponent)},
-    )
     folder = study.folder / "report" / "situations"
     with open_job(folder, "situations", {"archive": study.archive.content_hash, "races": races}) as job:
-        told = study.progress("tasks (moves in situations)")
-        found = job.run("moves", driver, tasks, executor=study.executor, progress=told)
+        told = study.progress("races (moves in situations)")
+        again = play_pairings(
+            pairings, name="moves", observations=True, job=job, executor=study.executor, progress=told
+        )
+        observed = [(pairing.names[0], m.seen[:, 0], m.moves[:, 0]) for pairing, m in zip(pairings, again, strict=True)]
     summaries = []
-    for name in agents:
-        own = [arrays for task, arrays in zip(tasks, found, strict=True) if task.arm == name]
-        seen, moves = (np.concatenate([arrays[key] for arrays in own]) for key in ("seen", "moves"))
+    for name in dict.fromkeys(name for name, *_ in observed):
+        seen, moves = (np.concatenate([own[k] for own in observed if own[0] == name]) for k in (1, 2))
         if (moves >= 0).any():
-            summaries.append(summarise(seen, moves, study.archive, cells[0].cell.moves, name))
-            write_situations(summaries[-1], _file(study.folder, name))
+            summaries.append(summarise(seen, moves, study.archive, study.setting.moves, name))
+            write_situations(summaries[-1], study.folder / "report" / f"situations-{name}.csv")
     return summaries
-
-
-def _file(folder: Path, agent: str) -> Path:
-    return folder / "report" / f"situations-{agent}.csv"
-
-
-def _tasks(study: Study, found: StudyCell, races: int) -> list[_Task]:
-    units = found.cell.units
-    rng = np.random.default_rng(np.random.SeedSequence(study.config.seed, spawn_key=(SEED,)))
-    chosen = np.sort(rng.permutation(len(units))[:races])
-    who = [competitor_hash(study.agent(name)) for name in (found.arm, found.opponent)]
-    track = study.track(found.track)
-    tasks = []
-    for first in range(0, len(chosen), BLOCK):
-        rows = chosen[first : first + BLOCK]
-        variants, starts, seeds = units.variants[rows], units.starts.take(rows), units.seeds[rows]
-        drawn = (variants, starts.s, starts.side, seeds)
-        digest = fingerprint(track.content_hash, study.archive.content_hash, study.config.game, who, drawn)
-        tasks.append(_Task(digest, found.track, found.arm, found.opponent, variants, starts, seeds))
-    return tasks

@@ -17,7 +17,7 @@ from pcs_racing_agents.learning.responses.learner import learn_response, load_re
 from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.network_files import load_network, save_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
-from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.synthesis.diverse import select_diverse
 from pcs_racing_agents.trees.storage import StoredTrees, load_trees, open_trees
 from pcs_racing_agents.trees.tree import RaceTree

@@ -12,82 +12,84 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.files import write_atomically
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import save_fit
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.tasks import Task, run_tasks
 from pcs_racing_agents.networks.metrics import Play, TreeScore, score_trees
+from pcs_racing_agents.results.race_files import write_results
+from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.study.preparing import play_on_circuits, stored_trees
-from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament.best_response import best_response_utility
-from pcs_racing_agents.tournament.cells import Cell, plan_cell, play_cells
+from pcs_racing_agents.tournament.fitting import TrainingRaces, fit_psro
+from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
+from pcs_racing_agents.tournament.play import plan_tournament, play_plan, tournament_settings
+from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.trees.storage import StoredTrees
 from pcs_racing_agents.trees.tree import RaceTree
 
-__all__ = ["StudyCell", "cells", "judge_on_trees", "race_cells", "race_rivals"]
+__all__ = ["StudyRaces", "judge_on_trees", "race_rivals", "race_tables", "table_races"]
 
-CELL_SEED = 0
+TABLE_SEED = 0
 HELD_OUT_SEED = 4_000_000
 RIVAL_SEED = 5_000_000
 MIXING_SEED = 6_000_000
 
 
-def race_cells(study: Study) -> None:
-    """Drive the races of every cell of the tables, all of them side by side."""
-    for _ in cells(study):
-        pass
-
-
-class StudyCell(NamedTuple):
-    """A cell of one of the study's tables.
+class StudyRaces(NamedTuple):
+    """Races of an agent against one kind of opponent on a circuit, for one of the study's tables.
 
     Attributes
     ----------
-    table, track, opponent, arm : str
-    cell : Cell
+    table : str
+    pairing : Pairing
+    races : RaceTable
     """
 
     table: str
-    track: str
-    opponent: str
-    arm: str
-    cell: Cell
+    pairing: Pairing
+    races: RaceTable
 
 
-def cells(study: Study) -> Iterator[StudyCell]:
-    """Return every cell; races that were driven are read, the others driven before the first cell is there."""
+def race_tables(study: Study) -> None:
+    """Drive the races of every table, all of them side by side."""
+    for _ in table_races(study):
+        pass
+
+
+def table_races(study: Study) -> Iterator[StudyRaces]:
+    """Return the races of all tables; those that were driven are read, the others driven before the first is there."""
     config = study.config
     games, agents = cache(study.game), cache(study.agent)
-    places, plans = [], []
+    tables, pairings = [], []
     for number, (table, (tracks, opponents, arms, lines)) in enumerate(config.tables.items()):
         for track, opponent, arm in product(tracks, opponents, arms):
-            places.append((table, track, opponent, arm))
-            plans.append(
-                plan_cell(
+            tables.append(table)
+            pairings.append(
+                cross_pairing(
                     games(track),
                     agents(arm),
                     agents(opponent),
                     egos=config.egos,
                     opponents=config.variants,
                     lines=lines,
-                    seed=config.seed + CELL_SEED + 100 * number + opponents.index(opponent),
+                    seed=config.seed + TABLE_SEED + 100 * number + opponents.index(opponent),
                 )
             )
     with open_job(study.folder / "races" / "job", "races", {"archive": study.archive.content_hash}) as job:
-        played = play_cells(plans, job=job, executor=study.executor, progress=study.progress("races of the tables"))
-        for place, cell in zip(places, played, strict=True):
-            yield StudyCell(*place, cell)
+        told = study.progress("races of the tables")
+        played = play_pairings(pairings, name="tables", job=job, executor=study.executor, progress=told)
+        for table, pairing, matches in zip(tables, pairings, played, strict=True):
+            yield StudyRaces(table, pairing, pairing.table(matches))
 
 
 def race_rivals(study: Study) -> None:
     """Let the rivals race all against all, for the ratings."""
     if not study.config.rivals:
         return
-    from pcs_racing_agents.tournament.play import plan_tournament, play_plan, tournament_settings
-    from pcs_racing_agents.tournament.table import write_results
-
     config = study.config
     plan = plan_tournament(
         [study.track(name) for name in config.tracks],
@@ -99,14 +101,12 @@ def race_rivals(study: Study) -> None:
     )
     with open_job(study.folder / "rivals", "tournament", tournament_settings(plan)) as job:
         played = play_plan(plan, job=job, executor=study.executor, progress=study.progress("races of rivals"))
-    write_results(played, study.folder / "rivals.csv")
+    write_results(played.races, study.folder / "rivals.csv")
     _mix_rivals(study)
 
 
 def _mix_rivals(study: Study) -> None:
     """Find how often to draw each of the rivals that are agents: the meta-strategy of PSRO, on training races."""
-    from pcs_racing_agents.tournament.fitting import TrainingRaces, fit_psro
-
     config = study.config
     members = [agent for agent in map(study.agent, config.rivals) if isinstance(agent, Agent)]
     if len(members) < 2:

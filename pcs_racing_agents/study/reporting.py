@@ -1,56 +1,59 @@
 """The last stage: one line for every race, the tables, and the page."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.csv_files import read_csv
-from pcs_racing_agents.study.cell_races import cell_races
+from pcs_racing_agents.results.race_files import read_results, write_results
+from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.highlights import KINDS, TellingRace, telling_races, watch_race
 from pcs_racing_agents.study.moves_made import moves_in_situations
 from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
-from pcs_racing_agents.study.racing import CELL_SEED, HELD_OUT_SEED, MIXING_SEED, RIVAL_SEED, StudyCell, cells
+from pcs_racing_agents.study.racing import HELD_OUT_SEED, MIXING_SEED, RIVAL_SEED, TABLE_SEED, StudyRaces, table_races
 from pcs_racing_agents.study.report import ReportContent, Sheet, Watched, write_page
 from pcs_racing_agents.study.report_inputs import TreeLoss, read_curves, read_losses, software
-from pcs_racing_agents.study.run import Study, stage_seconds
+from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import StudyTable, make_table
 from pcs_racing_agents.study.table_text import difference_text, overview_rows, table_markdown, table_text, write_table
+from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
-from pcs_racing_agents.tournament.rows import start_label
-from pcs_racing_agents.tournament.table import write_rows
 
 __all__ = ["best_blind", "study_table", "write_report"]
 
 
-def write_report(study: Study) -> None:
-    """Write ``results.csv``, ``table.csv``, ``table.md``, ``table.txt`` and ``report.html``."""
-    played = list(cells(study))
+def write_report(study: Study, seconds: Mapping[str, float]) -> None:
+    """Write ``results.csv``, ``table.csv``, ``table.md``, ``table.txt`` and ``report.html``.
+
+    Parameters
+    ----------
+    study : Study
+    seconds : mapping of str to float
+        How long each stage took.
+    """
+    played = list(table_races(study))
     folder = study.folder
-    write_rows(
-        (row for found in played for row in found.cell.rows()), study.config.game.race.name, folder / "results.csv"
-    )
+    write_results((row for found in played for row in found.races), folder / "results.csv")
     main = study_table(study, played, "main")
     write_table(main, folder / "table.csv")
     _write(folder / "table.md", table_markdown(main))
     _write(folder / "table.txt", table_text(main))
-    write_page(_content(study, played, main), folder / "report.html")
+    write_page(_content(study, played, main, seconds), folder / "report.html")
 
 
-def study_table(study: Study, played: Sequence[StudyCell], name: str) -> StudyTable:
+def study_table(study: Study, played: Sequence[StudyRaces], name: str) -> StudyTable:
     """Compare the arms of one of the study's tables."""
-    raced = {(f.track, f.opponent, f.arm): cell_races(f.cell) for f in played if f.table == name}
-    config = study.config
-    table = make_table(raced, base=config.arms[0], best=config.best, blind=best_blind(study), seen=config.circuits)
+    races = concatenate_races(found.races for found in played if found.table == name)
+    config, blind = study.config, best_blind(study)
+    learned_on = {study.track(circuit).name for circuit in config.circuits}
+    table = make_table(races, base=config.arms[0], best=config.best, blind=blind, seen=learned_on)
     if config.game.race.name == "paper":
         return table
     # In another race than the paper's there is nothing to put the paper's figures beside.
@@ -69,18 +72,20 @@ def best_blind(study: Study) -> str | None:
     return max(BEST_BLIND, key=lambda name: float(fits[name].training["reached"]))  # of equals the first
 
 
-def _content(study: Study, played: Sequence[StudyCell], main: StudyTable) -> ReportContent:
+def _content(
+    study: Study, played: Sequence[StudyRaces], main: StudyTable, seconds: Mapping[str, float]
+) -> ReportContent:
     config = study.config
     sheets, judged = [], main
     if config.further_lines:
         further = judged = study_table(study, played, "further")
         head, *rows = overview_rows(further, difference_text)
-        note = f"{config.further_lines * config.egos * config.variants * 2} races for each cell."
+        note = f"{config.further_lines * config.egos * config.variants * 2} races of each agent in each row."
         sheets.append(Sheet("More opponents, circuits and agents", head, tuple(rows), note))
     return ReportContent(
         title=f"Study: {config.race} race, archive {study.archive.name}",
         about=(
-            f"{sum(len(found.cell.units) for found in played):,} races of {config.game.horizon:g} s. A move goes "
+            f"{sum(len(found.races) for found in played):,} races of {config.game.horizon:g} s. A move goes "
             f"{config.epsilon:g} of the archive's range on an axis, every {config.game.step_seconds:g} s."
         ),
         findings=list(_findings(main)),
@@ -99,7 +104,7 @@ def _content(study: Study, played: Sequence[StudyCell], main: StudyTable) -> Rep
         settings=plain_settings(config),
         versions=software(),
         seeds=_seeds(study),
-        seconds=stage_seconds(study),
+        seconds=seconds,
     )
 
 
@@ -159,22 +164,7 @@ def _rivals(study: Study) -> RoundRobin | None:
     file = study.folder / "rivals.csv"
     if not file.is_file():
         return None
-    rows = read_csv(file).rows()
-    try:
-        places = [start_label(row["track"], float(row["start_s"])) for row in rows]
-    except (KeyError, ValueError):
-        places = []
-    if not places or {"ego", "opponent", "winner", "crash"} - set(rows[0]):
-        raise InputError(f"{file} holds no races; delete it, and the stage that wrote it writes it again")
-    return round_robin(
-        study.config.rivals,
-        [row["ego"] for row in rows],
-        [row["opponent"] for row in rows],
-        [row["winner"] for row in rows],
-        [row["crash"] != "" for row in rows],
-        places,
-        seed=study.config.seed,
-    )
+    return round_robin(study.config.rivals, read_results(file), seed=study.config.seed)
 
 
 def _seeds(study: Study) -> dict[str, int]:
@@ -186,25 +176,23 @@ def _seeds(study: Study) -> dict[str, int]:
     found["training races"] = config.seed + FITTING_SEED
     if config.responses:
         found["answers"] = config.seed + RESPONSE_SEED
-    found["races of the table"] = config.seed + CELL_SEED
+    found["races of the table"] = config.seed + TABLE_SEED
     if config.rivals:
         found |= {"all against all": config.seed + RIVAL_SEED, "their mixture": config.seed + MIXING_SEED}
     return found
 
 
-def _watched(study: Study, played: Sequence[StudyCell]) -> Iterator[Watched]:
+def _watched(study: Study, played: Sequence[StudyRaces]) -> Iterator[Watched]:
     """A win by switching, a loss and a crash of our best agent, each from the first row of the table that has one."""
-    config = study.config
-    by_key = {(found.track, found.opponent, found.arm): found.cell for found in played if found.table == "main"}
-    chosen: dict[str, tuple[str, str, TellingRace]] = {}
-    for place in product(config.tracks, config.opponents):
-        for kind, found in telling_races(by_key[(*place, config.best)], by_key[(*place, config.arms[0])]).items():
-            chosen.setdefault(kind, (*place, found))
-    for kind in filter(chosen.__contains__, KINDS):
-        track, opponent, (title, race) = chosen[kind]
-        ego, rival = study.agent(config.best), study.agent(opponent)
-        cell = by_key[track, opponent, config.best]
-        yield watch_race(study.game(track), ego, rival, cell, race, title)
+    raced = {(f.pairing.game.track.name, *f.pairing.names): f for f in played if f.table == "main"}
+    first: dict[str, tuple[Pairing, TellingRace]] = {}
+    for (track, ego, opponent), ours in raced.items():
+        if ego == study.config.best:
+            theirs = raced[track, study.config.arms[0], opponent]
+            for kind, found in telling_races(ours.races, theirs.races).items():
+                first.setdefault(kind, (ours.pairing, found))
+    for pairing, (title, race) in (first[kind] for kind in KINDS if kind in first):
+        yield watch_race(pairing, race, title)
 
 
 def _write(path: Path, text: str) -> None:

@@ -4,7 +4,7 @@ A row is a circuit and a kind of opponent; an arm is an agent that raced the ver
 the columns mean, and which of the intervals to quote, is told in ``docs/statistics.md``.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.study.cell_races import CellRaces, Key, Labels
+from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.statistics import Comparison, clustered_mean, compare, holm, match_units
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+Labels = NDArray[np.int64]
 
 FEWEST_LINES = 5
 """With fewer shared start lines an interval that knows of them has too few degrees of freedom to say anything."""
@@ -181,7 +182,7 @@ class StudyTable:
 
 
 def make_table(
-    cells: Mapping[Key, CellRaces],
+    races: RaceTable,
     *,
     base: str | None = None,
     best: str | None = None,
@@ -192,8 +193,8 @@ def make_table(
 
     Parameters
     ----------
-    cells : mapping of (circuit, opponent, arm) to CellRaces
-        Rows and arms keep the order in which they come first.
+    races : RaceTable
+        Rows and arms (the egos) keep the order in which they come first.
     base : str, optional
         The arm to compare with; by default the first.
     best : str, optional
@@ -206,12 +207,22 @@ def make_table(
     Raises
     ------
     InputError
-        If there are no cells, an arm is missing, or arms of a row did not race the same races; and where there are
-        fewer than two ego or opponent variants.
+        If there are no races, an arm is missing, arms of a row did not race the same races, or a pair raced with
+        several seeds; and where there are fewer than two ego or opponent variants.
     """
-    if not cells:
-        raise InputError("there are no cells; a table needs at least one that was played")
-    arms = list(dict.fromkeys(arm for *_, arm in cells))
+    pairs: dict[tuple[str, str, str], RaceTable] = {}
+    seeds: dict[tuple[str, str, str], str] = {}
+    for (track, ego, opponent, seed), numbers in races.pairs.items():
+        pair = (track, opponent, ego)
+        if seeds.setdefault(pair, seed) != seed:
+            raise InputError(
+                f"{ego} raced {opponent} on {track} with seeds {seeds[pair]} and {seed}, of different tables; "
+                "take those of one of them (RaceTable.with_seeds)"
+            )
+        pairs[pair] = races.take(numbers)
+    if not pairs:
+        raise InputError("there are no races; a table needs some")
+    arms = list(dict.fromkeys(arm for *_, arm in pairs))
     base = arms[0] if base is None else base
     for what, name in (("base", base), ("best", best), ("blind", blind)):
         if name is not None and name not in arms:
@@ -219,8 +230,8 @@ def make_table(
     if best == blind:
         blind = None  # it does not look at the race itself: there is no such gain
     rows = [
-        _row(track, opponent, cells, [base, *(arm for arm in arms if arm != base)], best, blind, track in seen)
-        for track, opponent in dict.fromkeys((track, opponent) for track, opponent, _ in cells)
+        _row(track, opponent, pairs, [base, *(arm for arm in arms if arm != base)], best, blind, track in seen)
+        for track, opponent in dict.fromkeys((track, opponent) for track, opponent, _ in pairs)
     ]
     return StudyTable(tuple(_adjusted(rows)), base, best, blind)
 
@@ -228,20 +239,22 @@ def make_table(
 def _row(
     track: str,
     opponent: str,
-    cells: Mapping[Key, CellRaces],
+    pairs: dict[tuple[str, str, str], RaceTable],
     arms: list[str],
     best: str | None,
     blind: str | None,
     seen: bool,
 ) -> TableRow:
     where = f"{track} against {opponent}"
-    raced = {arm: cells[track, opponent, arm] for arm in arms if (track, opponent, arm) in cells}
+    raced = {arm: pairs[track, opponent, arm] for arm in arms if (track, opponent, arm) in pairs}
     if arms[0] not in raced:
         raise InputError(f"{where}: {arms[0]!r} did not race; there is nothing to compare with")
     first = raced[arms[0]]
     scores = {arm: _scores(first, races, f"{where}, {arm}") for arm, races in raced.items()}
-    start = _shared_lines(first)
-    labels = (first.ego, first.opponent)
+    egos, opponents = first.variants.T.astype(np.int64)
+    lines = np.unique(first.start_s, return_inverse=True)[1].astype(np.int64)
+    labels = (egos, opponents)
+    start = _shared_lines(egos, opponents, lines)
     clusters = labels if start is None else (*labels, start)
 
     def difference(arm: str, other: str) -> Difference:
@@ -251,17 +264,17 @@ def _row(
     results = []
     for arm, races in raced.items():
         mean = clustered_mean(scores[arm], *clusters)
-        each = np.bincount(_codes(first.ego), scores[arm]) / np.bincount(_codes(first.ego))
+        each = np.bincount(_codes(egos), scores[arm]) / np.bincount(_codes(egos))
         low, high = max(mean.low, 0.0), min(mean.high, 1.0)
-        shares = float(races.crash.mean()), float(races.own_crash.mean())
-        results.append(ArmResult(arm, len(races.score), mean.mean, low, high, float(each.std(ddof=1)), *shares))
+        shares = float(races.crashed.mean()), float((races.fault[:, 0] > 0).mean())
+        results.append(ArmResult(arm, len(races), mean.mean, low, high, float(each.std(ddof=1)), *shares))
     gain = difference(best, blind) if best in scores and blind in scores else None
     return TableRow(
         track=track,
         opponent=opponent,
         seen=seen,
         paper=PAPER_TABLE.get((PAPER_OPPONENTS.get(opponent, ""), seen)),
-        lines=len(np.unique(first.line)),
+        lines=len(np.unique(lines)),
         lines_drawn=start is not None,
         arms=tuple(results),
         differences=tuple(difference(arm, arms[0]) for arm in list(raced)[1:]),
@@ -269,21 +282,27 @@ def _row(
     )
 
 
-def _scores(first: CellRaces, races: CellRaces, where: str) -> Floats:
+def _scores(first: RaceTable, races: RaceTable, where: str) -> Floats:
     """Return the scores of an arm in the order of the base's races."""
-    if first.same_units(races):
+    columns = [(table.variants, table.start_s, table.side) for table in (first, races)]
+    if all(np.array_equal(one, other) for one, other in zip(*columns, strict=True)):
         return races.score
     try:
-        return races.score[match_units(first.ids, races.ids)]
+        return races.score[match_units(_units(first), _units(races))]
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
 
 
-def _shared_lines(races: CellRaces) -> Labels | None:
+def _units(races: RaceTable) -> list[tuple[int, int, float, int]]:
+    """What makes a race the same race for two agents: variants, start line, side."""
+    columns = (*races.variants.T, races.start_s.round(4), races.side)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def _shared_lines(egos: Labels, opponents: Labels, lines: Labels) -> Labels | None:
     """Labels of start lines where the pairs shared them; None where each pair had its own, or there are too few."""
-    lines = len(np.unique(races.line))
-    pairs = len(set(zip(races.ego.tolist(), races.opponent.tolist(), strict=True)))
-    return races.line if FEWEST_LINES <= lines < pairs else None
+    pairs = len(set(zip(egos.tolist(), opponents.tolist(), strict=True)))
+    return lines if FEWEST_LINES <= len(np.unique(lines)) < pairs else None
 
 
 def _codes(labels: Labels) -> NDArray[np.intp]:

@@ -3,12 +3,13 @@
 import csv
 import io
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.results.text_table import aligned, markdown
 from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
 
 __all__ = [
@@ -122,10 +123,10 @@ def table_text(table: StudyTable) -> str:
 
 def table_markdown(table: StudyTable) -> str:
     """Return the table in Markdown."""
-    blocks = ["\n".join(_markdown(overview_rows(table)))]
+    blocks = ["\n".join(markdown(overview_rows(table)))]
     for row in table.rows:
         paper = f"\n\nPaper: {paper_text(row)}." if row.paper is not None else ""
-        blocks.append(f"### {row.name}{paper}\n\n" + "\n".join(_markdown([DETAILS, *detail_rows(row)])))
+        blocks.append(f"### {row.name}{paper}\n\n" + "\n".join(markdown([DETAILS, *detail_rows(row)])))
     return "\n\n".join([*blocks, *notes(table)]) + "\n"
 
 
@@ -172,24 +173,6 @@ def _csv_row(kind: str, row: TableRow, one: Difference) -> list[object]:
     return [*names, *counts, *(f"{value:.6g}" for value in numbers), *told]
 
 
-def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
-    """Rows as lines of plain text: numbers to the right, words to the left; no blanks at the end of a line."""
-    cells = [list(row) for row in rows]
-    columns = list(zip(*cells, strict=True))
-    widths = [max(map(len, column)) for column in columns]
-    words = [
-        not any(cell[:1].isdigit() or cell[:1] in tuple("+-") for cell in column[1:] if cell) for column in columns
-    ]
-    words[0] = True
-    return [
-        "  ".join(
-            cell.ljust(width) if left else cell.rjust(width)
-            for cell, width, left in zip(row, widths, words, strict=True)
-        ).rstrip()
-        for row in cells
-    ]
-
-
 def _starred(one: Difference) -> str:
     return f"{one.result.difference:+.3f}{'*' if one.p_holm < 0.05 else ' '}"
 
@@ -199,8 +182,3 @@ def _columns(one: Difference) -> tuple[str, ...]:
     interval = f"[{result.low:+.3f}, {result.high:+.3f}]"
     p_values = (p_text(result.p_clustered), p_text(one.p_holm), p_text(result.p_paired_t))
     return (f"{result.difference:+.3f}", interval, *p_values)
-
-
-def _markdown(rows: Iterable[Sequence[str]]) -> list[str]:
-    head, *others = ([cell.replace("|", "\\|") for cell in row] for row in rows)
-    return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *others)]

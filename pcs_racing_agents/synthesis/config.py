@@ -48,28 +48,28 @@ class ArchiveConfig(Settings):
     sides, on every track; the three stages (search, choice, measurement) draw different ones.
     """
 
-    name: str = setting("archive", text(), "Of the archive.")
+    name: str = setting("archive", text(), "Name of the archive.")
     preset: str = setting("paper", text(), "Rules of the races: a preset's name or a YAML file.")
-    duration: float = setting(16.0, _SECONDS, "Length of a race while policies are searched and chosen, s.")
-    final_duration: float = setting(40.0, _SECONDS, "Length of a race when those chosen are measured, s.")
+    duration: float = setting(16.0, _SECONDS, "Length of a race during search and selection, s.")
+    final_duration: float = setting(40.0, _SECONDS, "Length of a race in the final measurement, s.")
     segment_seconds: float = setting(
-        8.0, _SECONDS, "Length of the pieces that coordinates are means of, s: a step of the game."
+        8.0, _SECONDS, "Length of the segments whose mean is a coordinate, s: a step of the game."
     )
     tracks: tuple[str, ...] = setting(
-        SHIPPED_TRACKS, names(), "Names or folders of the circuits, which all policies race on."
+        SHIPPED_TRACKS, names(), "Names or folders of the circuits; all policies race on all of them."
     )
-    planner: str = setting("lattice", text(), "Of the policies and of their opponents.")
+    planner: str = setting("lattice", text(), "Planner of the policies and of their opponents.")
     characteristics: tuple[str, ...] | None = setting(
         None, names(), "Axes; None takes aggressiveness (or pace, as the rules say) and restraint."
     )
-    method: str = setting("mo-cma-es", choice(METHODS), "Optimiser that proposes policies; the first is the paper's.")
-    generations: int = setting(60, whole(0, 100_000), "How often new policies are proposed.")
-    population: int = setting(32, whole(4, 10_000), "Policies of a generation.")
-    elite_ratio: float = setting(0.5, number(0.01, 1.0), "Share of a generation that shapes the next one.")
+    method: str = setting("mo-cma-es", choice(METHODS), "Search method; the first is that of the paper.")
+    generations: int = setting(60, whole(0, 100_000), "Number of generations.")
+    population: int = setting(32, whole(4, 10_000), "Number of policies in a generation.")
+    elite_ratio: float = setting(0.5, number(0.01, 1.0), "Share of a generation that updates the distribution.")
     loss: str = setting("uhvi", choice(LOSSES), "Loss of Algorithm 1, as in synthesize().")
     mean: str = setting("generation", choice(MEANS), "Mean of Algorithm 1, as in synthesize().")
     step_size: float = setting(
-        0.3, number(1e-6, 1.0), "First standard deviation of CMA-ES, as a share of the parameters' ranges."
+        0.3, number(1e-6, 1.0), "Initial standard deviation of CMA-ES, as a share of the parameters' ranges."
     )
     scouts: int = setting(
         80,
@@ -77,46 +77,46 @@ class ArchiveConfig(Settings):
         "Policies of the initial sample, drawn at random; their range is the scale of the axes in the loss and in the "
         "hypervolume, and the best of them are the first archive.",
     )
-    opponents: int = setting(4, whole(1, 1000), "Opponents (policies at random) in the search.")
+    opponents: int = setting(4, whole(1, 1000), "Opponents (random policies) in the search.")
     starts: int = setting(2, whole(1, 1000), "Start lines on each track in the search.")
     crash_limit: float = setting(
         0.15,
         number(0.0, 1.0),
-        "Share of own crashes in races of final_duration beyond which a policy stays out of the archive; 1 keeps all. "
-        "For the shorter races of the search it is converted as if crashes came at a constant rate.",
+        "Largest share of crashes by own fault, in races of final_duration, of a policy in the archive; 1 keeps all. "
+        "For the shorter races of the search it is converted with a constant crash rate.",
     )
     least: tuple[float, ...] | None = setting(
         None,
         checked(_numbers),
-        "Smallest coordinates of interest, one for each axis: a policy below one of them stays out; None for no limit.",
+        "Smallest coordinate of a policy in the archive, one for each axis; None for no limit.",
     )
-    candidates: int = setting(240, whole(2, 10_000), "Policies that are raced again for the choice of the archive.")
-    choice_opponents: int = setting(8, whole(1, 1000), "Opponents in the choice.")
-    choice_starts: int = setting(2, whole(1, 1000), "Start lines on each track in the choice.")
+    candidates: int = setting(240, whole(2, 10_000), "Policies that race again in the selection.")
+    choice_opponents: int = setting(8, whole(1, 1000), "Opponents in the selection.")
+    choice_starts: int = setting(2, whole(1, 1000), "Start lines on each track in the selection.")
     error_bars: float = setting(
         1.0,
         number(0.0, 10.0),
-        "A policy is beaten by another if that one is better on all axes by more than so many standard errors of the "
+        "A policy is dominated if another one is better on all axes by more than this number of standard errors of the "
         "difference.",
     )
     spacing: float = setting(
         0.015,
         number(0.0, 0.5),
-        "Distance that policies of the archive keep from each other, in units of the archive's ranges; of two that are "
-        "nearer one is dropped.",
+        "Smallest distance between two policies of the archive, in units of the archive's ranges; of two nearer "
+        "policies one is dropped.",
     )
-    fewest: int = setting(40, whole(1, 10_000), "Fewest policies wanted in the archive.")
-    most: int = setting(80, whole(2, 10_000), "Most policies in the archive; with more, the spacing is widened.")
+    fewest: int = setting(40, whole(1, 10_000), "Minimum number of policies in the archive, if possible.")
+    most: int = setting(80, whole(2, 10_000), "Maximum number of policies; with more, the spacing is widened.")
     final_opponents: int = setting(12, whole(1, 1000), "Opponents in the measurement, which gives the coordinates.")
     final_starts: int = setting(3, whole(1, 1000), "Start lines on each track in the measurement.")
     refresh_generations: tuple[int, ...] = setting(
         (),
         wholes(1, 99_999, different=True),
-        "Generations before which some opponents are replaced by policies of the archive as it is then; the archive is "
-        "raced again against them, and as many policies fewer are raced in the end.",
+        "Generations before which some opponents are replaced by policies of the current archive. The archive races "
+        "again against them, and the search evaluates as many new policies fewer.",
     )
     refresh_share: float = setting(0.5, number(0.0, 1.0), "Share of the opponents that is replaced.")
-    seed: int = setting(0, whole(0, 2**63 - 1), "Root of everything that is drawn.")
+    seed: int = setting(0, whole(0, 2**63 - 1), "Seed of all random draws.")
 
     def __post_init__(self) -> None:
         super().__post_init__()

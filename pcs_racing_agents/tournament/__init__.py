@@ -1,7 +1,10 @@
-"""Competitors against each other: match play, tournaments, the cells of a study, tables and result files."""
+"""Competitors against each other: match play, pairings, tournaments, ratings and their tables."""
 
 from pcs_racing_agents.jobs.jobs import show_progress
+from pcs_racing_agents.results.race_files import write_results
+from pcs_racing_agents.results.races import RaceRow, RaceTable
 from pcs_racing_agents.tournament.matches import Matches, play_games
+from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.play import (
     Tournament,
     TournamentPlan,
@@ -12,27 +15,24 @@ from pcs_racing_agents.tournament.play import (
     record_row,
     tournament_settings,
 )
-from pcs_racing_agents.tournament.rows import RaceRow
-from pcs_racing_agents.tournament.table import (
-    payoff_matrix,
-    payoff_picture,
-    standings,
-    tournament_text,
-    write_results,
-    write_rows,
-)
+from pcs_racing_agents.tournament.runner import play_pairing
+from pcs_racing_agents.tournament.table import payoff_matrix, payoff_picture, standings, tournament_text
 from pcs_racing_agents.tournament.watching import record_match
 
 __all__ = [
     "Matches",
+    "Pairing",
     "RaceRow",
+    "RaceTable",
     "Tournament",
     "TournamentPlan",
+    "cross_pairing",
     "game_rules",
     "payoff_matrix",
     "payoff_picture",
     "plan_tournament",
     "play_games",
+    "play_pairing",
     "play_plan",
     "play_tournament",
     "record_match",
@@ -42,5 +42,4 @@ __all__ = [
     "tournament_settings",
     "tournament_text",
     "write_results",
-    "write_rows",
 ]

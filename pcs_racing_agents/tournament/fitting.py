@@ -7,7 +7,7 @@ not between their luck. What is found is a :class:`pcs_racing_agents.agents.fits
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -15,15 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.competitor import competitor_name
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import best_fixed, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.jobs import Job, Progress
-from pcs_racing_agents.tournament.matches import Matches, variant_count
-from pcs_racing_agents.tournament.runner import Pairing, play_pairings
+from pcs_racing_agents.tournament.matches import Matches
+from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
+from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
 
 __all__ = ["OBJECTIVES", "TrainingRaces", "fit_best_fixed", "fit_best_schedule", "fit_psro"]
@@ -71,7 +73,7 @@ class TrainingRaces:
         """What a fit says of how it was found."""
         return {
             "tracks": ", ".join(track.name for track in self.tracks),
-            "opponents": ", ".join(str(getattr(who, "name", "")) for who in self.opponents),
+            "opponents": ", ".join(map(competitor_name, self.opponents)),
             "races": self.races * len(self.tracks) * len(self.opponents),
             "candidates": tried,
             "seed": self.seed,
@@ -98,17 +100,16 @@ class Work(NamedTuple):
 def evaluate(training: TrainingRaces, candidates: Sequence[Agent], work: Work, name: str) -> NDArray[np.float64]:
     """Mean objective of each candidate over the training races, shape (len(candidates),)."""
     setting = training.setting
-    alike: list[Pairing] = []
+    same: list[Pairing] = []
     for track in training.tracks:
         schedule = draw_schedule(track, setting.config.race_rules, training.races, training.seed)
         game = RaceGame(track, setting.archive, setting.config)
         for k, opponent in enumerate(training.opponents):
             # Other start policies against every opponent; the same for all candidates.
             rolled = schedule._replace(lots=np.roll(schedule.lots, 2 * k, axis=0))
-            variants = rolled.variants(len(setting.archive), variant_count(game, opponent))
-            alike.append(Pairing(track, candidates[0], opponent, variants, schedule.starts, schedule.seeds))
-    pairings = [pairing._replace(ego=candidate) for candidate in candidates for pairing in alike]
-    played = play_pairings(pairings, setting.archive, setting.config, name=name, **work._asdict())
+            same.append(schedule_pairing(game, candidates[0], opponent, rolled, training.seed))
+    pairings = [replace(pairing, ego=candidate) for candidate in candidates for pairing in same]
+    played = play_pairings(pairings, name=name, **work._asdict())
     means = np.array([OBJECTIVES[training.objective](matches).mean() for matches in played])
     return means.reshape(len(candidates), -1).mean(axis=1)
 
@@ -238,14 +239,15 @@ def fit_psro(
         raise InputError(f"members are {', '.join(names) or 'nobody'}; psro needs at least two, with different names")
     setting = training.setting
     pairs = list(combinations(range(len(members)), 2))
-    pairings = []
-    for (i, j), track in product(pairs, training.tracks):
+    drawn = []
+    for track in training.tracks:
         schedule = draw_schedule(track, setting.config.race_rules, training.races, training.seed)
-        variants = schedule.variants(len(setting.archive), len(setting.archive))
-        pairings.append(Pairing(track, members[i], members[j], variants, schedule.starts, schedule.seeds))
-    played = play_pairings(
-        pairings, setting.archive, setting.config, name="psro", job=job, executor=executor, progress=progress
-    )
+        drawn.append((RaceGame(track, setting.archive, setting.config), schedule))
+    pairings = [
+        schedule_pairing(game, members[i], members[j], schedule, training.seed)
+        for (i, j), (game, schedule) in product(pairs, drawn)
+    ]
+    played = play_pairings(pairings, name="psro", job=job, executor=executor, progress=progress)
     excess = [_excess(matches, training.objective) for matches in played]
     payoffs = np.zeros((len(members), len(members)))
     for (i, j), value in zip(pairs, np.reshape(excess, (len(pairs), -1)).mean(axis=1), strict=True):

@@ -3,16 +3,16 @@
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.track.track import Track
@@ -20,9 +20,10 @@ from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.jobs.jobs import Job, Progress
-from pcs_racing_agents.tournament.matches import game_between, variant_count
-from pcs_racing_agents.tournament.rows import RaceRow, RaceRows, pair_races
-from pcs_racing_agents.tournament.runner import Pairing, each_pairing
+from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races
+from pcs_racing_agents.tournament.matches import game_between
+from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
+from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import Schedule, draw_schedule
 from pcs_racing_agents.tournament.watching import Recording, record_match
 
@@ -68,7 +69,17 @@ class TournamentPlan:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the competitors, in the order of the table."""
-        return tuple(str(getattr(one, "name", "")) for one in self.competitors)
+        return tuple(map(competitor_name, self.competitors))
+
+    @cached_property
+    def pairings(self) -> tuple[Pairing, ...]:
+        """The races: every pair on the first track, then every pair on the next one."""
+        found = []
+        for track, schedule in zip(self.tracks, self.schedules, strict=True):
+            game = RaceGame(track, self.setting.archive, self.setting.config)
+            for ego, opponent in combinations(self.competitors, 2):
+                found.append(schedule_pairing(game, ego, opponent, schedule, self.seed))
+        return tuple(found)
 
     @property
     def config(self) -> RaceConfig:
@@ -83,12 +94,11 @@ class Tournament:
     Attributes
     ----------
     plan : TournamentPlan
-    rows : sequence of RaceRow
-        Every race; of a tournament that was played here, lines are made when they are asked for.
+    races : RaceTable
     """
 
     plan: TournamentPlan
-    rows: Sequence[RaceRow]
+    races: RaceTable
 
 
 def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
@@ -137,7 +147,7 @@ def plan_tournament(
         given = [as_competitor(_made(one, setting, seed), name) for name, one in entrants.items()]
     else:
         given = [as_competitor(_made(one, setting, seed)) for one in entrants]
-    _check_distinct("competitors", [str(getattr(one, "name", "")) for one in given], 2)
+    _check_distinct("competitors", [competitor_name(one) for one in given], 2)
     rules = setting.config.race_rules
     schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
     plan = TournamentPlan(tuple(given), tuple(circuits), setting, schedules, races_per_pair, seed)
@@ -210,20 +220,9 @@ def play_plan(
     progress: Progress | None = None,
 ) -> Tournament:
     """Play a tournament that was planned; see :func:`play_tournament`."""
-    archive, config = plan.setting.archive, plan.setting.config
-    pairings = []
-    for track, schedule in zip(plan.tracks, plan.schedules, strict=True):
-        game = RaceGame(track, archive, config)
-        for ego, opponent in combinations(plan.competitors, 2):
-            variants = schedule.variants(variant_count(game, ego), variant_count(game, opponent))
-            pairings.append(Pairing(track, ego, opponent, variants, schedule.starts, schedule.seeds))
-    races = []
-    played = each_pairing(pairings, archive, config, job=job, executor=executor, progress=progress)
-    for pairing, matches in zip(pairings, played, strict=True):
-        names = (str(getattr(pairing.ego, "name", "")), str(getattr(pairing.opponent, "name", "")))
-        circuit, starts = pairing.track.name, pairing.starts
-        races.append(pair_races(names, circuit, plan.seed, starts, pairing.policies, matches, plan.setting.moves))
-    return Tournament(plan, RaceRows(races))
+    played = play_pairings(plan.pairings, job=job, executor=executor, progress=progress)
+    tables = (pairing.table(matches) for pairing, matches in zip(plan.pairings, played, strict=True))
+    return Tournament(plan, concatenate_races(tables))
 
 
 def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
@@ -248,22 +247,12 @@ def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True)
     InputError
         If the race is none of this tournament.
     """
-    plan = tournament.plan
-    names = [track.name for track in plan.tracks]
-    if row.track not in names or not {row.ego, row.opponent} <= set(plan.names):
-        raise InputError(f"race {row.race} of {row.ego!r} against {row.opponent!r} on {row.track!r} was not raced here")
-    schedule = plan.schedules[names.index(row.track)]
-    ego, opponent = (plan.competitors[plan.names.index(name)] for name in (row.ego, row.opponent))
-    game = RaceGame(plan.tracks[names.index(row.track)], plan.setting.archive, plan.setting.config)
-    return record_match(
-        game,
-        ego,
-        opponent,
-        policies=np.array([row.ego_variant, row.opponent_variant]),
-        start=schedule.starts.take([row.race]),
-        seed=int(schedule.seeds[row.race]),
-        candidates=candidates,
-    )
+    for pairing in tournament.plan.pairings:
+        if (pairing.game.track.name, *pairing.names) == (row.track, row.ego, row.opponent):
+            return record_match(
+                pairing.game, pairing.ego, pairing.opponent, **pairing.one(row.race), candidates=candidates
+            )
+    raise InputError(f"race {row.race} of {row.ego!r} against {row.opponent!r} on {row.track!r} was not raced here")
 
 
 def _made(given: Entrant, setting: Setting, seed: int) -> Any:

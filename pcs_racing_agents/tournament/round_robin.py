@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.meta_game import alpha_rank, excess, zero_sum_equilibrium
 from pcs_racing_agents.tournament.ratings import Ratings, rate
 
-__all__ = ["RoundRobin", "round_robin"]
+__all__ = ["RoundRobin", "drivers", "round_robin"]
 
 Floats = NDArray[np.float64]
 
@@ -60,62 +61,60 @@ class RoundRobin:
         return tuple(float(value) for value in found.to_elo([found.strength[i], found.low[i], found.high[i]]))  # type: ignore[return-value]
 
 
-def round_robin(
-    names: Sequence[str],
-    ego: Sequence[str],
-    opponent: Sequence[str],
-    winner: Sequence[str],
-    crashed: Sequence[bool],
-    line: Sequence[str],
-    *,
-    seed: int = 0,
-) -> RoundRobin:
-    """Sum up the R races of all against all.
+def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> RoundRobin:
+    """Sum up the races of all against all.
 
     Parameters
     ----------
     names : sequence of str
         The agents, in the order that the result is to have.
-    ego, opponent : sequence of str, length R
-    winner : sequence of str, length R
-        ``"ego"``, ``"opponent"`` or ``""``.
-    crashed : sequence of bool, length R
-        A crash without a winner pays nobody: it is no tie.
-    line : sequence of str, length R
-        Labels of start lines, which all pairs shared.
+    races : RaceTable
+        All pairs shared the start lines. A crash without a winner pays neither: it is no tie.
     seed : int
         Of the intervals of the ratings.
 
     Raises
     ------
     InputError
-        If somebody raced who is not named.
+        If an agent raced that is not named.
     """
-    place = {name: i for i, name in enumerate(names)}
-    strange = sorted({*ego, *opponent} - set(place))
-    if strange:
-        raise InputError(f"{strange[0]!r} raced, but is not one of {', '.join(names)}")
-    won = np.array([{"ego": 1.0, "opponent": -1.0}.get(who, 0.0) for who in winner])
-    nobody = np.asarray(crashed, bool) & (won == 0.0)
-    one, other = (np.array([place[name] for name in side], np.intp) for side in (ego, opponent))
-    total, races = np.zeros((len(names),) * 2), np.zeros((len(names),) * 2)
-    paid = np.where(nobody, 0.0, 0.5)
+    one, other = drivers(names, races).T
+    won = np.array([1.0, -1.0, 0.0])[races.winner]
+    unpaid = races.crashed & (won == 0.0)
+    total, count = np.zeros((len(names),) * 2), np.zeros((len(names),) * 2)
+    paid = np.where(unpaid, 0.0, 0.5)
     np.add.at(total, (one, other), paid * (1.0 + won))
     np.add.at(total, (other, one), paid * (1.0 - won))
-    np.add.at(races, (one, other), 1.0)
-    np.add.at(races, (other, one), 1.0)
-    scores = np.divide(total, races, out=np.full_like(total, np.nan), where=races > 0.0)
-    codes = np.unique(np.array(list(line), dtype=np.str_), return_inverse=True)[1]
-    alike = _noise(np.minimum(one, other), np.maximum(one, other), np.where(one < other, won, -won), codes)
-    met = bool((races[~np.eye(len(names), dtype=bool)] > 0.0).all())
+    np.add.at(count, (one, other), 1.0)
+    np.add.at(count, (other, one), 1.0)
+    scores = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0.0)
+    places = races.places
+    alike = _noise(np.minimum(one, other), np.maximum(one, other), np.where(one < other, won, -won), places)
+    met = bool((count[~np.eye(len(names), dtype=bool)] > 0.0).all())
     return RoundRobin(
         names=tuple(names),
         scores=scores,
         alike=alike,
-        ratings=_ratings(ego, opponent, won, nobody, codes, seed),
+        ratings=_ratings(np.array(names)[one], np.array(names)[other], won, unpaid, places, seed),
         equilibrium=zero_sum_equilibrium(excess(scores)).row if met else None,
         alpha_rank=_alpha_rank(scores, alike) if met else None,
     )
+
+
+def drivers(names: Sequence[str], races: RaceTable) -> NDArray[np.intp]:
+    """Return who drove each car of each race: places in ``names``, shape (N, 2).
+
+    Raises
+    ------
+    InputError
+        If an agent raced that is not named.
+    """
+    words = races.agents.words
+    strange = sorted({words[code] for code in np.unique(races.agents.codes).tolist()} - set(names))
+    if strange:
+        raise InputError(f"{strange[0]!r} raced, but is not one of {', '.join(names)}")
+    place = np.array([names.index(word) if word in names else -1 for word in words], np.intp)
+    return place[races.agents.codes]
 
 
 def _noise(one: NDArray[np.intp], other: NDArray[np.intp], won: Floats, line: NDArray[np.intp]) -> float:
@@ -131,18 +130,18 @@ def _noise(one: NDArray[np.intp], other: NDArray[np.intp], won: Floats, line: ND
 
 
 def _ratings(
-    ego: Sequence[str],
-    opponent: Sequence[str],
+    ego: NDArray[np.str_],
+    opponent: NDArray[np.str_],
     won: Floats,
-    nobody: NDArray[np.bool_],
+    unpaid: NDArray[np.bool_],
     line: NDArray[np.intp],
     seed: int,
 ) -> Ratings | None:
     """Fit the ratings; with intervals where there are start lines to draw from."""
-    several = len(np.unique(line[~nobody])) >= FEWEST_LINES
+    several = len(np.unique(line[~unpaid])) >= FEWEST_LINES
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,))) if several else None
     try:
-        return rate(list(ego), list(opponent), won, nobody=nobody, unit=line, rng=rng)
+        return rate(ego.tolist(), opponent.tolist(), won, nobody=unpaid, unit=line, rng=rng)
     except InputError:  # too few races that somebody won, or groups that never met: there is nothing to rate
         return None
 

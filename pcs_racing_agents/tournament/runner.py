@@ -1,206 +1,147 @@
-"""Many matches as tasks, anywhere (:mod:`pcs_racing_agents.jobs.jobs`), resumable, with the same result everywhere."""
+"""Pairings driven as tasks (:mod:`pcs_racing_agents.jobs.jobs`): anywhere, resumable, with the same results."""
 
 import re
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
-from itertools import groupby
-from operator import itemgetter
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.config import GameConfig
-from pcs_racing.game.game import RaceGame
-from pcs_racing.race.start_grid import Starts
-from pcs_racing.track.track import Track, calibration_values, load_track
-from pcs_racing_agents.agents.agent import Competitor, competitor_hash
+from pcs_racing.track.track import Track, calibration_values
+from pcs_racing_agents.agents.agent import competitor_hash
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
-from pcs_racing_agents.jobs.tasks import in_other_processes
-from pcs_racing_agents.tournament.matches import Matches, join_matches, play_games
+from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.tasks import numbered_tasks, run_tasks
+from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.tournament.matches import Matches, join_matches
+from pcs_racing_agents.tournament.pairings import Pairing
 
-__all__ = ["Pairing", "each_pairing", "play_pairings"]
+__all__ = ["play_pairing", "play_pairings"]
 
-BLOCK = 400  # games of one task: one to two seconds of work
+BLOCK = 400  # races of one task: one to two seconds of work
 
 
-class Pairing(NamedTuple):
-    """Games between two competitors on one track.
+class RaceBlock(NamedTuple):
+    """Races of a pairing that are driven together.
 
     Attributes
     ----------
-    track : Track
-    ego, opponent : Competitor
-    policies : ndarray, shape (B, 2), int64
-        Variants of both.
-    starts : Starts
-    seeds : ndarray, shape (B,), uint64
+    content_hash : str
+        Of all that their result depends on.
+    pairing : int
+        Number of the pairing.
+    first, last : int
+        The races from ``first`` to before ``last``.
     """
 
-    track: Track
-    ego: Competitor
-    opponent: Competitor
-    policies: NDArray[np.int64]
-    starts: Starts
-    seeds: NDArray[np.uint64]
+    content_hash: str
+    pairing: int
+    first: int
+    last: int
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
-    """A piece of a pairing, as it travels to a worker; the digest is of all that its result depends on."""
+class RaceWorker:
+    """Drives blocks of races; it travels to other processes once, with the games and the competitors.
 
-    content_hash: str
-    track: Track | Path
-    track_hash: str
-    archive: PolicyArchive
-    config: GameConfig
-    threads: int | None
-    ego: Competitor
-    opponent: Competitor
-    policies: NDArray[np.int64]
-    starts: Starts
-    seeds: NDArray[np.uint64]
+    Attributes
+    ----------
+    pairings : sequence of Pairing
+    observations : bool
+        Whether to keep what was observed.
+    """
+
+    pairings: Sequence[Pairing]
+    observations: bool
+
+    def __call__(self, block: RaceBlock) -> dict[str, NDArray[Any]]:
+        played = self.pairings[block.pairing].take(np.arange(block.first, block.last)).play()
+        return {key: value for key, value in played._asdict().items() if self.observations or key != "seen"}
+
+
+def play_pairing(
+    pairing: Pairing, *, job: Job | None = None, executor: Executor | None = None, progress: Progress | None = None
+) -> RaceTable:
+    """Drive the races of a pairing; options as for :func:`play_pairings`."""
+    name = "-".join((pairing.game.track.name, *pairing.names))
+    (matches,) = play_pairings([pairing], name=name, job=job, executor=executor, progress=progress)
+    return pairing.table(matches)
 
 
 def play_pairings(
     pairings: Sequence[Pairing],
-    archive: PolicyArchive,
-    config: GameConfig,
     *,
     name: str = "races",
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> list[Matches]:
-    """Play all games of several pairings.
-
-    Parameters
-    ----------
-    pairings : sequence of Pairing
-    archive : PolicyArchive
-    config : GameConfig
-    name : str
-        Of this part of the job's work.
-    job : Job, optional
-        Where results are kept; with it, games that were played before are not played again.
-    executor : Executor, optional
-        Where the games are played; by default here, on all cores.
-    progress : callable, optional
-        Told the number of games.
-
-    Returns
-    -------
-    list of Matches
-        In the order of the pairings; without what was seen (``seen`` has no columns).
-    """
-    return list(each_pairing(pairings, archive, config, name=name, job=job, executor=executor, progress=progress))
-
-
-def each_pairing(
-    pairings: Sequence[Pairing],
-    archive: PolicyArchive,
-    config: GameConfig,
-    *,
-    name: str = "races",
+    observations: bool = False,
     job: Job | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Matches]:
-    """Play all games of several pairings as :func:`play_pairings`, and yield what came of them pairing by pairing.
+    """Drive the races of several pairings side by side, and yield what came of them pairing by pairing.
 
-    With a job, all of them are played first and then read from its chunks: memory does not grow with the games.
+    Parameters
+    ----------
+    pairings : sequence of Pairing
+    name : str
+        Of this part of the job's work.
+    observations : bool
+        Whether to return what was observed; else ``seen`` has no columns.
+    job : Job, optional
+        Where results are kept: races that were driven before are not driven again. All of them are driven first and
+        then read from its chunks, so that memory does not grow with them.
+    executor : Executor, optional
+        Where the races are driven; by default here, on all cores. It does not change the result.
+    progress : callable, optional
+        Called as ``progress(done, total, name)``, counting races.
     """
-    tasks, owner = [], []
-    for i, pairing in enumerate(pairings):
-        for first in range(0, len(pairing.seeds), BLOCK):
-            rows = np.arange(first, min(first + BLOCK, len(pairing.seeds)))
-            tasks.append(_task(pairing, rows, archive, config, executor, kept=job is not None))
-            owner.append(i)
-    total = sum(len(task.seeds) for task in tasks)
-    tell = _count_games(progress, total)
-    found = _from_job(job, name, tasks, executor, tell) if job is not None else _from_here(name, tasks, executor, tell)
-    for _, group in groupby(zip(owner, found, strict=True), key=itemgetter(0)):
-        parts = [Matches(**arrays, seen=np.zeros((len(arrays["lead"]), 2, 0), np.float32)) for _, arrays in group]
+    # Workers share the cores; alone in this thread a game takes all of them.
+    games = {id(p.game): p.game if executor is None else replace(p.game, threads=1) for p in pairings}
+    worker = RaceWorker([replace(p, game=games[id(p.game)]) for p in pairings], observations)
+    blocks = [
+        block for i, pairing in enumerate(pairings) for block in _blocks(i, pairing, observations, kept=job is not None)
+    ]
+    total = sum(len(pairing) for pairing in pairings)
+
+    def tell(done: int, tasks: int, what: str) -> None:
+        if progress is not None:
+            progress(round(total * done / tasks) if tasks else 0, total, what)
+
+    results: dict[int, Arrays] = {}
+    kept = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"  # a name as jobs want it
+    if job is not None:
+        job.run(kept, worker, blocks, executor=executor, progress=tell, keep=False)
+    else:
+        tell(0, len(blocks), name)
+        for index, arrays in run_tasks(numbered_tasks(worker, blocks), executor, name):
+            results[index] = arrays
+            tell(len(results), len(blocks), name)
+    index = 0
+    for pairing in pairings:
+        parts = []
+        for _ in range(0, len(pairing), BLOCK):
+            arrays = results.pop(index) if job is None else job.read(kept, index)
+            parts.append(Matches(**{"seen": np.zeros((len(arrays["lead"]), 2, 0), np.float32), **arrays}))
+            index += 1
         yield join_matches(parts)
 
 
-def _from_job(job: Job, name: str, tasks: list[_Task], executor: Executor | None, tell: Progress) -> Iterator[Arrays]:
-    part = _plain_name(name)
-    job.run(part, _play, tasks, executor=executor, progress=tell, keep=False)
-    return (job.read(part, index) for index in range(len(tasks)))
-
-
-def _from_here(name: str, tasks: list[_Task], executor: Executor | None, tell: Progress) -> Iterator[Arrays]:
-    tell(0, len(tasks), name)
-    for done, arrays in enumerate(executor.map(_play, tasks) if executor is not None else map(_play, tasks), start=1):
-        tell(done, len(tasks), name)
-        yield arrays
-
-
-def _task(
-    pairing: Pairing,
-    rows: NDArray[np.intp],
-    archive: PolicyArchive,
-    config: GameConfig,
-    executor: Executor | None,
-    *,
-    kept: bool,
-) -> _Task:
-    track, starts = pairing.track, pairing.starts.take(rows)
-    policies, seeds = pairing.policies[rows], pairing.seeds[rows]
-    # Other processes read the map again (from a cache): its arrays are too many to send along with every task.
-    elsewhere = in_other_processes(executor) is not None
-    return _Task(
-        content_hash=fingerprint(
-            _track_hash(track),
-            archive.content_hash,
-            config,
-            [competitor_hash(one) if kept else "" for one in (pairing.ego, pairing.opponent)],
-            (policies, starts.s, starts.side, seeds),
-        ),
-        track=track.folder if elsewhere and track.folder is not None else track,
-        track_hash=_track_hash(track),
-        archive=archive,
-        config=config,
-        threads=None if executor is None else 1,
-        ego=pairing.ego,
-        opponent=pairing.opponent,
-        policies=policies,
-        starts=starts,
-        seeds=seeds,
+def _blocks(number: int, pairing: Pairing, observations: bool, *, kept: bool) -> Iterator[RaceBlock]:
+    game = pairing.game
+    who = [competitor_hash(car) if kept else "" for car in (pairing.ego, pairing.opponent)]
+    what = (
+        fingerprint(_track_hash(game.track), game.archive.content_hash, game.config, who, observations) if kept else ""
     )
+    for first in range(0, len(pairing), BLOCK):
+        last = min(first + BLOCK, len(pairing))
+        rows = slice(first, last)
+        drawn = (pairing.variants[rows], pairing.starts.s[rows], pairing.starts.side[rows], pairing.noise[rows])
+        yield RaceBlock(fingerprint(what, drawn) if kept else "", number, first, last)
 
 
 def _track_hash(track: Track) -> str:
     return fingerprint(
         track.content_hash, {preset: calibration_values(own) for preset, own in track.calibration.items()}
     )
-
-
-def _play(task: _Task) -> dict[str, NDArray[Any]]:
-    track = task.track if isinstance(task.track, Track) else load_track(task.track)
-    if _track_hash(track) != task.track_hash:
-        raise InputError(f"the map in {task.track} has changed while races were driven on it; start again")
-    game = RaceGame(track, task.archive, task.config, threads=task.threads)
-    played = play_games(game, task.ego, task.opponent, policies=task.policies, starts=task.starts, seeds=task.seeds)
-    return {key: value for key, value in played._asdict().items() if key != "seen"}
-
-
-def _count_games(progress: Progress | None, total: int) -> Progress:
-    """Tell of games instead of tasks."""
-
-    def tell(done: int, tasks: int, what: str) -> None:
-        if progress is not None:
-            progress(round(total * done / tasks) if tasks else 0, total, what)
-
-    return tell
-
-
-def _plain_name(name: str) -> str:
-    """A name as jobs want it: small letters, digits and hyphens."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"

@@ -1,23 +1,17 @@
-"""A tournament as text and as files: the table of the competitors, the payoff matrix, and a line for every race."""
+"""The tables of a tournament: standings of the competitors and the payoff matrix, as values, text and a picture."""
 
-import csv
-import io
 import os
-from array import array
-from collections.abc import Iterable
 from functools import lru_cache
 from itertools import compress
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.tournament.play import Tournament
-from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
-from pcs_racing_agents.tournament.rows import RaceRow, start_label
+from pcs_racing_agents.tournament.round_robin import RoundRobin, drivers, round_robin
 
 __all__ = [
     "Standing",
@@ -26,8 +20,6 @@ __all__ = [
     "standings",
     "sum_up",
     "tournament_text",
-    "write_results",
-    "write_rows",
 ]
 
 COLUMNS = ("agent", "races", "score", "rating", "95 %", "win", "tie", "loss", "crash: own", "other's", "overtakes")
@@ -77,19 +69,21 @@ class Standing(NamedTuple):
 def standings(tournament: Tournament) -> list[Standing]:
     """Return the table of a tournament, highest score first."""
     table = []
-    together, races = sum_up(tournament), _counted(tournament)
-    clean, tied = ~races.crashed & (races.winner >= 0), ~races.crashed & (races.winner < 0)
+    together, races = sum_up(tournament), tournament.races
+    drove = drivers(tournament.plan.names, races)
+    clean = ~races.crashed & (races.winner >= 0)
     for k, name in enumerate(tournament.plan.names):
-        own = [races.cars[car] == k for car in range(2)]  # the races in which it drove that car
+        own = drove == k  # (N, 2): the races in which it drove that car
 
-        def count(*where: NDArray[np.bool_], own: list[NDArray[np.bool_]] = own) -> int:
-            """In how many of its races something holds: of its own car, or of the race."""
-            return sum(int(np.count_nonzero(own[car] & where[car % len(where)])) for car in range(2))
+        def count(where: NDArray[np.bool_], own: NDArray[np.bool_] = own) -> int:
+            """In how many of its races something holds: of its own car, (N, 2), or of the race, (N, 1)."""
+            return int(np.count_nonzero(own & where))
 
-        total, won, ties = count(own[0] | own[1]), count(*(races.winner == car for car in range(2))), count(tied)
-        wins = count(*(clean & (races.winner == car) for car in range(2)))
-        crashes, blamed = count(races.crashed), count(*(races.fault >> car & 1 > 0 for car in range(2)))
-        passes = sum(int(races.overtakes[car][own[car]].sum()) for car in range(2))
+        winner = races.winner[:, None] == np.arange(2)
+        total, won, ties = int(np.count_nonzero(own)), count(winner), count(races.tie[:, None])
+        wins = count(clean[:, None] & winner)
+        crashes, blamed = count(races.crashed[:, None]), count(races.fault > 0)
+        passes = int(races.overtakes[own].sum())
         share = 1.0 / total
         rating, low, high = together.rating(name)
         table.append(
@@ -113,63 +107,10 @@ def standings(tournament: Tournament) -> list[Standing]:
     return sorted(table, key=lambda standing: -standing.score)
 
 
-class _Counted(NamedTuple):
-    """What the tables count in N races.
-
-    Attributes
-    ----------
-    cars : ndarray, shape (2, N)
-        Places in the plan of the competitors in car 0 and car 1.
-    winner : ndarray, shape (N,)
-        The car that won; -1 where none did.
-    crashed : ndarray, shape (N,)
-    fault : ndarray, shape (N,)
-        Bit ``k`` is set where car ``k`` is to blame.
-    overtakes : ndarray, shape (2, N)
-    line : list of str, length N
-        Labels of the start lines, each kept once.
-    """
-
-    cars: NDArray[np.int64]
-    winner: NDArray[np.int64]
-    crashed: NDArray[np.bool_]
-    fault: NDArray[np.int64]
-    overtakes: NDArray[np.int64]
-    line: list[str]
-
-
-@lru_cache(maxsize=8)
-def _counted(tournament: Tournament) -> _Counted:
-    """Go through the races once: there may be many of them, and each line is made anew."""
-    place = {name: k for k, name in enumerate(tournament.plan.names)}
-    winners, faults = {"ego": 0, "opponent": 1, "": -1}, {"": 0, "ego": 1, "opponent": 2, "both": 3}
-    numbers, line = array("q"), []
-    labels: dict[str, str] = {}
-    for row in tournament.rows:
-        if row.ego not in place or row.opponent not in place:
-            stranger = row.opponent if row.ego in place else row.ego
-            raise InputError(f"{stranger!r} raced, but is not one of {', '.join(place)}")
-        numbers.extend((place[row.ego], place[row.opponent], winners[row.winner], row.crash != "", faults[row.fault]))
-        numbers.extend((row.ego_overtakes, row.opponent_overtakes))
-        label = start_label(row.track, row.start_s)
-        line.append(labels.setdefault(label, label))
-    found = np.frombuffer(numbers, np.int64).reshape(-1, 7).T
-    return _Counted(found[:2], found[2], found[3] > 0, found[4], found[5:7], line)
-
-
 @lru_cache(maxsize=8)
 def sum_up(tournament: Tournament) -> RoundRobin:
     """Return scores against each other, ratings, and what the game of choosing an agent says, in the plan's order."""
-    names, races = tournament.plan.names, _counted(tournament)
-    return round_robin(
-        names,
-        [names[k] for k in races.cars[0].tolist()],
-        [names[k] for k in races.cars[1].tolist()],
-        [("ego", "opponent", "")[k] for k in races.winner.tolist()],
-        races.crashed.tolist(),
-        races.line,
-        seed=tournament.plan.seed,
-    )
+    return round_robin(tournament.plan.names, tournament.races, seed=tournament.plan.seed)
 
 
 def payoff_matrix(tournament: Tournament) -> NDArray[np.float64]:
@@ -180,8 +121,8 @@ def payoff_matrix(tournament: Tournament) -> NDArray[np.float64]:
 def tournament_text(tournament: Tournament) -> str:
     """Return the table and the payoff matrix for people."""
     table = standings(tournament)
-    races, counted = len(tournament.rows), _counted(tournament)
-    crashes, passed = int(counted.crashed.sum()), int(counted.overtakes.any(axis=0).sum())
+    races = len(tournament.races)
+    crashes, passed = int(tournament.races.crashed.sum()), int(tournament.races.overtakes.any(axis=1).sum())
     plan = tournament.plan
     head = (
         f"{races} races of {plan.config.duration:g} s, preset {plan.config.name}, on "
@@ -215,7 +156,7 @@ def tournament_text(tournament: Tournament) -> str:
             "\nalpha-rank: share of the time that evolution spends at it; scores against each other that differ by up "
             f"to {sum_up(tournament).alike:.3f} count as alike"
         )
-    return "\n".join([head, *_aligned(rows), "", *_aligned(matrix), "", note])
+    return "\n".join([head, *aligned(rows, left=1), "", *aligned(matrix, left=1), "", note])
 
 
 def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
@@ -234,47 +175,3 @@ def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path
     names = [standing.name for standing in standings(tournament)]
     order = [tournament.plan.names.index(name) for name in names]
     return save_picture(payoffs_picture(names, payoff_matrix(tournament)[np.ix_(order, order)]), path)
-
-
-def write_results(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
-    """Write one line for every race as CSV; the file appears whole or not at all.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist.
-    """
-    return write_rows(tournament.rows, tournament.plan.config.name, path)
-
-
-def write_rows(rows: Iterable[RaceRow], preset: str, path: str | os.PathLike[str]) -> Path:
-    """Write races of one preset as CSV; see :func:`write_results`."""
-
-    def write(file: IO[bytes]) -> None:
-        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(("preset", *RaceRow._fields))
-        writer.writerows((preset, *map(_plain, row)) for row in rows)
-        text.detach()
-
-    write_atomically(Path(path), write)
-    return Path(path)
-
-
-def _plain(value: object) -> object:
-    """Floats to a tenth of a millimetre or millisecond: the file is the same on every machine. Lists as text."""
-    if isinstance(value, float):
-        return f"{value:.4f}"
-    if isinstance(value, tuple):
-        return "; ".join(str(item) for item in value)
-    return value
-
-
-def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
-    """Rows as lines, the first column to the left, the others to the right."""
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    lines = []
-    for first, *others in rows:
-        cells = [first.ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True))]
-        lines.append("  ".join(cells))
-    return lines

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.competitor import competitor_name
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.recording import record_drive
 from pcs_racing.race.replay import Replay
@@ -75,13 +76,12 @@ def record_match(
             else:
                 parameters = arena.archive.parameters[match.policy[0, car, step]]
             theta[step, car, : len(parameters)] = parameters
-    names = tuple(str(getattr(who, "name", type(who).__name__)) for who in cars)
     replay = record_drive(
         arena.setup,
         start,
         match.noise[0],
         theta,
-        names=(names[0], names[1]),
+        names=(competitor_name(cars[0]), competitor_name(cars[1])),
         step_ticks=arena.config.step_ticks,
         candidates=candidates,
     )

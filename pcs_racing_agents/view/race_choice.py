@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.view.race_columns import RaceColumns
+from pcs_racing_agents.results.races import RaceTable
 
 __all__ = ["OUTCOMES", "Pick", "choose_races", "outcomes"]
 
@@ -40,29 +40,29 @@ class Pick(NamedTuple):
     why: str
 
 
-def outcomes(columns: RaceColumns, car: int) -> NDArray[np.int64]:
+def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
     """Return what each race was to one of its cars: places in ``OUTCOMES``, shape (N,).
 
     Parameters
     ----------
-    columns : RaceColumns
+    races : RaceTable
     car : int
         0 or 1.
     """
-    crashed = columns.crash > 0
-    own = (columns.fault == 1 + car) | (columns.fault == 3)
-    won, lost = columns.winner == 1 + car, columns.winner == 2 - car
-    switched = columns.switches[car] > 0
-    cases = [crashed & own, crashed & (columns.fault == 2 - car), ~crashed & won & switched, ~crashed & won]
-    return np.select([*cases, ~crashed & lost], [2, 4, 0, 3, 1], 5)
+    crashed, fault = races.crashed, races.fault > 0
+    own, other = fault[:, car], fault[:, 1 - car] & ~fault[:, car]
+    won, lost = races.winner == car, races.winner == 1 - car
+    switched = races.switches[:, car] > 0
+    cases = [crashed & own, crashed & other, ~crashed & won & switched, ~crashed & won, ~crashed & lost]
+    return np.select(cases, [2, 4, 0, 3, 1], 5)
 
 
-def choose_races(columns: RaceColumns, count: int) -> list[Pick]:
+def choose_races(races: RaceTable, count: int) -> list[Pick]:
     """Choose races to show; the same ones every time.
 
     Parameters
     ----------
-    columns : RaceColumns
+    races : RaceTable
     count : int
         How many; all, if there are not more.
 
@@ -71,41 +71,41 @@ def choose_races(columns: RaceColumns, count: int) -> list[Pick]:
     list of Pick
         The most telling first.
     """
-    agents = range(len(columns.agents.words))
-    told = np.array([outcomes(columns, car) for car in range(2)])
+    agents = range(len(races.agents.words))
+    told = np.array([outcomes(races, car) for car in range(2)])
     piles = [
-        (agent, outcome, _in_turns(columns, agent, (told == outcome) & (columns.agents.places == agent)))
+        (agent, outcome, _in_turns(races, agent, (told == outcome) & (agent == races.agents.codes.T)))
         for outcome in range(len(OUTCOMES))
         for agent in agents
     ]
     picks: dict[int, Pick] = {}
-    while piles and len(picks) < min(count, len(columns)):
+    while piles and len(picks) < min(count, len(races)):
         left = []
         for agent, outcome, pile in piles:
             race = next((one for one in pile if one not in picks), None)
             if race is None:
                 continue
             left.append((agent, outcome, pile))
-            picks[race] = Pick(race, f"{columns.agents.words[agent]}: {OUTCOMES[outcome]}")
+            picks[race] = Pick(race, f"{races.agents.words[agent]}: {OUTCOMES[outcome]}")
             if len(picks) >= count:
                 break
         piles = left
     return list(picks.values())
 
 
-def _in_turns(columns: RaceColumns, agent: int, chosen: NDArray[np.bool_]) -> Iterator[int]:
+def _in_turns(races: RaceTable, agent: int, chosen: NDArray[np.bool_]) -> Iterator[int]:
     """Return races of a pile: circuits and opponents take turns, and of each the race with the median lead is first.
 
     ``chosen`` has shape (2, N): the races of the pile, by the car that the agent drove in them.
     """
-    cars, races = np.nonzero(chosen)
-    lead = np.where(cars == 0, columns.lead[races], -columns.lead[races])
-    others = columns.agents.places[1 - cars, races]
-    tracks = columns.track.places[races]
+    cars, numbers = np.nonzero(chosen)
+    lead = np.where(cars == 0, races.lead[numbers], -races.lead[numbers])
+    others = races.agents.codes[numbers, 1 - cars]
+    tracks = races.track.codes[numbers]
     groups: list[Sequence[int]] = []
     for pair in sorted({*zip(tracks.tolist(), others.tolist(), strict=True)}, key=lambda pair: pair[::-1]):
         mine = np.flatnonzero((tracks == pair[0]) & (others == pair[1]))
-        ordered = races[mine][np.argsort(lead[mine], kind="stable")]
+        ordered = numbers[mine][np.argsort(lead[mine], kind="stable")]
         groups.append([int(ordered[place]) for place in _from_the_middle(len(ordered))])
     # Start each agent's turn with another group, lest all of them show their race against the same opponent.
     groups = groups[agent % len(groups) :] + groups[: agent % len(groups)] if groups else []

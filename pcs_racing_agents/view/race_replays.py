@@ -16,19 +16,20 @@ from pcs_racing.base.packing import COARSE, FINE, pack, pack_paths, pack_segment
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.replay import Replay, plain_parts
-from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.observing import opponent, step_count
 from pcs_racing_agents.explain.explain import mark_moves
 from pcs_racing_agents.explain.pcs_picture import in_units, plane
+from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.tournament.matches import game_between
+from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.watching import record_match
-from pcs_racing_agents.view.contests import Contest, Results
+from pcs_racing_agents.view.results_folder import ResultsFolder
 
 __all__ = ["PLACES", "DrivenRace", "RaceDriver", "circuit_values", "race_values", "space_values"]
 
 PLACES = 4000  # steps of the picture's width, in which places in it are told
 PLAN_SKIP = 2  # every second plan is kept
-MOST_CONTESTS = 64
+MOST_PAIRINGS = 64
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ class RaceDriver:
 
     Parameters
     ----------
-    results : Results
+    results : ResultsFolder
 
     Attributes
     ----------
@@ -68,11 +69,11 @@ class RaceDriver:
         The Policy Characteristic Space: :func:`space_values`; None before the first race.
     """
 
-    def __init__(self, results: Results) -> None:
+    def __init__(self, results: ResultsFolder) -> None:
         self.results = results
         self.circuits: dict[str, dict[str, Any]] = {}
         self.space: dict[str, Any] | None = None
-        self._contests: OrderedDict[tuple[str, ...], Contest] = OrderedDict()
+        self._pairings: OrderedDict[tuple[str, str, str, int], Pairing] = OrderedDict()
 
     def drive(self, number: int) -> DrivenRace:
         """Drive a line of the results again.
@@ -84,33 +85,23 @@ class RaceDriver:
             otherwise.
         """
         row = self.results.row(number)
-        contest = self._contest(row)
-        race = int(row["race"])
-        if not 0 <= race < len(contest.seeds):
-            raise InputError(f"race {number} is number {race} of its pair, which drove {len(contest.seeds)}")
-        start = contest.starts.take([race])
-        _check_start(number, row, start, contest.variants[race])
-        recording = record_match(
-            contest.game,
-            contest.ego,
-            contest.opponent,
-            policies=contest.variants[race],
-            start=start,
-            seed=int(contest.seeds[race]),
-            candidates=False,
-        )
-        match, arena = recording.match, game_between(contest.game, contest.ego, contest.opponent)
+        pairing = self._pairing(row)
+        if row.race >= len(pairing):
+            raise InputError(f"race {number} is number {row.race} of its pair, which drove {len(pairing)}")
+        _check_start(number, row, pairing)
+        recording = record_match(pairing.game, pairing.ego, pairing.opponent, **pairing.one(row.race), candidates=False)
+        match, arena = recording.match, game_between(pairing.game, pairing.ego, pairing.opponent)
         found = f"{match.lead[0]:.4f}"
-        if found != row["lead"]:
+        if found != f"{row.lead:.4f}":
             raise InputError(
                 f"race {number} came out otherwise than in {self.results.folder}: a lead of {found} m instead of "
-                f"{row['lead']:.40} m; it was driven by another version"
+                f"{row.lead:.4f} m; it was driven by another version"
             )
         step_seconds = arena.config.step_seconds
         replay = mark_moves(recording.replay, match, arena.move_names, step_seconds)
         if self.space is None:
             self.space = space_values(arena.archive, arena.move_names)
-        self.circuits.setdefault(row["track"], circuit_values(replay))
+        self.circuits.setdefault(row.track, circuit_values(replay))
         axes = len(arena.archive.characteristics)
         steps = range(step_count(match.seen[:, 0], axes))
         # Steps that a crash left no time for are zeros in an observation; whether it was seen is its last number.
@@ -124,7 +115,7 @@ class RaceDriver:
             "made": match.moves[0].tolist(),
             "seen": _places(self.space, in_units(arena.archive, seen)[..., list(plane(arena.archive))]),
         }
-        return DrivenRace(number, row["track"], values)
+        return DrivenRace(number, row.track, values)
 
     def drive_all(self, numbers: Sequence[int]) -> Iterator[DrivenRace]:
         """Drive several lines, those of a pair together; they come in the order in which they are driven."""
@@ -133,29 +124,30 @@ class RaceDriver:
         for number in order:
             yield self.drive(number)
 
-    def _contest(self, row: dict[str, str]) -> Contest:
+    def _pairing(self, row: RaceRow) -> Pairing:
         """Return the races of a pair; the last few pairs are kept."""
         key = _pair(row)
-        if key not in self._contests:
-            self._contests[key] = self.results.contest(row)
-            while len(self._contests) > MOST_CONTESTS:
-                self._contests.popitem(last=False)
-        self._contests.move_to_end(key)
-        return self._contests[key]
+        if key not in self._pairings:
+            self._pairings[key] = self.results.pairing(row)
+            while len(self._pairings) > MOST_PAIRINGS:
+                self._pairings.popitem(last=False)
+        self._pairings.move_to_end(key)
+        return self._pairings[key]
 
 
-def _pair(row: dict[str, str]) -> tuple[str, ...]:
-    return (row["track"], row["ego"], row["opponent"], row["seed"])
+def _pair(row: RaceRow) -> tuple[str, str, str, int]:
+    return (row.track, row.ego, row.opponent, row.seed)
 
 
-def _check_start(number: int, row: dict[str, str], start: Starts, variants: NDArray[np.int64]) -> None:
+def _check_start(number: int, row: RaceRow, pairing: Pairing) -> None:
     """Tell a line that has been changed from its race before that is driven."""
-    told = [str(row[name]) for name in ("start_s", "side", "ego_variant", "opponent_variant")]
-    drawn = [f"{float(start.s[0]):.4f}", str(int(start.side[0])), *map(str, variants.tolist())]
+    starts, variants = pairing.starts, pairing.variants[row.race].tolist()
+    drawn = (f"{starts.s[row.race]:.4f}", int(starts.side[row.race]), *variants)
+    told = (f"{row.start_s:.4f}", row.side, row.ego_variant, row.opponent_variant)
     if told != drawn:
         raise InputError(
-            f"race {number} is not the one that its folder describes: its line tells of start {told[0]:.40} m, side "
-            f"{told[1]:.40} and variants {told[2]:.40} and {told[3]:.40}, the folder of {', '.join(drawn)}"
+            f"race {number} is not the one that its folder describes: its line tells of start {told[0]}, side "
+            f"{told[1]} and variants {told[2]} and {told[3]}, the folder of {', '.join(map(str, drawn))}"
         )
 
 

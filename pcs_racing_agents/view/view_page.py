@@ -1,7 +1,7 @@
 """The page that lists races and plays them: one file, nothing loaded, nothing sent.
 
-Its parts are ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the player, as it is, in a frame of its own)
-and ``beside.html`` (what the player shows beside the track).
+Its parts are ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the player, in a frame of its own) and
+``beside.html`` (what the player shows beside the track).
 """
 
 import html
@@ -12,12 +12,15 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
+
+from pcs_racing.base.packing import pack
 from pcs_racing.race.replay import safe_json
+from pcs_racing_agents.results.races import Categorical, RaceTable
 from pcs_racing_agents.view.race_choice import Pick
-from pcs_racing_agents.view.race_columns import RaceColumns, packed_columns
 from pcs_racing_agents.view.race_replays import DrivenRace
 
-__all__ = ["ViewContent", "safe_json", "view_page"]
+__all__ = ["ViewContent", "packed_races", "view_page"]
 
 _SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTALL)
 
@@ -29,8 +32,7 @@ class ViewContent:
     Attributes
     ----------
     title : str
-    columns : RaceColumns
-        The races.
+    races : RaceTable
     results : str
         Where they lie, as it is to be written in a command.
     start : str
@@ -50,7 +52,7 @@ class ViewContent:
     """
 
     title: str
-    columns: RaceColumns
+    races: RaceTable
     results: str = ""
     start: str = "side-by-side"
     picks: Sequence[Pick] = ()
@@ -73,16 +75,16 @@ def view_page(content: ViewContent) -> str:
     list_page, player, beside = (_template(*place) for place in _TEMPLATES)
     shared = {name: text.strip() for name, text in _SHARED.findall(player)}
     driven = {race.race: race for race in content.driven}
-    columns, where = content.columns, shlex.quote(content.results)
+    table, where = content.races, shlex.quote(content.results)
     commands = [f"pcs-racing view {where} --serve", f"pcs-racing view {where} --races {{race}}"]
-    tracks, races = len(columns.track.words), len(columns)
-    agents = len(columns.agents.words)
-    rules = ", ".join(word for word in columns.preset.words if word)
+    tracks, races = len(table.track.words), len(table)
+    agents = len(table.agents.words)
+    rules = ", ".join(word for word in table.preset.words if word)
     data = {
         "title": content.title,
         "about": f"{races:,} race{_s(races)}, {agents} agent{_s(agents)}, {tracks} circuit{_s(tracks)}"
         + (f", {rules} rules" if rules else ""),
-        **packed_columns(columns),
+        **packed_races(table),
         "sides": ["left", "right"] if content.start == "side-by-side" else ["front", "rear"],
         "replays": [[pick.race, pick.why] for pick in content.picks if pick.race in driven],
         "circuits": [[name, dict(values)] for name, values in content.circuits.items()],
@@ -105,6 +107,54 @@ def view_page(content: ViewContent) -> str:
     }
     # In one pass: a name that spells a placeholder is not one.
     return re.sub("|".join(map(re.escape, parts)), lambda match: parts[match.group()], list_page)
+
+
+def packed_races(races: RaceTable) -> dict[str, Any]:
+    """Return races as plain values for the page's JSON: leads to a millimetre, other lengths and times to a hundredth,
+    the rest exactly.
+    """
+    moves = _joined(races.moves)
+    whole = {
+        "ego": races.agents.codes[:, 0],
+        "opponent": races.agents.codes[:, 1],
+        "track": races.track.codes,
+        "preset": races.preset.codes,
+        "seed": races.seed.codes,
+        "race": races.race,
+        "side": races.side,
+        "winner": races.winner + 1,
+        "crash": races.crash,
+        "fault": races.fault[:, 0] + 2 * races.fault[:, 1],
+    }
+    both = {"overtakes": races.overtakes, "variants": races.variants, "switches": races.switches, "moves": moves.codes}
+    whole |= {f"{name}{car}": values[:, car] for name, values in both.items() for car in range(2)}
+    # Differences make the long runs of equal values, and numbers that count up, one character each.
+    return {
+        "length": len(races),
+        "agents": list(races.agents.words),
+        "tracks": list(races.track.words),
+        "presets": list(races.preset.words),
+        "seeds": list(races.seed.words),
+        "moves": list(moves.words),
+        "columns": {
+            **{name: pack(values.astype(np.int64), 1, [0]) for name, values in whole.items()},
+            "start_s": pack(races.start_s, 100, [0]),
+            "lead": pack(races.lead, 1000),
+            "duration": pack(np.nan_to_num(races.duration, nan=-1.0), 100, [0]),
+        },
+    }
+
+
+def _joined(moves: Categorical) -> Categorical:
+    """Return lists of moves as texts, shape (N, 2)."""
+    codes = np.zeros(moves.codes.shape[:2], np.int64)
+    for step in range(moves.codes.shape[2]):
+        # Numbered anew after every step, lest the numbers become too large.
+        mixed = codes * (len(moves.words) + 1) + moves.codes[:, :, step] + 1
+        codes = np.unique(mixed, return_inverse=True)[1].reshape(codes.shape)
+    _, first = np.unique(codes, return_index=True)
+    lists = moves.codes.reshape(codes.size, moves.codes.shape[2])[first].tolist()
+    return Categorical(tuple("; ".join(moves.words[move] for move in made if move >= 0) for made in lists), codes)
 
 
 _TEMPLATES = (

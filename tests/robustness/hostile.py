@@ -21,8 +21,8 @@ import yaml
 
 from pcs_racing import InputError, load_archive, load_race_config, load_state, load_track, parse_policy, read_replay
 from pcs_racing.base.settings import read_settings
-from pcs_racing.envs.drive_vector import DriveVectorEnv
-from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.drive import DriveVectorEnv
+from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT
 from pcs_racing.game.state import load_game
 from pcs_racing.track.map_files import parse_csv, parse_grid, parse_ros_yaml
@@ -32,10 +32,8 @@ from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
-from pcs_racing_agents.study.cell_races import read_races
-from pcs_racing_agents.tournament.result_lines import read_lines
+from pcs_racing_agents.results.race_files import read_results
 from pcs_racing_agents.trees import load_ego_trees, load_trees
-from pcs_racing_agents.view.race_columns import race_columns
 
 ROOM = 1_000_000_000  # bytes above what the process holds at the start
 GROWTH = 300_000_000  # that the most it ever held may grow by
@@ -163,8 +161,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     zero = here / "zero.csv"
     zero.symlink_to("/dev/zero")
     for what, path in (("wide", wide), ("short lines", short), ("without end", zero)):
-        yield f"races to view: {what}", lambda path=path: race_columns(read_lines(path))
-        yield f"races of a study: {what}", lambda path=path: read_races(path)
+        yield f"results of races: {what}", lambda path=path: read_results(path)
         yield f"learning curves: {what}", lambda path=path: read_evaluations(path)
 
     part = {"per_unit": 1, "differences": [], "data": "A" * 10}

@@ -1,1 +1,1 @@
-"""From a picture of the walls to a track: centre line, race line, splines, speed, walls."""
+"""Construction of a track from a picture of its walls: centre line, race line, splines, speed, walls."""

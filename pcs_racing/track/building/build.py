@@ -1,4 +1,4 @@
-"""From a grid and a race line to the arrays that compiled kernels race on, with everything checked first."""
+"""Build the arrays of a track for compiled kernels from a grid and a race line, after a check of both."""
 
 import math
 from typing import Any
@@ -37,13 +37,13 @@ LEAK = 1.4  # a region larger than this many times length x mean width is more t
 def check_grid(
     occupied: ArrayLike, resolution: float, origin: ArrayLike, what: str
 ) -> tuple[Grid, float, tuple[float, float]]:
-    """Occupancy grid, side of a cell and lower left corner in the right types, or one clear error.
+    """Check an occupancy grid, its cell size and its lower left corner, and convert them to the right types.
 
     Raises
     ------
     MapError
-        If the grid is not a boolean array of at least 8 x 8 cells, the resolution not in (0, 1] m, or the origin not
-        two finite numbers.
+        If the grid is not a boolean array of at least 8 x 8 cells, if the resolution is not in (0, 1] m, or if the
+        origin is not two finite numbers.
     """
     grid = np.ascontiguousarray(occupied)
     if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 8:
@@ -57,14 +57,14 @@ def check_grid(
 
 
 def check_line(points: ArrayLike, what: str) -> Floats:
-    """Points of a closed line, cleaned of repeated ones.
+    """Check the points of a closed line and remove repeated points.
 
     Parameters
     ----------
     points : array_like, shape (K, 2)
         In m.
     what : str
-        How to call the line in errors.
+        Name of the line in errors.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def check_line(points: ArrayLike, what: str) -> Floats:
     Raises
     ------
     MapError
-        If the line has fewer than 10 different points, holds NaN or infinity, is open or crosses itself.
+        If the line has fewer than 10 different points, contains NaN or infinity, is open, or crosses itself.
     """
     xy = np.array(points, dtype=np.float64)
     if xy.ndim != 2 or xy.shape[1] != 2:
@@ -102,7 +102,7 @@ def check_line(points: ArrayLike, what: str) -> Floats:
 
 
 def check_centerline(centerline: ArrayLike, what: str) -> Floats:
-    """Centre line with widths, or one clear error; see `check_line`."""
+    """Check a centre line with its widths; see `check_line`."""
     rows = np.array(centerline, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 4:
         raise MapError(f"{what} must have 4 columns (x, y, width to the right, to the left), got shape {rows.shape}")
@@ -120,7 +120,7 @@ def check_centerline(centerline: ArrayLike, what: str) -> Floats:
 def drivable_region(
     occupied: Grid, resolution: float, origin: tuple[float, float], samples: LineSamples, what: str
 ) -> tuple[Grid, int, int]:
-    """What can be reached from a line without crossing walls, cropped to its box and a margin.
+    """Return the region that is connected with a line without crossing walls, cropped to its box and a margin.
 
     Parameters
     ----------
@@ -130,19 +130,19 @@ def drivable_region(
     samples : LineSamples
         The race line.
     what : str
-        How to call the track in errors.
+        Name of the track in errors.
 
     Returns
     -------
     drivable : ndarray of bool
         Its outermost rows and columns are False.
     row, col : int
-        Row and column of the grid at which the crop begins (negative where the margin sticks out).
+        Row and column of the grid at which the crop begins (negative if the margin is outside the grid).
 
     Raises
     ------
     MapError
-        If the line leaves the map, runs through a wall, or the region is more than the track.
+        If the line leaves the map or crosses a wall, or if the region is larger than the track.
     """
     rows, cols = _cells(samples.xy, occupied, resolution, origin, f"{what}: the race line")
     reached, (bottom, top, left, right) = flood(occupied, rows, cols)
@@ -176,16 +176,16 @@ def drivable_region(
 def build_arrays(
     occupied: Grid, resolution: float, origin: tuple[float, float], raceline: Floats, what: str
 ) -> tuple[TrackArrays, Grid]:
-    """Build what compiled kernels need of a track.
+    """Build the arrays of a track for compiled kernels.
 
     Parameters
     ----------
     occupied, resolution, origin
-        What `check_grid` returned.
+        Results of `check_grid`.
     raceline : ndarray, shape (K, 2)
-        What `check_line` returned.
+        Result of `check_line`.
     what : str
-        How to call the track in errors.
+        Name of the track in errors.
 
     Returns
     -------
@@ -254,7 +254,7 @@ def _at(point: NDArray[Any]) -> str:
 def _cells(
     xy: Floats, occupied: Grid, resolution: float, origin: tuple[float, float], what: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the free cells in which points lie."""
+    """Return the rows and columns of the free cells that contain the points."""
     cols, rows = np.floor((xy - np.asarray(origin)) / resolution).astype(np.int64).T.copy()
     height, width = occupied.shape
     outside = (rows < 0) | (cols < 0) | (rows >= height) | (cols >= width)
@@ -271,14 +271,14 @@ def _cells(
 def _in_cells(
     samples: LineSamples, resolution: float, origin: tuple[float, float], row: int, col: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Line samples in cells from the corner of a crop, and their tangents."""
+    """Return the line samples, in cells from the corner of a crop, and their tangents."""
     x = (samples.xy[:, 0] - origin[0]) / resolution - col
     y = (samples.xy[:, 1] - origin[1]) / resolution - row
     return x, y, samples.tangent
 
 
 def _viewpoints(line: Floats, stretches: int) -> Floats:
-    """Points across the track where each stretch begins and in its middle, shape (2 * stretches, SEEN_ACROSS, 2)."""
+    """Return points across the track at the start and middle of each stretch, shape (2 * stretches, SEEN_ACROSS, 2)."""
     index = np.round(np.arange(2 * stretches) * (len(line) / (2 * stretches))).astype(int) % len(line)
     at = line[index][:, None, :]
     across = np.linspace(-0.98, 0.98, SEEN_ACROSS)
@@ -288,7 +288,7 @@ def _viewpoints(line: Floats, stretches: int) -> Floats:
 
 @compiled
 def _free_widths(drivable, x, y, tangent):  # type: ignore[no-untyped-def]
-    """Free width in cells to the right and to the left of each line sample, along the line's normal."""
+    """Return the free width in cells to the right and left of each line sample, along the line's normal."""
     out = np.empty((x.shape[0], 2))
     for k in range(x.shape[0]):
         c, s = tangent[k]
@@ -299,10 +299,10 @@ def _free_widths(drivable, x, y, tangent):  # type: ignore[no-untyped-def]
 
 @compiled
 def _first_crossing(xy, step):  # type: ignore[no-untyped-def]
-    """First segment of a closed polyline with steps of equal length that crosses another one, or -1.
+    """Return the first segment of a closed polyline with equal steps that crosses another one, or -1.
 
-    A line can't come back faster than it goes, so after a pair of far segments all those that can't yet be near are
-    left out: close to linear time on a circuit.
+    The distance between two segments changes by at most one step per segment. So after a pair of distant segments, all
+    segments that can't be near yet are skipped, which takes almost linear time on a circuit.
     """
     n = xy.shape[0]
     for i in range(n - 2):

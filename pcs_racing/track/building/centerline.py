@@ -31,11 +31,11 @@ def centerline_from_grid(
     seed_point: Sequence[float] | np.ndarray | None = None,
     direction: str | float | None = None,
 ) -> np.ndarray:
-    """Closed line midway between the inner and the outer wall of a circuit.
+    """Compute the closed line midway between the inner and the outer wall of a circuit.
 
     The circuit is a free region around exactly one hole. Its centre line is the set of points that are as far from the
-    hole as from the outer wall: the contour at zero of the difference of two exact distance fields. Other than a
-    skeleton of the region, it is a single closed curve without branches by construction, and finer than a cell.
+    hole as from the outer wall: the contour at zero of the difference of two exact distance fields. Unlike
+    the skeleton of a region, it is always a single closed curve without branches, and more precise than a cell.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The discrete Fourier transform with the same bits on every processor.
 
-Numpy's takes its sines from the C library, which chooses its code by the processor. This one is the textbook's mixed
-radix transform in Stockham's order (Van Loan 1992, *Computational Frameworks for the Fast Fourier Transform*, 1.7).
+Numpy's transform uses the sines of the C library, which selects its code by the processor. This is the mixed-radix
+transform in Stockham's order (Van Loan 1992, *Computational Frameworks for the Fast Fourier Transform*, 1.7).
 """
 
 import numpy as np
@@ -14,17 +14,17 @@ __all__ = ["transform"]
 
 @compiled
 def transform(real, imaginary):  # type: ignore[no-untyped-def]
-    """Sums ``X[k] = sum_j x[j] exp(-2 pi i j k / N)``, for any N; N times its prime factors' sum operations.
+    """Return ``X[k] = sum_j x[j] exp(-2 pi i j k / N)`` for any N, in N times the sum of its prime factors operations.
 
     Parameters
     ----------
     real, imaginary : ndarray, shape (N,)
-        The two parts of x.
+        Real and imaginary part of x.
 
     Returns
     -------
     real, imaginary : ndarray, shape (N,)
-        The two parts of X.
+        Real and imaginary part of X.
     """
     n = real.shape[0]
     sine = np.empty(n)

@@ -37,7 +37,7 @@ def minimum_curvature_raceline(
     length_weight: float = 0.08,
     rounds: int = 20,
 ) -> np.ndarray:
-    """Closed line of least squared curvature on a circuit, at least ``clearance`` away from every wall.
+    """Compute the closed line of minimum squared curvature that is at least ``clearance`` away from every wall.
 
     Iterated linearised minimum curvature (Heilmeier et al. 2020, "Minimum curvature trajectory planning and control for
     an autonomous race car"): each point of a reference line moves along its normal by a distance that a quadratic

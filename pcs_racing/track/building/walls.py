@@ -1,4 +1,4 @@
-"""Walls as polylines: outlines of the drivable region, simplified, and which of them can be seen from where."""
+"""Walls as polylines: simplified outlines of the drivable region, and lists of visible segments."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ __all__ = ["Outlines", "seen_lists", "simplify", "trace_outlines"]
 
 
 class Outlines(NamedTuple):
-    """The faces between drivable and other cells, in the order of the closed outlines they form.
+    """The faces between drivable and other cells, ordered along closed outlines.
 
     Attributes
     ----------
@@ -22,7 +22,7 @@ class Outlines(NamedTuple):
     side : ndarray, shape (E,), int8
         The face's side of that cell: 0 bottom, 1 right, 2 top, 3 left.
     start : ndarray, shape (L + 1,), int32
-        Where each outline begins; the drivable side is on its left.
+        Index of the first face of each outline; the drivable side is on its left.
     """
 
     row: NDArray[np.int32]
@@ -90,7 +90,7 @@ def trace_outlines(drivable: NDArray[np.bool_]) -> Outlines:
 
 @compiled
 def _corners(points, tolerance):  # type: ignore[no-untyped-def]
-    """Mark the points that Douglas-Peucker keeps of a closed polyline."""
+    """Mark the points of a closed polyline that the Douglas-Peucker algorithm keeps."""
     n = points.shape[0]
     # A speck of a few cells would collapse to a line.
     keep = np.full(n, n <= 12)
@@ -132,7 +132,7 @@ def _corners(points, tolerance):  # type: ignore[no-untyped-def]
 
 @compiled
 def _protrusion(vertex, corner, ends):  # type: ignore[no-untyped-def]
-    """How far the ends of its faces stick out to the left of each side of a polygon, at most."""
+    """Return for each side of a polygon the largest distance of its faces' ends to the left of it."""
     m = corner.shape[0]
     n = ends.shape[0]
     out = np.zeros(m)
@@ -149,7 +149,7 @@ def _protrusion(vertex, corner, ends):  # type: ignore[no-untyped-def]
 
 @compiled
 def _shift_left(vertex, shift):  # type: ignore[no-untyped-def]
-    """Shift the sides of a closed polygon to their left, each by its own length; corners move along their bisectors."""
+    """Shift each side of a closed polygon to its left by its own distance; corners move along their bisectors."""
     n = vertex.shape[0]
     out = np.empty((n, 2))
     for k in range(n):
@@ -170,10 +170,10 @@ def _shift_left(vertex, shift):  # type: ignore[no-untyped-def]
 
 @compiled
 def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
-    """Straight segments along outlines, through middles of cell faces (Douglas and Peucker, 1973).
+    """Simplify outlines to straight segments through the middles of cell faces (Douglas and Peucker, 1973).
 
-    On a slanted wall the middles lie halfway between the cells that stick out and those behind them. A ray that comes
-    in at a slant meets more of the former, so each segment is then shifted by a share of how far they stick out.
+    On a slanted wall the middles lie halfway between protruding cells and the cells behind them. A slanted ray meets
+    more of the protruding cells, so each segment is then shifted by a share of the protrusion.
 
     Parameters
     ----------
@@ -181,16 +181,16 @@ def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
     tolerance : float
         Largest deviation in cells of a face's middle from its segment, before the shift.
     inset : float
-        The share; see ``benchmarks/wall_accuracy.py`` for what it does.
+        The share of the shift; ``benchmarks/wall_accuracy.py`` measures its effect.
 
     Returns
     -------
     segments : ndarray, shape (S, 4)
         x0, y0, x1, y1 in cells from the grid's lower left corner, outline after outline; the region is on their left.
     owner : ndarray, shape (E,), int32
-        The segment that stands for each face.
+        The segment that represents each face.
     start : ndarray, shape (L + 1,), int32
-        Where each outline's segments begin.
+        Index of the first segment of each outline.
     """
     count = outlines.row.shape[0]
     middle = np.empty((count, 2))
@@ -225,7 +225,7 @@ def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
 
 @compiled
 def _cell_faces(outlines, shape):  # type: ignore[no-untyped-def]
-    """Number the cells that have a wall face; for each, which outline face is on each of its sides."""
+    """Number the cells with a wall face, and list for each the outline face on each of its sides."""
     number = np.full(shape, -1, dtype=np.int32)
     count = 0
     for k in range(outlines.row.shape[0]):
@@ -240,7 +240,7 @@ def _cell_faces(outlines, shape):  # type: ignore[no-untyped-def]
 
 @compiled
 def _segment_at(drivable, number, faces, owner, x, y, angle):  # type: ignore[no-untyped-def]
-    """Segment that a ray meets, -1 from a viewpoint in a wall."""
+    """Return the segment that a ray meets; -1 for a viewpoint in a wall."""
     sine, cosine = sine_cosine(angle)
     _, i, j, side = cast(drivable, x, y, cosine, sine, np.inf)
     return owner[faces[number[i, j], side]] if side >= 0 else -1
@@ -248,7 +248,7 @@ def _segment_at(drivable, number, faces, owner, x, y, angle):  # type: ignore[no
 
 @compiled
 def _mark(drivable, number, faces, owner, x, y, rays, depth, marks):  # type: ignore[no-untyped-def]
-    """Mark the segments seen from a point by a fan of rays, denser where two meet different parts of the wall."""
+    """Mark the segments visible from a point by a fan of rays, denser where two rays meet different parts of a wall."""
     high = np.empty(depth + 1)
     met = np.empty(depth + 1, dtype=np.int64)
     step = 2.0 * np.pi / rays
@@ -284,24 +284,24 @@ def _nearest_squared(segment, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth):  # type: ignore[no-untyped-def]
-    """List for each stretch of a closed line the wall segments that can be seen from it.
+    """List for each stretch of a closed line the wall segments that are visible from it.
 
-    From several points of each cross-section a fan of exact rays marks the segments it meets. A stretch sees what the
-    cross-sections at its ends and in its middle see, and both neighbours of every such segment, which covers what shows
-    only between two viewpoints.
+    A fan of exact rays from several points of each cross-section marks the segments that it meets. The list of a
+    stretch contains the segments visible from the cross-sections at its ends and in its middle, and both neighbours of
+    each such segment. The neighbours cover segments that are visible only between two viewpoints.
 
     Parameters
     ----------
     drivable : ndarray of bool, shape (H, W)
     outlines : Outlines
     segments, owner, start
-        What `simplify` returned.
+        Results of `simplify`.
     sections : ndarray, shape (2 * M, V, 2)
-        Viewpoints in cells: cross-section ``2 * m`` stands where stretch m begins, ``2 * m + 1`` in its middle.
+        Viewpoints in cells: cross-section ``2 * m`` is at the start of stretch m, ``2 * m + 1`` in its middle.
     rays : int
-        Rays from each viewpoint.
+        Number of rays from each viewpoint.
     depth : int
-        How often the gap between two rays is halved where they don't meet neighbouring segments.
+        How often the gap between two rays is halved if they do not meet neighbouring segments.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Offline tools: from a grid to a centre line, from there to a race line and its speeds, and random circuits.
+"""Offline tools for maps: complete map folders, pictures of circuits, and random circuits.
 
-``speed`` needs nothing beyond the base installation; the other modules need ``pip install "pcs-racing[mapping]"``.
+They need ``pip install "pcs-racing[mapping]"``, and for pictures ``pip install "pcs-racing[plots]"``.
 """

@@ -1,4 +1,4 @@
-"""Random circuits: drawn, judged, and turned into a grid with a race line. The same seed gives the same circuit."""
+"""Random circuits with a grid and a race line. The same seed gives the same circuit."""
 
 from dataclasses import dataclass
 
@@ -27,14 +27,14 @@ EASING = 2.5  # waves of this length are halved in the rounded outline, so that 
 
 @dataclass(frozen=True, eq=False)
 class Circuit:
-    """A generated circuit: everything that a map folder holds.
+    """A generated circuit: the content of a map folder.
 
     Attributes
     ----------
     seed : int
     style : str
     attempt : int
-        How many drafts of this seed were turned down before it.
+        Number of rejected drafts of this seed before this circuit.
     width : float
         Width of the track in m.
     centerline : ndarray, shape (M, 4)
@@ -75,7 +75,7 @@ def generate_circuit(
     resolution: float = 0.05,
     attempts: int = 400,
 ) -> Circuit:
-    """First acceptable circuit of a seed.
+    """Generate the first acceptable circuit of a seed.
 
     A draft is accepted if its centre line is simple and nowhere tighter than 1.2 half widths, if two stretches of track
     never share a wall, if it holds a straight of at least 8 m (style hairpin: two of at least 15 m), and if its race
@@ -96,7 +96,7 @@ def generate_circuit(
     resolution : float
         Side of a cell of the grid in m, from 0.02 to 0.2.
     attempts : int
-        Most drafts.
+        Maximum number of drafts.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def generate_circuit(
     InputError
         If another parameter is impossible.
     MapError
-        If no draft was accepted; the message counts why.
+        If no draft was accepted; the message counts the reasons.
     """
     require("clarabel")
     if style not in STYLES:
@@ -235,7 +235,7 @@ def _distance_to_points(points, rows, cols, reach):  # type: ignore[no-untyped-d
 def _draft(
     rng: np.random.Generator, style: str, width: float, shortest: float, longest: float
 ) -> tuple[np.ndarray | None, str]:
-    """Centre line of one draft, or None and why it is turned down."""
+    """Return the centre line of one draft, or None and the reason for its rejection."""
     corners = STYLES[style](rng)
     if len(corners) < 3 or first_crossing(corners)[0] >= 0 or signed_area(corners) <= 0.0:
         return None, "with an outline that is not simple"

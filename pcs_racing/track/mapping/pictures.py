@@ -18,13 +18,13 @@ __all__ = ["show_track"]
 
 
 def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8.0, dpi: int = 90) -> None:
-    """Draw a track to a file; the format follows from its name (png, svg, pdf).
+    """Draw a track to a file in the format of the file name (png, svg, pdf).
 
     Parameters
     ----------
     track : Track
     path : path-like
-        File to write; an existing one is replaced, and never left half written.
+        File to write; an existing file is replaced, completely or not at all.
     width : float
         Width of the picture in inches.
     dpi : int
@@ -33,7 +33,7 @@ def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8
     Raises
     ------
     ModuleNotFoundError
-        If matplotlib is missing.
+        If matplotlib is not installed.
     OSError
         If the file can't be written.
     """

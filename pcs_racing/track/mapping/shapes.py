@@ -1,6 +1,6 @@
-"""Random outlines of circuits: polygons of three characters, and their corners rounded.
+"""Random outlines of circuits: polygons in three styles, and a function that rounds their corners.
 
-All are drawn in units of their own; ``circuits`` scales, rounds and judges them.
+The polygons have arbitrary units; ``circuits`` scales, rounds and checks them.
 """
 
 import math

@@ -35,29 +35,31 @@ _REWARD_SCALE = "What rewards are multiplied by before they are learned from."
 class PPOSettings(Settings):
     """What both levels have in common; the names of PPO's hyperparameters are those of Schulman et al. 2017."""
 
-    tracks: tuple[str, ...] = setting(TRAINING_TRACKS, names(), "Circuits to learn on.")
-    opponents: Mapping[str, int] = setting({}, _OPPONENTS, "Who drives car 1, and how often in relation to the others.")
-    steps: int = setting(1_000_000, whole(1, 10**12), "Steps of the environment to learn from, at most, for each seed.")
+    tracks: tuple[str, ...] = setting(TRAINING_TRACKS, names(), "Circuits of the training.")
+    opponents: Mapping[str, int] = setting({}, _OPPONENTS, "Opponents, and the relative frequency of each.")
+    steps: int = setting(1_000_000, whole(1, 10**12), "Maximum number of environment steps for each seed.")
     seeds: tuple[int, ...] = setting(
-        (0,), wholes(0, 2**31 - 1, fewest=1, different=True), "One training for each of them; the best one is kept."
+        (0,),
+        wholes(0, 2**31 - 1, fewest=1, different=True),
+        "Seeds; one policy is trained with each, and the best is kept.",
     )
-    envs: int = setting(64, whole(1, 100_000), "Races that are driven side by side, for each circuit and set of rules.")
-    rollout: int = setting(64, whole(1, 100_000), "Steps of each of them between two updates.")
-    batch_size: int = setting(1024, whole(2, 10_000_000), "Steps of a gradient step.")
-    epochs: int = setting(8, whole(1, 1000), "Passes over the collected steps, per update.")
-    learning_rate: float = setting(1e-3, number(1e-8, 1.0), "Of Adam, at the beginning.")
+    envs: int = setting(64, whole(1, 100_000), "Parallel races for each circuit and set of rules.")
+    rollout: int = setting(64, whole(1, 100_000), "Steps of each environment between two updates.")
+    batch_size: int = setting(1024, whole(2, 10_000_000), "Environment steps in the batch of a gradient step.")
+    epochs: int = setting(8, whole(1, 1000), "Passes over the collected steps in an update.")
+    learning_rate: float = setting(1e-3, number(1e-8, 1.0), "Initial learning rate of Adam.")
     final_learning_rate: float = setting(
-        1e-4, number(0.0, 1.0), "Of Adam, at the end; it falls in a straight line over the steps."
+        1e-4, number(0.0, 1.0), "Final learning rate of Adam; the schedule is linear in the steps."
     )
-    discount: float = setting(1.0, number(0.0, 1.0), "Per step.")
-    gae_lambda: float = setting(0.95, number(0.0, 1.0), "Of generalised advantage estimation.")
-    clip_range: float = setting(0.2, number(1e-3, 10.0), "Of the ratio of probabilities.")
+    discount: float = setting(1.0, number(0.0, 1.0), "Discount factor per step.")
+    gae_lambda: float = setting(0.95, number(0.0, 1.0), "Lambda of generalised advantage estimation.")
+    clip_range: float = setting(0.2, number(1e-3, 10.0), "Clip range of the probability ratio.")
     entropy: float = setting(0.0, number(0.0, 10.0), "Weight of the entropy in the loss.")
-    value_weight: float = setting(0.5, number(0.0, 100.0), "Weight of the value's error in the loss.")
-    max_gradient: float = setting(0.5, number(1e-6, 1e6), "Norm to which gradients are cut.")
-    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Widths of the policy's hidden layers.")
+    value_weight: float = setting(0.5, number(0.0, 100.0), "Weight of the value loss.")
+    max_gradient: float = setting(0.5, number(1e-6, 1e6), "Maximum norm of a gradient.")
+    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer of the policy.")
     value_hidden: tuple[int, ...] = setting(
-        (64, 64), wholes(1, 4096, longest=8), "Widths of the hidden layers of the network that estimates values."
+        (64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer of the value network."
     )
     reward_scale: float = setting(1.0, number(1e-6, 1e6), _REWARD_SCALE)
     evaluate_every: int = setting(50_000, whole(1, 10**12), "Steps between two evaluations.")
@@ -69,7 +71,7 @@ class PPOSettings(Settings):
     patience: int = setting(
         0,
         whole(0, 1_000_000),
-        "Training ends after so many evaluations without a better one; 0 never ends it.",
+        "Early stopping: evaluations without an improvement after which training ends; 0 for none.",
     )
 
 
@@ -77,17 +79,17 @@ class PPOSettings(Settings):
 class DuelSettings(PPOSettings):
     """Training at the level of strategy: a step is a move, of which a game has few."""
 
-    level: str = setting("duel", choice(("duel",)), "Which kind of settings these are.")
+    level: str = setting("duel", choice(("duel",)), "Level of the training.")
     archive: str = setting("default", text(), "Name or folder of the archive of policies.")
     race: str = setting("paper", text(), 'Rules: "paper", "contest" or a YAML file.')
-    epsilon: float = setting(0.5, number(1e-6, 10.0), "How far a move goes, in units of the archive's range.")
+    epsilon: float = setting(0.5, number(1e-6, 10.0), "Length of a move, in units of the archive's range.")
     opponents: Mapping[str, int] = setting(
         {"never-switch": 1},
         _OPPONENTS,
-        "never-switch, random-moves, always-MOVE, or drivers such as lane-switcher:3, and how often each is met.",
+        "never-switch, random-moves, always-MOVE, or drivers such as lane-switcher:3, with relative frequencies.",
     )
-    envs: int = setting(64, whole(1, 100_000), "Races that are driven side by side, for each circuit.")
-    rollout: int = setting(16, whole(1, 100_000), "Steps of each of them between two updates.")
+    envs: int = setting(64, whole(1, 100_000), "Parallel races for each circuit.")
+    rollout: int = setting(16, whole(1, 100_000), "Steps of each environment between two updates.")
     reward_scale: float = setting(0.1, number(1e-6, 1e6), _REWARD_SCALE)
 
 
@@ -95,23 +97,23 @@ class DuelSettings(PPOSettings):
 class DriveSettings(PPOSettings):
     """Training at the level of control: a step is a steering angle and a speed."""
 
-    level: str = setting("drive", choice(("drive",)), "Which kind of settings these are.")
+    level: str = setting("drive", choice(("drive",)), "Level of the training.")
     races: tuple[str, ...] = setting(
         ("paper", "contest"),
         names(),
         'Sets of rules: "paper", "contest" or YAML files; races are driven under each of them.',
     )
     opponents: Mapping[str, int] = setting(
-        {"lattice": 1}, _OPPONENTS, "Policies such as lattice:pace=0.8, and how often each is met."
+        {"lattice": 1}, _OPPONENTS, "Policies such as lattice:pace=0.8, with relative frequencies."
     )
     duration: float = setting(
-        16.0, number(0.1, 3600.0), "Length of a race in training, s; evaluations take that of the rules."
+        16.0, number(0.1, 3600.0), "Length of a race in training, s; evaluations use that of the rules."
     )
     slowest: float = setting(
         0.3,
         number(0.0, 1.0),
-        "Speed scale that stands for an opponent's pace 0 in training; 0 for that of the rules. From slow opponents a "
-        "learner finds out how to pass: behind one of its own speed the risk does not pay.",
+        "Speed scale of an opponent's pace 0 in training; 0 for that of the rules. Slow opponents let the agent learn "
+        "to overtake; behind an opponent of equal speed the risk is not worth it.",
     )
     hold: int = setting(
         4,
@@ -121,29 +123,29 @@ class DriveSettings(PPOSettings):
     rivalry: float = setting(
         0.9,
         number(0.0, 1.0),
-        "Share of the opponent's progress that is taken off the own one in the reward: 0 for a lap record, 1 for "
-        "nothing but the lead.",
+        "Share of the opponent's progress that is subtracted from the own progress in the reward: 0 rewards progress, "
+        "1 rewards the lead.",
     )
     leading: float = setting(
         2.0,
         number(0.0, 1e6),
-        "What a second in front is worth in the reward, m. (Were one behind to cost, a crash would be a way out.)",
+        "Reward of a second in front, m. (With a penalty for being behind, a crash would avoid it.)",
     )
-    crash_penalty: float = setting(10.0, number(0.0, 1e6), "What a crash by own fault costs, m.")
+    crash_penalty: float = setting(10.0, number(0.0, 1e6), "Penalty for a crash by own fault, m.")
     noise: float = setting(
         0.5,
         number(1e-3, 10.0),
-        "Standard deviation with which actions (before their tanh) are explored at first.",
+        "Initial standard deviation of the exploration noise of actions, before their tanh.",
     )
     noise_steps: int = setting(
         0,
         whole(0, 10_000),
-        "Steps for which exploration goes in one direction, as a function of the situation (gSDE, Raffin et al. 2021); "
+        "Steps between two draws of the exploration noise, which depends on the state (gSDE, Raffin et al. 2021); "
         "0 draws independent noise in each step.",
     )
-    discount: float = setting(0.998, number(0.0, 1.0), "Per step.")
+    discount: float = setting(0.998, number(0.0, 1.0), "Discount factor per step.")
     reward_scale: float = setting(0.1, number(1e-6, 1e6), _REWARD_SCALE)
-    steps: int = setting(5_000_000, whole(1, 10**12), "Steps of the environment to learn from, at most, for each seed.")
+    steps: int = setting(5_000_000, whole(1, 10**12), "Maximum number of environment steps for each seed.")
     rollout: int = setting(128, whole(1, 100_000), "Steps of each environment between two updates.")
     evaluate_every: int = setting(500_000, whole(1, 10**12), "Steps between two evaluations.")
 

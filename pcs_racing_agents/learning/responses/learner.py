@@ -18,7 +18,7 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.base.settings import Settings, choice, load_settings, number, setting, whole, wholes
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import ConstantStrategy
 from pcs_racing_agents.agents.from_network import NetworkStrategy
@@ -44,25 +44,23 @@ class ResponseSettings(Settings):
     starts: int = setting(
         1024,
         whole(4, 1_000_000),
-        "Games that are branched at every step of a round, on each circuit and against each opponent of the pool.",
+        "Games branched at every step of a round, on each circuit and against each opponent of the pool.",
     )
     rounds: int = setting(
         2,
         whole(1, 20),
-        "Passes from the last step to the first. In the first, games reach a step by random moves, in later ones every "
-        "other game by the network so far.",
+        "Passes from the last step to the first. In the first pass, games reach a step by random moves; in later "
+        "passes, every other game reaches it by the moves of the current network.",
     )
-    worth: str = setting("win", choice(WORTH), "What an outcome is worth: a race won, or the game's utility.")
-    members: int = setting(4, whole(1, 32), "Networks that the answer is the mean of.")
-    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Widths of each member's hidden layers.")
-    learning_rate: float = setting(3e-3, number(1e-8, 10.0), "Of Adam, at the beginning.")
-    weight_decay: float = setting(1e-3, number(0.0, 10.0), "Decoupled from the gradient (AdamW).")
-    batch_size: int = setting(512, whole(1, 1_000_000), "Rows of a gradient step.")
-    epochs: int = setting(60, whole(1, 100_000), "At most.")
-    patience: int = setting(
-        12, whole(1, 100_000), "Stop after so many epochs without a lower loss on the validation rows."
-    )
-    seed: int = setting(0, whole(0, 2**57 - 1), "Root of the games and of the networks.")
+    worth: str = setting("win", choice(WORTH), "Value of an outcome: a race won, or the game's utility.")
+    members: int = setting(4, whole(1, 32), "Networks of the ensemble; the response is their mean.")
+    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer of a member.")
+    learning_rate: float = setting(3e-3, number(1e-8, 10.0), "Initial learning rate of Adam.")
+    weight_decay: float = setting(1e-3, number(0.0, 10.0), "Weight decay of AdamW.")
+    batch_size: int = setting(512, whole(1, 1_000_000), "Rows in the batch of a gradient step.")
+    epochs: int = setting(60, whole(1, 100_000), "Maximum number of epochs.")
+    patience: int = setting(12, whole(1, 100_000), "Epochs without a lower validation loss after which training stops.")
+    seed: int = setting(0, whole(0, 2**57 - 1), "Seed of the games and of the networks.")
 
     def train_settings(self, member: int) -> TrainSettings:
         """Return how one of the networks is fitted."""

@@ -1,7 +1,6 @@
 """``pcs-racing explain``, on tournaments, on studies, and on two agents."""
 
 import csv
-from dataclasses import replace
 
 import pytest
 
@@ -11,13 +10,14 @@ from pcs_racing.race.replay import read_replay
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.study.config import StudyConfig
-from pcs_racing_agents.study.run import Study
+from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
-from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.play import record_row
-from pcs_racing_agents.tournament.table import write_rows
-from pcs_racing_agents.view.contests import open_results, planned_contest
+from pcs_racing_agents.tournament.runner import play_pairing
+from pcs_racing_agents.view.results_folder import open_results
 
 AGENTS = ["random-moves", "lane-switcher", "never-switch"]
 
@@ -37,22 +37,21 @@ def folder(saved, tmp_path_factory):
     settings = {**tournament_settings(plan), "archive": str(saved)}
     with open_job(place, "tournament", settings) as job:
         tournament = play_plan(plan, job=job)
-        write_results(tournament, place / "results.csv")
+        write_results(tournament.races, place / "results.csv")
     return place, tournament
 
 
 def test_every_race_of_a_tournament_is_found_again(folder):
     place, tournament = folder
     results = open_results(place)
-    assert len(results.rows) == len(tournament.rows)
+    assert len(results.races) == len(tournament.races)
     for number in (0, 5, 11):
         row = results.row(number)
-        contest = results.contest(row)
-        recording = record_row(tournament, tournament.rows[number], candidates=False)
-        race = int(row["race"])
-        assert contest.seeds[race] == tournament.plan.schedules[0].seeds[race]
-        assert contest.variants[race].tolist() == [int(row["ego_variant"]), int(row["opponent_variant"])]
-        assert f"{recording.match.lead[0]:.4f}" == row["lead"]
+        pairing = results.pairing(row)
+        recording = record_row(tournament, tournament.races[number], candidates=False)
+        assert pairing.noise[row.race] == tournament.plan.schedules[0].seeds[row.race]
+        assert pairing.variants[row.race].tolist() == [row.ego_variant, row.opponent_variant]
+        assert f"{recording.match.lead[0]:.4f}" == f"{row.lead:.4f}"
 
 
 def test_a_race_is_told_and_drawn(folder, tmp_path, capsys):
@@ -63,12 +62,12 @@ def test_a_race_is_told_and_drawn(folder, tmp_path, capsys):
     assert (tmp_path / "out" / "race.txt").read_text() in told
     assert (tmp_path / "out" / "race.png").read_bytes().startswith(b"\x89PNG")
     replay = read_replay(tmp_path / "out" / "race.html")
-    assert replay.lead[-1] == pytest.approx(tournament.rows[1].lead, abs=0.002)
+    assert replay.lead[-1] == pytest.approx(tournament.races[1].lead, abs=0.002)
 
 
 def test_drivers_are_left_to_the_other_car(folder, capsys):
     place, tournament = folder
-    number = next(i for i, row in enumerate(tournament.rows) if row.ego == "lane-switcher")
+    number = next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher")
     assert main(["explain", str(place), str(number)]) == 0
     assert capsys.readouterr().out.startswith("never-switch (car 1) against lane-switcher")
 
@@ -78,8 +77,8 @@ def test_all_races_of_an_agent_are_summarised(folder, tmp_path, capsys):
     assert main(["explain", str(place), "--situations", "never-switch", "--out", str(tmp_path)]) == 0
     told = capsys.readouterr().out
     rows = list(csv.DictReader((tmp_path / "situations.csv").read_text().splitlines()))
-    made = sum(len(r.ego_moves) for r in tournament.rows if r.ego == "never-switch")
-    made += sum(len(r.opponent_moves) for r in tournament.rows if r.opponent == "never-switch")
+    made = sum(len(r.ego_moves) for r in tournament.races if r.ego == "never-switch")
+    made += sum(len(r.opponent_moves) for r in tournament.races if r.opponent == "never-switch")
     assert sum(int(row["races"]) for row in rows) == made
     assert {row["move"] for row in rows if int(row["races"])} == {"stay"}
     assert told.startswith("never-switch: moves by step")
@@ -91,9 +90,6 @@ def test_two_agents_race_as_in_a_tournament(saved, capsys):
     arguments += ["--archive", str(saved), "--races", "4", "--seed", "2", "--preset", "contest"]
     assert main([*arguments, "--index", "3"]) == 0
     told = capsys.readouterr().out
-    rules = load_race_config("contest", duration=5.0)
-    contest = planned_contest(["random-moves", "never-switch"], "Pipkin", rules, archive=str(saved), races=4, seed=2)
-    assert len(contest.seeds) == 4
     assert told.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
     assert main([*arguments, "--situations", "random-moves"]) == 0
     assert capsys.readouterr().out.startswith("Pipkin, contest rules, 4 races\n")
@@ -130,7 +126,7 @@ def test_a_picture_that_is_left_out_is_told(saved, capsys, tmp_path, monkeypatch
 )
 def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, capsys):
     place, tournament = folder
-    number = str(next(i for i, row in enumerate(tournament.rows) if row.ego == "lane-switcher"))
+    number = str(next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher"))
     given = [number if text == "5" else text.format(folder=place) for text in arguments]
     assert main(["explain", *given]) == 2
     error = capsys.readouterr().err
@@ -153,7 +149,7 @@ def test_agents_and_races_that_have_changed_are_noticed(folder, tmp_path, capsys
         for file in ("job.yaml", "results.csv"):
             text = (place / file).read_text()
             (copy / file).write_text(text.replace(old, new) if file == name else text)
-        number = str(len(open_results(place).rows) - 1)
+        number = str(len(open_results(place).races) - 1)
         assert main(["explain", str(copy), number]) == (2 if message else 0)
         assert message in capsys.readouterr().err
     rows = (place / "results.csv").read_text().splitlines()
@@ -186,28 +182,28 @@ def study(saved, tmp_path_factory):
     with claim_folder(place, "study", plain_settings(config)):
         game = study.game("Pipkin")
         pairs, rival = {"egos": 2, "opponents": 2}, study.agent("lane-switcher")
-        cells = [play_cell(game, study.agent(arm), rival, lines=2, seed=3, **pairs) for arm in config.arms]
+        pairings = [cross_pairing(game, study.agent(arm), rival, lines=2, seed=3, **pairs) for arm in config.arms]
         # A second table has the same pairs with other lines.
-        cells += [play_cell(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)]
-        write_rows([row for cell in cells for row in cell.rows()], "paper", place / "results.csv")
+        pairings += [cross_pairing(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)]
+        write_results(concatenate_races(map(play_pairing, pairings)), place / "results.csv")
         rivals = {name: study.agent(name) for name in config.rivals}
         plan = plan_tournament(load_track("Pipkin"), rivals, config.game, archive=saved, races_per_pair=2, seed=7)
         with open_job(place / "rivals", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
-            write_results(play_plan(plan, job=job), place / "rivals.csv")
-    return place, cells
+            write_results(play_plan(plan, job=job).races, place / "rivals.csv")
+    return place, pairings
 
 
 def test_races_of_a_study_are_found_again(study, capsys):
-    place, cells = study
+    place, pairings = study
     results = open_results(place)
-    units = cells[1].units
-    contest = results.contest(results.row(len(units)))
-    assert contest.variants.tolist() == units.variants.tolist()
-    assert contest.seeds.tolist() == units.seeds.tolist()
-    assert contest.starts.s.tolist() == units.starts.s.tolist()
-    assert main(["explain", str(place), str(len(units) + 3)]) == 0
+    drawn = pairings[1]
+    pairing = results.pairing(results.row(len(drawn)))
+    assert pairing.variants.tolist() == drawn.variants.tolist()
+    assert pairing.noise.tolist() == drawn.noise.tolist()
+    assert pairing.starts.s.tolist() == drawn.starts.s.tolist()
+    assert main(["explain", str(place), str(len(drawn) + 3)]) == 0
     assert capsys.readouterr().out.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
-    assert main(["explain", str(place), str(2 * len(units) + 2)]) == 0
+    assert main(["explain", str(place), str(2 * len(drawn) + 2)]) == 0
     assert main(["explain", str(place), "--situations", "never-switch"]) == 0
     assert "24/24 races" in capsys.readouterr().err
 
@@ -226,9 +222,9 @@ def test_settings_of_another_version_are_named(study, tmp_path, capsys):
     assert "settings are of another version" in capsys.readouterr().err
 
 
-def test_rows_of_a_contest_keep_their_numbers(folder):
+def test_races_of_a_pairing_keep_their_numbers(folder):
     place, tournament = folder
-    rows = [row for row in tournament.rows if (row.ego, row.opponent) == ("random-moves", "never-switch")]
-    contest = open_results(place).contest({"track": "Pipkin", "ego": "random-moves", "opponent": "never-switch"})
-    assert [row.start_s for row in rows] == contest.starts.s.tolist()
-    assert replace(tournament, rows=tuple(rows)).rows[0].race == 0
+    rows = [row for row in tournament.races if (row.ego, row.opponent) == ("random-moves", "never-switch")]
+    pairing = open_results(place).pairing(rows[0])
+    assert [row.start_s for row in rows] == pairing.starts.s.tolist()
+    assert [row.race for row in rows] == list(range(len(pairing)))

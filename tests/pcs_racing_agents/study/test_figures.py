@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from toy_cells import toy_cells
+from toy_races import toy_races
 
 from pcs_racing import InputError
 from pcs_racing.game.moves import move_names, move_table
@@ -20,7 +20,7 @@ from pcs_racing_agents.tournament.ratings import rate
 
 @pytest.fixture(scope="module")
 def table():
-    cells = toy_cells(egos=5, variants=4, opponents=("never-switch", "somebody"))
+    cells = toy_races(egos=5, variants=4, opponents=("never-switch", "somebody"))
     return make_table(cells, best="our-best", blind="best-fixed", seen={"Tarnfjord"})
 
 
@@ -86,7 +86,7 @@ def test_differences_that_may_be_nothing_are_hollow(table):
 
 def test_what_can_not_be_drawn_is_named(table):
     with pytest.raises(InputError, match="no adaptivity gains"):
-        figures.adaptivity_picture(make_table(toy_cells(egos=3, variants=3)))
+        figures.adaptivity_picture(make_table(toy_races(egos=3, variants=3)))
     with pytest.raises(InputError, match="no learning curves"):
         figures.curves_picture({})
     with pytest.raises(InputError, match="no learning curves"):

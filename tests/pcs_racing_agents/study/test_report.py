@@ -10,13 +10,15 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from toy_cells import toy_cells
+from toy_races import toy_races
 
 from pcs_racing import InputError, make_game
 from pcs_racing.race.replay import read_replay
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.explain.situations import Situations
+from pcs_racing_agents.results.race_files import race_table
+from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
 from pcs_racing_agents.study.highlights import Watched, telling_races, watch_race
 from pcs_racing_agents.study.report import Picture, ReportContent, Sheet, report_page, write_page
@@ -31,8 +33,9 @@ from pcs_racing_agents.study.report_inputs import (
 )
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import overview_rows
-from pcs_racing_agents.tournament.cells import play_cell
+from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.round_robin import round_robin
+from pcs_racing_agents.tournament.runner import play_pairing
 
 NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 VOID = {"meta", "img", "br"}
@@ -40,25 +43,25 @@ VOID = {"meta", "img", "br"}
 
 @pytest.fixture(scope="module")
 def raced(oval, archive):
-    """A game, an agent with its opponent, and the cells of the agent and of the one that never switches."""
+    """A pairing of an agent, its races, and those of the agent that never switches."""
     game = make_game(oval, archive, "contest", step_seconds=0.8)
     setting = make_setting(archive, game.config)
     agent, base, rival = (build(name, setting) for name in ("random-moves", "never-switch", "lane-switcher"))
-    cells = [play_cell(game, arm, rival, egos=4, opponents=4, lines=2, seed=3) for arm in (agent, base)]
-    return game, agent, rival, cells
+    pairings = [cross_pairing(game, arm, rival, egos=4, opponents=4, lines=2, seed=3) for arm in (agent, base)]
+    return pairings[0], *map(play_pairing, pairings)
 
 
 @pytest.fixture(scope="module")
 def watched(raced) -> Watched:
-    game, agent, rival, cells = raced
-    title, race = next(iter(telling_races(*cells).values()))
-    return watch_race(game, agent, rival, cells[0], race, title)
+    pairing, ours, theirs = raced
+    title, race = next(iter(telling_races(ours, theirs).values()))
+    return watch_race(pairing, race, title)
 
 
 @pytest.fixture(scope="module")
 def content(archive, watched) -> ReportContent:
     table = make_table(
-        toy_cells(tracks=("Tarnfjord", NASTY), opponents=("never-switch",), egos=4, variants=4),
+        toy_races(tracks=("Tarnfjord", NASTY), opponents=("never-switch",), egos=4, variants=4),
         best="our-best",
         blind="best-fixed",
         seen={"Tarnfjord"},
@@ -71,7 +74,13 @@ def content(archive, watched) -> ReportContent:
         table=table,
         archive=replace(archive, name=NASTY),
         losses=losses,
-        rivals=round_robin(("a", NASTY), "aaaa", [NASTY] * 4, ["ego", "ego", "", "opponent"], [False] * 4, "1122"),
+        rivals=round_robin(
+            ("a", NASTY),
+            race_table(
+                RaceRow(ego="a", opponent=NASTY, winner=winner, start_s=start)
+                for winner, start in (("ego", 1.0), ("ego", 1.0), ("", 2.0), ("opponent", 2.0))
+            ),
+        ),
         situations=[
             Situations(NASTY, ("stay", NASTY), "pace", np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 3, 3, 2), int))
         ],
@@ -189,7 +198,7 @@ def test_strong_and_safe_stand_beside_each_other(content, parsed):
 def test_without_rows_of_the_paper_nothing_is_said_of_it(content):
     table = replace(content.table, rows=tuple(replace(row, paper=None) for row in content.table.rows))
     page = report_page(ReportContent("", table=table))
-    assert "paper" not in re.sub(r"base64,[^\"]*|the paper&#x27;s test|<style>.*?</style>", "", page, flags=re.DOTALL)
+    assert "paper" not in re.sub(r"base64,[^\"]*|the paper&#39;s test|<style>.*?</style>", "", page, flags=re.DOTALL)
     assert "paper" not in overview_rows(table)[0]
     assert len({len(row) for row in overview_rows(table)}) == 1
 
@@ -203,9 +212,7 @@ def test_sections_without_content_are_left_out():
 
 
 def test_without_matplotlib_the_page_says_so(monkeypatch, content):
-    from pcs_racing_agents.study import markup
-
-    monkeypatch.setattr(markup, "find_spec", lambda name: None)
+    monkeypatch.setattr(report, "find_spec", lambda name: None)
     page = report_page(replace(content, pictures=(), races=[race._replace(picture=b"") for race in content.races]))
     assert "matplotlib is not installed" in page
     assert "<img" not in page
@@ -223,36 +230,34 @@ def test_every_field_is_told(content):
         empty = ReportContent("")
         if name not in ("epsilon", "loss_unit", "judged", "curves", "reward_curves", "title"):
             assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(empty), name
-    assert len(report._SECTIONS) == 12
 
 
 # Races to watch
 
 
 def test_telling_races_are_what_they_are_called(raced):
-    *_, (ours, theirs) = raced
+    _, ours, theirs = raced
     found = telling_races(ours, theirs)
     assert len(found) >= 2
     for kind, (title, race) in found.items():
-        ours_alone = ours.matches
         assert title.startswith(f"A {kind}")
         if kind == "win":
-            assert ours_alone.winner[race] == 0
-            assert len(set(ours_alone.policy[race, 0].tolist())) > 1
+            assert ours.winner[race] == 0
+            assert len(set(ours[race].ego_path)) > 1
         if kind == "loss":
-            assert ours_alone.winner[race] == 1
+            assert ours.winner[race] == 1
         if kind == "crash":
-            assert ours_alone.fault[race, 0] == 1
+            assert ours.fault[race, 0] == 1
         else:
-            assert not ours_alone.crash[race].any()
+            assert not ours.crash[race]
         if "starts alike" in title:
-            assert theirs.matches.winner[race] == 1 - ours_alone.winner[race]
+            assert theirs.winner[race] == 1 - ours.winner[race]
 
 
 def test_a_race_to_watch_is_the_race(raced, watched):
-    *_, (ours, theirs) = raced
+    _, ours, theirs = raced
     race = dict(telling_races(ours, theirs).values())[watched.title]
-    assert watched.replay.lead[-1] == ours.matches.lead[race]
+    assert watched.replay.lead[-1] == ours.lead[race]
     assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
 
 
@@ -266,7 +271,7 @@ def test_losses_are_means_over_trees(tmp_path):
     first, second = read_losses(path)
     assert first == TreeLoss("Oval", "a", 2, ((2.0, 1.0), (0.5, 0.0), (3.0, 1.0)))
     assert np.isnan(second.columns[0][1])
-    table = make_table(toy_cells(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
+    table = make_table(toy_races(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
     (place,) = places_of(table, [first, second])
     assert (place.name, place.loss, place.loss_error) == ("a", 2.0, 1.0)
     assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))

@@ -22,7 +22,9 @@ from pcs_racing_agents.networks.network import game_identity
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.reporting import best_blind
-from pcs_racing_agents.study.run import Study, stage_seconds, stages_to_run
+from pcs_racing_agents.study.run import stages_to_run
+from pcs_racing_agents.study.stages import stage_seconds
+from pcs_racing_agents.study.study import Study
 
 TINY = load_study_config(
     "quick",
@@ -47,6 +49,8 @@ TINY = load_study_config(
     rival_races=2,
 )
 
+NAMES = [stage.name for stage in STAGES]
+
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
@@ -62,7 +66,7 @@ def test_a_study_leaves_its_results(finished):
     page = (finished.folder / "report.html").read_text(encoding="utf-8")
     assert "<iframe" in page
     assert "https://" not in page.replace("http://www.w3.org", "")
-    assert set(stage_seconds(finished)) == set(STAGES)
+    assert list(stage_seconds(finished)) == NAMES
     assert not list(finished.folder.rglob("seconds.txt"))
 
 
@@ -106,7 +110,7 @@ def without_times(folder: Path) -> dict[str, bytes]:
 def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
     other = tmp_path / "other"
     with make_executor("threads", 2) as executor:
-        run_study(TINY, other, only=STAGES[: STAGES.index("races")], executor=executor, quiet=True)
+        run_study(TINY, other, only=NAMES[: NAMES.index("races")], executor=executor, quiet=True)
         for file in sorted(other.rglob("*.npz"))[::3]:
             file.unlink()  # as if the run had been killed before they were there
         for stage in ("trees", "networks", "blind", "responses", "ppo"):
@@ -154,7 +158,7 @@ def test_the_command_goes_on_in_the_folder_and_says_where_the_results_are(finish
     config.write_text(yaml.safe_dump(plain_settings(TINY)), encoding="utf-8")
     assert main(["study", str(config), "--out", str(finished.folder), "--stage", "archive"]) == 0
     out = capsys.readouterr().out
-    assert all(re.search(rf"^{stage} +\d+\.\d s$", out, re.MULTILINE) for stage in STAGES)
+    assert all(re.search(rf"^{stage} +\d+\.\d s$", out, re.MULTILINE) for stage in NAMES)
     assert f"report.html: {finished.folder / 'report.html'}" in out
     assert (finished.folder / "table.txt").read_text(encoding="utf-8") in out
     assert main(["study", str(config), "--out", str(finished.folder), "--seed", "9"]) == 2
@@ -169,7 +173,7 @@ def test_another_study_in_the_folder_is_refused(finished):
 def test_stages_come_in_order(tmp_path):
     with pytest.raises(UnknownNameError, match="stage 'lunch' is unknown; a study has archive, trees"):
         run_study(TINY, tmp_path / "x", only=["lunch"], quiet=True)
-    with pytest.raises(InputError, match="stage 'races' needs stage 'archive', which is not done"):
+    with pytest.raises(InputError, match="stage 'races' needs stage 'networks', which is not done"):
         run_study(TINY, tmp_path / "x", only=["races"], quiet=True)
 
 
@@ -232,5 +236,11 @@ def test_a_missing_library_is_told_before_any_work(monkeypatch, tmp_path, change
 
 def test_a_library_is_asked_for_only_by_stages_that_are_still_to_run(monkeypatch, finished):
     monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None)
-    assert stages_to_run(TINY, finished.folder) == ["report"]
-    assert stages_to_run(TINY, finished.folder / "new", ["trees", "archive"]) == ["archive", "trees"]
+    assert [stage.name for stage in stages_to_run(TINY, finished.folder)] == ["report"]
+    left = stages_to_run(TINY, finished.folder / "new", ["trees", "archive"])
+    assert [stage.name for stage in left] == ["archive", "trees"]
+
+
+def test_every_stage_needs_only_stages_before_it():
+    for number, stage in enumerate(STAGES):
+        assert set(stage.needs) <= set(NAMES[:number]), stage.name

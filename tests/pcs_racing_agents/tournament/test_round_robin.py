@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError
+from pcs_racing_agents.results.race_files import race_table
+from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.tournament.meta_game import excess
 from pcs_racing_agents.tournament.ratings import rate
 from pcs_racing_agents.tournament.round_robin import round_robin
@@ -11,18 +13,26 @@ from pcs_racing_agents.tournament.round_robin import round_robin
 NAMES = ("paper", "rock", "scissors")
 
 
+def table(ego, opponent, winner, crashed, line):
+    """Races given by their columns."""
+    return race_table(
+        RaceRow(ego=one, opponent=other, winner=who, crash="car" if crash else "", start_s=float(start))
+        for one, other, who, crash, start in zip(ego, opponent, winner, crashed, line, strict=True)
+    )
+
+
 def cycle(races: int = 20):
-    """Rock beats scissors beats paper beats rock; some ties, and crashes that pay nobody."""
+    """Rock beats scissors beats paper beats rock; some ties, and crashes that pay neither."""
     ego = ["paper", "rock", "scissors"] * races
     opponent = ["rock", "scissors", "paper"] * races
     winner = (["ego"] * 3 * (races - 4)) + ["opponent"] * 3 + [""] * 9
     crashed = [False] * 3 * (races - 1) + [True] * 3
-    line = [str(i // 6) for i in range(3 * races)]
-    return ego, opponent, winner, crashed, line
+    line = [i // 6 for i in range(3 * races)]
+    return table(ego, opponent, winner, crashed, line)
 
 
 def test_scores_count_ties_half_and_crashes_not_at_all():
-    found = round_robin(NAMES, *cycle())
+    found = round_robin(NAMES, cycle())
     assert found.scores[0, 1] == pytest.approx((16 + 2 * 0.5) / 20)
     assert found.scores[1, 0] == pytest.approx((1 + 2 * 0.5) / 20)
     assert np.isnan(np.diag(found.scores)).all()
@@ -31,7 +41,7 @@ def test_scores_count_ties_half_and_crashes_not_at_all():
 
 def test_a_rating_sees_no_cycle_and_the_rest_does():
     pytest.importorskip("pyspiel")
-    found = round_robin(NAMES, *cycle())
+    found = round_robin(NAMES, cycle())
     assert found.ratings.elo == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
     assert found.equilibrium == pytest.approx([1 / 3] * 3)
     assert found.alpha_rank == pytest.approx([1 / 3] * 3)
@@ -41,36 +51,36 @@ def test_a_rating_sees_no_cycle_and_the_rest_does():
 
 
 def test_the_ratings_are_those_of_rate():
-    ego, opponent, winner, crashed, line = cycle()
-    won = np.array([{"ego": 1.0, "opponent": -1.0, "": 0.0}[who] for who in winner])
-    wanted = rate(ego, opponent, won, nobody=crashed)
-    found = round_robin(NAMES, ego, opponent, winner, crashed, line, seed=3)
+    races = cycle()
+    won = np.array([{"ego": 1.0, "opponent": -1.0, "": 0.0}[row.winner] for row in races])
+    wanted = rate([row.ego for row in races], [row.opponent for row in races], won, nobody=races.crashed)
+    found = round_robin(NAMES, races, seed=3)
     assert found.ratings.strength == pytest.approx(wanted.strength)
-    again = round_robin(NAMES, ego, opponent, winner, crashed, line, seed=3)
+    again = round_robin(NAMES, races, seed=3)
     assert (again.ratings.low == found.ratings.low).all()
 
 
 def test_what_start_lines_decide_counts_as_noise():
     """Won on every second line, lost on the others: that may be nothing, whatever the number of races on a line."""
-    line = [str(i // 4) for i in range(32)]
+    line = [i // 4 for i in range(32)]
     winner = ["ego" if (i // 4) % 2 else "opponent" for i in range(32)]
-    found = round_robin(("a", "b"), ["a"] * 32, ["b"] * 32, winner, [False] * 32, line)
+    found = round_robin(("a", "b"), table(["a"] * 32, ["b"] * 32, winner, [False] * 32, line))
     assert found.alike == pytest.approx(1.96 * np.sqrt(8 / 7 / 8))
-    sure = round_robin(("a", "b"), ["a"] * 32, ["b"] * 32, ["ego"] * 32, [False] * 32, line)
+    sure = round_robin(("a", "b"), table(["a"] * 32, ["b"] * 32, ["ego"] * 32, [False] * 32, line))
     assert sure.alike == 0.0
 
 
 def test_what_the_races_do_not_tell_is_left_open():
-    found = round_robin(("a", "b", "c"), ["a"], ["b"], ["ego"], [False], ["1"])
+    found = round_robin(("a", "b", "c"), table(["a"], ["b"], ["ego"], [False], [1]))
     assert found.equilibrium is found.alpha_rank is None
     assert np.isnan(found.alike)
     assert np.isnan(found.scores[2]).all()
     assert np.isnan(found.rating("c")[0])
-    nothing = round_robin(("a", "b"), ["a"], ["b"], [""], [True], ["1"])
+    nothing = round_robin(("a", "b"), table(["a"], ["b"], [""], [True], [1]))
     assert nothing.ratings is None
     assert np.isnan(nothing.rating("a")).all()
 
 
 def test_strangers_are_refused():
     with pytest.raises(InputError, match="'d' raced, but is not one of a, b"):
-        round_robin(("a", "b"), ["a"], ["d"], ["ego"], [False], ["1"])
+        round_robin(("a", "b"), table(["a"], ["d"], ["ego"], [False], [1]))

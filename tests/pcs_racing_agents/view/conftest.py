@@ -18,7 +18,7 @@ def tournament_folder(archive, tmp_path_factory):
     settings = {**tournament_settings(plan), "archive": str(saved)}
     with open_job(place, "tournament", settings) as job:
         tournament = play_plan(plan, job=job)
-        write_results(tournament, place / "results.csv")
+        write_results(tournament.races, place / "results.csv")
     return place, tournament
 
 

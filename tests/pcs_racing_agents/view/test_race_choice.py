@@ -7,21 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcs_racing_agents.tournament.result_lines import lines_of
+from pcs_racing_agents.results.race_files import race_table
+from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.view.race_choice import OUTCOMES, choose_races, outcomes
-from pcs_racing_agents.view.race_columns import race_columns
 
 
 def columns_of(races):
-    """Columns of races given as (ego, opponent, track, lead, winner, crash, fault, policies of the ego)."""
-    names = ("ego", "opponent", "track", "lead", "winner", "crash", "fault", "ego_path")
-    lines = [
-        {**dict(zip(names, map(str, race), strict=True)), "opponent_path": "1; 1", "race": str(i), "seed": "0"}
-        for i, race in enumerate(races)
-    ]
-    for line in lines:
-        line |= {"start_s": "0", "side": "0", "preset": "paper"}
-    return race_columns(lines_of(lines, "here"))
+    """A table of races given as (ego, opponent, track, lead, winner, crash, fault, policies of the ego)."""
+    return race_table(
+        RaceRow(
+            ego=ego, opponent=opponent, track=track, lead=float(lead), winner=winner, crash=crash, fault=fault,
+            ego_path=tuple(map(int, path.split("; "))), race=number,
+        )
+        for number, (ego, opponent, track, lead, winner, crash, fault, path) in enumerate(races)
+    )  # fmt: skip
 
 
 def test_outcomes_are_told_by_agent():

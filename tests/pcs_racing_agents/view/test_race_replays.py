@@ -8,10 +8,10 @@ import pytest
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import read_replay
+from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.tournament.play import record_row
-from pcs_racing_agents.tournament.result_lines import lines_of
-from pcs_racing_agents.view.contests import open_results
 from pcs_racing_agents.view.race_replays import PLACES, RaceDriver, circuit_values, race_values
+from pcs_racing_agents.view.results_folder import open_results
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def driver(tournament_folder):
 def test_a_race_is_a_replay_with_less_in_it(driver, tournament_folder, tmp_path):
     _, tournament = tournament_folder
     race = driver.drive(1)
-    recording = record_row(tournament, tournament.rows[1], candidates=False)
+    recording = record_row(tournament, tournament.races[1], candidates=False)
     values = {**driver.circuits[race.circuit], **race.values}
     space = values.pop("space")
     path = tmp_path / "race.json"
@@ -43,7 +43,7 @@ def test_a_race_is_a_replay_with_less_in_it(driver, tournament_folder, tmp_path)
 def test_places_are_where_the_archive_and_the_other_car_saw_them(driver, tournament_folder, archive):
     _, tournament = tournament_folder
     race = driver.drive(1)
-    space, match = driver.space, record_row(tournament, tournament.rows[1], candidates=False).match
+    space, match = driver.space, record_row(tournament, tournament.races[1], candidates=False).match
     up, across = space["axes"][1], space["axes"][0]
     points = np.array(space["points"]) / PLACES
     back = np.array([axis["low"] for axis in (across, up)]) + points * [a["high"] - a["low"] for a in (across, up)]
@@ -75,25 +75,25 @@ def test_pairs_are_driven_together(driver):
 
 def test_what_is_left_out_is_optional(driver, tournament_folder):
     _, tournament = tournament_folder
-    replay = record_row(tournament, tournament.rows[0], candidates=False).replay
+    replay = record_row(tournament, tournament.races[0], candidates=False).replay
     bare = replace(replay, paths=None, line_speed=None)
     assert "paths" not in race_values(bare)
     assert "line_speed" not in circuit_values(bare)
 
 
 def changed(results, number, **values):
-    rows = [dict(row) for row in results.rows]
-    rows[number] |= values
-    return RaceDriver(replace(results, rows=lines_of(rows, "here")))
+    rows = list(results.races)
+    rows[number] = rows[number]._replace(**values)
+    return RaceDriver(replace(results, races=race_table(rows)))
 
 
 def test_a_race_that_is_another_one_is_refused(tournament_folder):
     results = open_results(tournament_folder[0])
     with pytest.raises(InputError, match=r"race 3 came out otherwise than in .* instead of 12\.0000 m"):
-        changed(results, 3, lead="12.0000").drive(3)
+        changed(results, 3, lead=12.0).drive(3)
     with pytest.raises(InputError, match="race 3 is not the one that its folder describes"):
-        changed(results, 3, start_s="12.0000").drive(3)
+        changed(results, 3, start_s=12.0).drive(3)
     with pytest.raises(InputError, match="race 3 is number 40 of its pair, which drove 6"):
-        changed(results, 3, race="40").drive(3)
+        changed(results, 3, race=40).drive(3)
     with pytest.raises(InputError, match="there is no race 18"):
         RaceDriver(results).drive(18)

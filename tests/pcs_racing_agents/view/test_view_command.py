@@ -17,12 +17,14 @@ from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.study.config import StudyConfig
-from pcs_racing_agents.study.run import Study
-from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results, write_rows
-from pcs_racing_agents.tournament.cells import play_cell
-from pcs_racing_agents.view.contests import open_results
+from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
+from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.runner import play_pairing
 from pcs_racing_agents.view.race_replays import DrivenRace, RaceDriver
+from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_server import MOST_KEPT, RaceService, make_server
 
 
@@ -87,12 +89,13 @@ def test_a_study_and_its_ratings_are_viewed_too(archive, tmp_path, capsys):
     study = Study(config, folder, quiet=True)
     with claim_folder(folder, "study", plain_settings(config)):
         game, rival = study.game("Pipkin"), study.agent("lane-switcher")
-        cells = [play_cell(game, study.agent(arm), rival, egos=2, opponents=2, lines=1, seed=3) for arm in config.arms]
-        write_rows([row for cell in cells for row in cell.rows()], "paper", folder / "results.csv")
+        size = {"egos": 2, "opponents": 2, "lines": 1, "seed": 3}
+        pairings = [cross_pairing(game, study.agent(arm), rival, **size) for arm in config.arms]
+        write_results(concatenate_races(map(play_pairing, pairings)), folder / "results.csv")
         rivals = {name: study.agent(name) for name in config.rivals}
         plan = plan_tournament(load_track("Pipkin"), rivals, config.game, archive=saved, races_per_pair=2, seed=7)
         with open_job(folder / "rivals", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
-            write_results(play_plan(plan, job=job), folder / "rivals.csv")
+            write_results(play_plan(plan, job=job).races, folder / "rivals.csv")
     assert main(["view", str(folder), "--races", "0", "12", "--no-open"]) == 0
     assert "16 races, 2 of them to be watched" in capsys.readouterr().out
     assert main(["view", str(folder / "rivals.csv"), "--races", "1", "--no-open"]) == 0
@@ -198,7 +201,7 @@ def test_folders_that_are_not_what_they_were_are_one_clear_error(folder, spoil, 
 def ask(folder):
     """Asks a running server; returns status and content."""
     results = open_results(folder)
-    service = RaceService(RaceDriver(results), len(results.rows))
+    service = RaceService(RaceDriver(results), len(results.races))
     with make_server("<p>the page", service.answer) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
@@ -228,7 +231,7 @@ def test_the_server_drives_what_it_is_asked_for(ask, tournament_folder):
     answer, content = ask("/race/4")
     race = json.loads(content)
     assert answer.status == 200
-    assert race["race"]["car_names"] == [tournament_folder[1].rows[4].ego, tournament_folder[1].rows[4].opponent]
+    assert race["race"]["car_names"] == [tournament_folder[1].races[4].ego, tournament_folder[1].races[4].opponent]
     assert race["circuit"][0] == "Pipkin"
     assert ask("/race/4", Host="localhost:{port}", Sec_Fetch_Site="same-origin")[1] == content
 

@@ -2,18 +2,17 @@
 
 import csv
 import threading
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pcs_racing.base.packing import unpack
-from pcs_racing_agents.tournament.result_lines import lines_of, read_lines
-from pcs_racing_agents.view.contests import open_results
+from pcs_racing_agents.results.race_files import race_table, read_results
+from pcs_racing_agents.results.races import Categorical, RaceTable
 from pcs_racing_agents.view.race_choice import Pick, choose_races
-from pcs_racing_agents.view.race_columns import RaceColumns, packed_columns, race_columns
 from pcs_racing_agents.view.race_replays import RaceDriver
-from pcs_racing_agents.view.view_page import ViewContent, view_page
+from pcs_racing_agents.view.results_folder import open_results
+from pcs_racing_agents.view.view_page import ViewContent, packed_races, view_page
 from pcs_racing_agents.view.view_server import RaceService, make_server
 
 NASTY = "</script><script>document.title='taken'</script><img src=x onerror=\"document.title='taken'\">"
@@ -148,15 +147,15 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
     place, _ = tournament_folder
     results = open_results(place)
     rows = [
-        {**row, "ego": NASTY, "track": NASTY, "ego_moves": NASTY, "preset": "<!--player--><b>"} for row in results.rows
+        row._replace(ego=NASTY, track=NASTY, ego_moves=(NASTY,), preset="<!--player--><b>") for row in results.races
     ]
-    columns = race_columns(lines_of(rows, "here"))
+    races = race_table(rows)
     driver = RaceDriver(results)
     race = driver.drive(0)
     hostile = replace_texts(race.values, NASTY)
     content = ViewContent(
         NASTY,
-        columns,
+        races,
         results="$(touch /tmp/never) <b>",
         picks=[Pick(0, NASTY)],
         driven=[race._replace(values=hostile)],
@@ -186,14 +185,14 @@ def replace_texts(values, text):
 
 def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
     """No time is asserted; that all of them are there, sorted, and that only what is seen is in the page."""
-    columns = many_races(200_000)
+    races = many_races(200_000)
     path = tmp_path / "many.html"
-    path.write_text(view_page(ViewContent("many", columns, why_not="They were never driven.")))
+    path.write_text(view_page(ViewContent("many", races, why_not="They were never driven.")))
     browser.complaints.clear()
     browser.open(f"{path.as_uri()}#show=list&sort=lead")
     assert browser.run("Number(document.body.dataset.shown)") == 200_000
     assert browser.run("document.querySelectorAll('#pane .line').length") < 60
-    order = np.argsort(np.rint(columns.lead * 1000), kind="stable")
+    order = np.argsort(np.rint(races.lead * 1000), kind="stable")
     assert browser.run("Number(document.querySelector('#pane .line').dataset.race)") == order[0]
     browser.press("End")
     assert browser.run("chosen") == order[-1]
@@ -201,20 +200,17 @@ def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
     browser.run("list.scrollTop = 0; drawList()")
     assert browser.run("[...document.querySelectorAll('#pane .race')].every((e) => e.scrollWidth <= e.clientWidth)")
     # Orders are stable, both ways: races that are alike stay in the order of the file.
-    lead = np.where(columns.agents.places[0] == 3, columns.lead, -columns.lead)[
-        (columns.agents.places == 3).any(axis=0)
-    ]
-    mine = np.flatnonzero((columns.agents.places == 3).any(axis=0))
-    passes = columns.overtakes.sum(axis=0)[mine]
+    mine = np.flatnonzero((races.agents.codes == 3).any(axis=1))
+    lead = np.where(races.agents.codes[:, 0] == 3, races.lead, -races.lead)[mine]
+    passes = races.overtakes.sum(axis=1)[mine]
     for key, values in (("lead", np.rint(lead * 1000)), ("overtakes", passes)):
         for down, sign in (("false", 1), ("true", -1)):
             browser.run(f"filters.agent = 3; Object.assign(sorting, {{ key: '{key}', down: {down} }}); refilter()")
             expected = mine[np.argsort(sign * values, kind="stable")]
             assert browser.run("Array.from(shown)") == expected.tolist(), (key, down)
     browser.run("filters.crash = 'own'; filters.agent = 3; refilter()")
-    mine = columns.agents.places == 3
-    own = np.where(mine[0], (columns.fault & 1) > 0, (columns.fault & 2) > 0) & (columns.crash > 0)
-    assert browser.run("shown.length") == np.count_nonzero(mine.any(axis=0) & own)
+    own = (races.agents.codes == 3) & (races.fault > 0) & races.crashed[:, None]
+    assert browser.run("shown.length") == np.count_nonzero(own.any(axis=1))
     assert browser.complaints == []
 
 
@@ -222,37 +218,33 @@ def many_races(count):
     """Races that were never driven."""
     rng = np.random.default_rng(0)
     crash = np.where(rng.random(count) < 0.2, rng.integers(1, 3, count), 0)
-    lines = [{**dict.fromkeys(("winner", "crash", "fault", "preset"), ""), "ego": "a", "opponent": "b", "track": "t"}]
-    lines[0] |= {"race": "0", "seed": "0", "start_s": "0", "side": "0", "lead": "0"}
-    one = race_columns(lines_of(lines, "nowhere"))
-    whole = {name: rng.integers(0, high, count) for name, high in (("race", 1000), ("side", 2), ("winner", 3))}
-    pairs = np.sort(np.array([rng.permutation(6)[:2] for _ in range(1000)]), axis=1)[np.arange(count) % 1000].T
-    return replace(
-        one,
-        agents=one.agents._replace(words=tuple("abcdef"), places=pairs),
-        track=one.track._replace(places=np.zeros(count, np.int64)),
-        preset=one.preset._replace(places=np.zeros(count, np.int64)),
-        seed=one.seed._replace(places=np.zeros(count, np.int64)),
-        moves=one.moves._replace(places=np.zeros((2, count), np.int64)),
-        lead=rng.normal(0.0, 20.0, count),
+    pairs = np.sort(np.array([rng.permutation(6)[:2] for _ in range(1000)]), axis=1)[np.arange(count) % 1000]
+    return RaceTable(
+        preset=Categorical.constant("", count),
+        agents=Categorical(tuple("abcdef"), pairs),
+        track=Categorical.constant("t", count),
+        race=rng.integers(0, 1000, count),
         start_s=rng.uniform(0, 100, count),
-        duration=np.full(count, 40.0),
+        side=rng.integers(0, 2, count),
+        seed=Categorical.constant("0", count),
+        lead=rng.normal(0.0, 20.0, count),
+        winner=rng.integers(-1, 2, count),
         crash=crash,
-        fault=np.where(crash > 0, rng.integers(0, 4, count), 0),
-        overtakes=rng.integers(0, 3, (2, count)),
-        variants=rng.integers(0, 46, (2, count)),
-        switches=rng.integers(0, 5, (2, count)),
-        **whole,
+        fault=np.where(crash[:, None] > 0, rng.integers(0, 2, (count, 2)), 0),
+        overtakes=rng.integers(0, 3, (count, 2)),
+        duration=np.full(count, 40.0),
+        variants=rng.integers(0, 46, (count, 2)),
+        path=rng.integers(0, 3, (count, 2, 5)),
+        moves=Categorical((), np.full((count, 2, 0), -1)),
     )
 
 
 def test_the_page_reads_what_was_packed(browser, page, tournament_folder):
-    columns = race_columns(read_lines(tournament_folder[0] / "results.csv"))
-    assert isinstance(columns, RaceColumns)
+    races = read_results(tournament_folder[0] / "results.csv")
     browser.open(f"{page.as_uri()}#show=list")
-    for name, packed in packed_columns(columns)["columns"].items():
+    for name, packed in packed_races(races)["columns"].items():
         assert browser.run(f"Array.from(columns.{name})") == pytest.approx(unpack(packed).tolist(), abs=1e-9), name
-    assert browser.run("[...replays.keys()]") == [pick.race for pick in choose_races(columns, 5)]
+    assert browser.run("[...replays.keys()]") == [pick.race for pick in choose_races(races, 5)]
 
 
 def test_a_phone_shows_the_list_and_then_the_race(browser, page):
@@ -267,9 +259,8 @@ def test_a_phone_shows_the_list_and_then_the_race(browser, page):
 def test_a_served_page_drives_any_race(browser, tournament_folder):
     place, _ = tournament_folder
     results = open_results(place)
-    columns = race_columns(results.rows)
-    service = RaceService(RaceDriver(results), len(columns))
-    page = view_page(ViewContent("served", columns, str(place), serve=True))
+    service = RaceService(RaceDriver(results), len(results.races))
+    page = view_page(ViewContent("served", results.races, str(place), serve=True))
     with make_server(page, service.answer) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()

@@ -1,14 +1,14 @@
-"""Races to be driven again: from the folder of a tournament or study, or from the names of two agents.
+"""The folder of a tournament or of a study, opened so that its races can be driven again.
 
 What a folder holds says who raced whom, from where, and with which noise; an agent whose weights have changed since is
 told apart by its digest, and a race that comes out otherwise by its lead.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,51 +16,27 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import load_track
-from pcs_racing_agents.agents.agent import Competitor, competitor_hash
+from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.jobs.folders import read_job
+from pcs_racing_agents.results.race_files import read_results
+from pcs_racing_agents.results.races import RaceRow, RaceTable
 from pcs_racing_agents.study.config import StudyConfig
-from pcs_racing_agents.study.run import Study
-from pcs_racing_agents.tournament.cells import draw_units
-from pcs_racing_agents.tournament.matches import variant_count
-from pcs_racing_agents.tournament.play import plan_tournament
-from pcs_racing_agents.tournament.result_lines import ResultLines, read_lines
-from pcs_racing_agents.tournament.schedule import Schedule, draw_schedule
+from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, schedule_pairing
+from pcs_racing_agents.tournament.schedule import draw_schedule
 
-__all__ = ["Contest", "Results", "open_results", "planned_contest"]
+__all__ = ["ResultsFolder", "open_results"]
 
 MANIFEST = "job.yaml"
-CELL = ("track", "ego", "opponent", "seed")
-
-
-class Contest(NamedTuple):
-    """All races of two competitors on one track.
-
-    Attributes
-    ----------
-    game : RaceGame
-    ego, opponent : Competitor
-        In car 0 and car 1.
-    variants : ndarray, shape (N, 2), int64
-    starts : Starts
-    seeds : ndarray, shape (N,), uint64
-    """
-
-    game: RaceGame
-    ego: Competitor
-    opponent: Competitor
-    variants: NDArray[np.int64]
-    starts: Starts
-    seeds: NDArray[np.uint64]
 
 
 @dataclass(frozen=True, eq=False)
-class Results:
+class ResultsFolder:
     """The races of a folder.
 
     Attributes
@@ -68,21 +44,21 @@ class Results:
     folder : Path
     settings : Mapping
         What they depend on, out of ``job.yaml``; of a tournament.
-    rows : ResultLines
-        Lines of ``results.csv``.
+    races : RaceTable
+        What ``results.csv`` holds.
     study : Study, optional
         The study that they belong to: its agents are not those of the zoo.
     tournament : bool
-        Whether it was all against all; else they are the cells of a study.
+        Whether it was all against all; else they are the races of a study's tables.
     """
 
     folder: Path
     settings: Mapping[str, Any]
-    rows: ResultLines
+    races: RaceTable
     study: Study | None
     tournament: bool
 
-    def row(self, number: int) -> dict[str, str]:
+    def row(self, number: int) -> RaceRow:
         """Return a line of the results, counted from 0.
 
         Raises
@@ -90,24 +66,16 @@ class Results:
         InputError
             If there is none.
         """
-        if not 0 <= number < len(self.rows):
-            raise InputError(f"there is no race {number} in {self.folder}; it holds races 0 to {len(self.rows) - 1}")
-        return self.rows[number]
+        if not 0 <= number < len(self.races):
+            raise InputError(f"there is no race {number} in {self.folder}; it holds races 0 to {len(self.races) - 1}")
+        return self.races[number]
 
     @cached_property
-    def cells(self) -> dict[tuple[str, ...], NDArray[np.intp]]:
-        """Numbers of the lines by the pair, track and seed that they belong to, in the order of the file."""
-        columns = [self.rows.columns[name] for name in CELL]
-        places = np.array([column.places for column in columns])
-        _, first, cell = np.unique(places, axis=1, return_index=True, return_inverse=True)
-        cell = cell.reshape(-1)
-        lines = np.split(np.argsort(cell, kind="stable"), np.cumsum(np.bincount(cell))[:-1])
-        found = {}
-        for k in np.argsort(first).tolist():
-            found[tuple(column.words[column.places[first[k]]] for column in columns)] = lines[k]
-        return found
+    def pairs(self) -> dict[tuple[str, str, str, str], NDArray[np.intp]]:
+        """Numbers of the races by the track, the pair and the seed that they belong to."""
+        return self.races.pairs
 
-    def contest(self, row: Mapping[str, str]) -> Contest:
+    def pairing(self, row: RaceRow) -> Pairing:
         """Return all races of the pair, on the track and of the seed of a line; its ``race`` is its number in them.
 
         Raises
@@ -118,44 +86,40 @@ class Results:
         try:
             if self.study is not None and not self.tournament:
                 return self._of_study(self.study, row)
-            return self._of_tournament(row["track"], row["ego"], row["opponent"])
+            return self._of_tournament(row.track, row.ego, row.opponent)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{self.folder / MANIFEST} is damaged: {error!r}") from None
 
-    def contests(self, agent: str) -> Iterator[tuple[Contest, int]]:
-        """Return all contests of an agent, with the car that it drove in them.
+    def pairings(self, agent: str) -> Iterator[tuple[Pairing, int]]:
+        """Return all pairings of an agent, with the car that it drove in them.
 
         Raises
         ------
         InputError
-            If it did not race here, or as :meth:`contest`.
+            If it did not race here, or as :meth:`pairing`.
         """
-        firsts = [self.rows[int(lines[0])] for lines in self.cells.values()]
-        found = [row for row in firsts if agent in (row["ego"], row["opponent"])]
+        firsts = [self.races[int(rows[0])] for rows in self.pairs.values()]
+        found = [row for row in firsts if agent in (row.ego, row.opponent)]
         if not found:
-            names = sorted({row[car] for row in firsts for car in ("ego", "opponent")})
-            raise InputError(f"{agent!r} did not race in {self.folder}; there are {', '.join(names)}")
+            raise InputError(
+                f"{agent!r} did not race in {self.folder}; there are {', '.join(sorted(self.races.agents.words))}"
+            )
         for row in found:
-            for car, name in enumerate((row["ego"], row["opponent"])):
+            for car, name in enumerate((row.ego, row.opponent)):
                 if name == agent:
-                    yield self.contest(row), car
+                    yield self.pairing(row), car
 
-    def _of_study(self, study: Study, row: Mapping[str, str]) -> Contest:
-        """Cells have variants and lines of their own, which all their lines together tell."""
-        cell = self.cells[tuple(row[key] for key in CELL)]
-        variants = []
-        for name in ("ego_variant", "opponent_variant"):
-            words, places = self.rows.columns[name]
-            variants.append(sorted({int(words[place]) for place in places[cell].tolist()}))
-        lines = len(cell) // max(1, 2 * len(variants[0]) * len(variants[1]))
-        game, cars = study.game(row["track"]), (study.agent(row["ego"]), study.agent(row["opponent"]))
-        seed = int(row["seed"])
-        units = draw_units(game, *cars, egos=variants[0], opponents=variants[1], lines=lines, seed=seed)
-        return Contest(game, *cars, units.variants, units.starts, units.seeds)
+    def _of_study(self, study: Study, row: RaceRow) -> Pairing:
+        """Pairings of a table have variants and lines of their own, which all their races together tell."""
+        rows = self.pairs[row.track, row.ego, row.opponent, str(row.seed)]
+        egos, opponents = (np.unique(self.races.variants[rows, car]).tolist() for car in range(2))
+        lines = len(rows) // max(1, 2 * len(egos) * len(opponents))
+        game, cars = study.game(row.track), (study.agent(row.ego), study.agent(row.opponent))
+        return cross_pairing(game, *cars, egos=egos, opponents=opponents, lines=lines, seed=row.seed)
 
-    def _of_tournament(self, track: str, ego: str, opponent: str) -> Contest:
+    def _of_tournament(self, track: str, ego: str, opponent: str) -> Pairing:
         settings, study = self.settings, self.study
         archive = load_archive(settings["archive"]) if study is None else study.archive
         _check_same(f"archive {archive.name!r}", archive.content_hash, settings["archive_sha256"])
@@ -170,10 +134,10 @@ class Results:
             cars.append(car)
         game = RaceGame(circuit, setting.archive, setting.config)
         schedule = draw_schedule(circuit, setting.config.race_rules, int(settings["races_per_pair"]), seed)
-        return _scheduled(game, cars, schedule)
+        return schedule_pairing(game, cars[0], cars[1], schedule, seed)
 
 
-def open_results(folder: str | Path) -> Results:
+def open_results(folder: str | Path) -> ResultsFolder:
     """Open the folder of a tournament or of a study.
 
     Raises
@@ -199,32 +163,8 @@ def open_results(folder: str | Path) -> Results:
             file = place.resolve().with_suffix(".csv")
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
-    rows = read_lines(file)
-    missing = {*CELL, "race", "lead", "ego_variant", "opponent_variant", "start_s"} - set(rows.columns)
-    if missing or not len(rows):
-        raise InputError(f"{file} holds no races{' with ' if missing else ''}{', '.join(sorted(missing))}")
-    return Results(place, manifest["settings"], rows, study, manifest["kind"] == "tournament")
-
-
-def planned_contest(
-    names: Sequence[str], track: str, race: RaceConfig, *, archive: str, races: int, seed: int
-) -> Contest:
-    """Return the races that a tournament between two agents would drive.
-
-    Raises
-    ------
-    InputError
-        If something is unknown or does not fit.
-    """
-    plan = plan_tournament([load_track(track)], list(names), race, archive=archive, races_per_pair=races, seed=seed)
-    setting = plan.setting
-    game = RaceGame(plan.tracks[0], setting.archive, setting.config)
-    return _scheduled(game, plan.competitors, plan.schedules[0])
-
-
-def _scheduled(game: RaceGame, cars: Sequence[Competitor], schedule: Schedule) -> Contest:
-    variants = schedule.variants(variant_count(game, cars[0]), variant_count(game, cars[1]))
-    return Contest(game, cars[0], cars[1], variants, schedule.starts, schedule.seeds)
+    races = read_results(file, ("ego_variant", "opponent_variant"))
+    return ResultsFolder(place, manifest["settings"], races, study, manifest["kind"] == "tournament")
 
 
 def _manifest(folder: Path) -> dict[str, Any] | None:

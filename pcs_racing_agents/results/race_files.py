@@ -1,0 +1,274 @@
+"""Results files: a race table as csv, one line for every race, and back.
+
+A file of many races says the same words again and again. While it is read, each text of a column is kept once, and what
+it means (a number, a path) is found out once for all races that say it.
+"""
+
+import csv
+import io
+import math
+import os
+from array import array
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.results.csv_files import read_csv
+from pcs_racing_agents.results.races import CRASHES, FAULTS, WINNERS, Categorical, RaceRow, RaceTable, narrow
+
+__all__ = ["NEEDED", "race_table", "read_results", "write_results"]
+
+NEEDED = ("ego", "opponent", "track", "race", "start_s", "side", "seed", "lead", "winner", "crash", "fault")
+"""Columns that every results file has; the others tell details."""
+LONGEST_TEXT = 300
+MOST_RACES = 2_000_000
+MOST_STEPS = 100_000_000
+
+Floats = NDArray[np.float64]
+CARS = ("ego", "opponent")
+
+
+def write_results(races: Iterable[RaceRow], path: str | os.PathLike[str]) -> Path:
+    """Write one line for every race as CSV; the file appears whole or not at all, and is the same on every machine.
+
+    Parameters
+    ----------
+    races : RaceTable, or rows
+    path : path-like
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist.
+    """
+
+    def write(file: IO[bytes]) -> None:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(RaceRow._fields)
+        writer.writerows(map(_texts, races))
+        text.detach()
+
+    write_atomically(Path(path), write)
+    return Path(path)
+
+
+def read_results(path: str | os.PathLike[str], need: Sequence[str] = ()) -> RaceTable:
+    """Read a results file.
+
+    Parameters
+    ----------
+    path : path-like
+    need : sequence of str
+        Columns that must be there besides :data:`NEEDED`. Of details that are missing nothing is known: no moves, no
+        overtakes, variant 0, duration NaN.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read, holds no races or too many, lacks a column, or a line is damaged: the first that says
+        what is wrong is named.
+    """
+    table = read_csv(path)
+    return _parsed(_in_columns(table.path, table.columns, table.values()), need)
+
+
+def race_table(rows: Iterable[RaceRow]) -> RaceTable:
+    """Return races that are given in words, as they would come back from a file.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_results`; the first of them stands in line 2.
+    """
+    return _parsed(_in_columns("the table", RaceRow._fields, enumerate(map(_texts, rows), start=2)))
+
+
+def _texts(row: RaceRow) -> list[str]:
+    """Lengths and times to a tenth of a millimetre or millisecond; lists with semicolons."""
+    return [
+        f"{value:.4f}" if isinstance(value, float)
+        else "; ".join(map(str, value)) if isinstance(value, tuple)
+        else str(value)
+        for value in row
+    ]  # fmt: skip
+
+
+class _Lines(NamedTuple):
+    """Lines of text in columns.
+
+    Attributes
+    ----------
+    where : str
+        How errors call the file.
+    columns : dict of str to Categorical
+    at : ndarray, shape (N,)
+        Where the lines stand in the file, whose first line is 1.
+    """
+
+    where: str
+    columns: dict[str, Categorical]
+    at: NDArray[np.int32]
+
+    def damaged(self, column: str, word: str, problem: str) -> InputError:
+        """Return an error about the first line that holds a word: as a line of the file, and as ``explain`` counts."""
+        words, codes = self.columns[column]
+        number = int(np.argmax(codes == words.index(word)))
+        return InputError(f"{self.where}, line {self.at[number]} (race {number}), is damaged: {column} is {problem}")
+
+    def words(self, name: str) -> Categorical:
+        """Return a column of words; empty ones where it is missing."""
+        if name not in self.columns:
+            return Categorical.constant("", len(self.at))
+        for word in self.columns[name].words:
+            if len(word) > LONGEST_TEXT:
+                raise self.damaged(name, word, f"{len(word)} characters long")
+        return self.columns[name]
+
+    def numbers(self, name: str, low: float, high: float, missing: float | None = None) -> Floats:
+        """Return a column of numbers within bounds."""
+        if missing is not None and name not in self.columns:
+            return np.full(len(self.at), missing)
+        words, codes = self.columns[name]
+        values = np.array([_number(word) for word in words])
+        wrong = ~((values >= low) & (values <= high))  # NaN is wrong, too
+        if missing is not None and math.isnan(missing):
+            wrong &= np.array(words) != "nan"
+        if wrong.any():
+            word = words[int(np.argmax(wrong))]
+            raise self.damaged(name, word, f"{word!r:.60}; it must be a number from {low:g} to {high:g}")
+        return values[codes]
+
+    def wholes(self, name: str, high: int, missing: int | None = None) -> NDArray[Any]:
+        """Return a column of whole numbers from 0 on."""
+        values = self.numbers(name, 0, high, missing)
+        if (values != np.floor(values)).any():
+            words, codes = self.columns[name]
+            word = words[codes[int(np.argmax(values != np.floor(values)))]]
+            raise self.damaged(name, word, f"{word!r:.60}; it must be a whole number")
+        return narrow(values.astype(np.int64))
+
+    def choices(self, name: str, known: Sequence[str]) -> NDArray[np.int64]:
+        """Return which of a few words stand in a column."""
+        words, codes = self.columns[name]
+        for word in words:
+            if word not in known:
+                allowed = ", ".join(choice or "nothing" for choice in known)
+                raise self.damaged(name, word, f"{word!r:.60}; it must be {allowed}")
+        return np.array([known.index(word) for word in words], np.int64)[codes]
+
+    def seeds(self) -> Categorical:
+        """Return the column of seeds, which are whole numbers of any size."""
+        seeds = self.words("seed")
+        for word in seeds.words:
+            if not word.isascii() or not word.isdigit():
+                raise self.damaged("seed", word, f"{word!r:.60}; it must be a whole number")
+        words: dict[str, int] = {}
+        places = [words.setdefault(str(int(word)), len(words)) for word in seeds.words]
+        return Categorical(tuple(words), np.array(places, np.int64)[seeds.codes])
+
+    def steps(self, name: str) -> tuple[list[list[str]], NDArray[Any]]:
+        """Return what a column lists for each different text, and the places of these texts."""
+        column = self.words(name)
+        lists = [word.split("; ") if word else [] for word in column.words]
+        if 2 * len(self.at) * max(map(len, lists), default=0) > MOST_STEPS:
+            raise InputError(f"{self.where} holds too much: {len(self.at)} races with lists as long as that in {name}")
+        return lists, column.codes
+
+    def paths(self, name: str) -> NDArray[Any]:
+        """Return a column of lists of policies, shape (N, longest); -1 fills up the shorter ones."""
+        lists, codes = self.steps(name)
+        values = np.full((len(lists), max(map(len, lists), default=0)), -1, np.int64)
+        for i, policies in enumerate(lists):
+            for k, policy in enumerate(policies):
+                if not policy.isascii() or not policy.isdigit() or len(policy) > 6:
+                    word = self.columns[name].words[i]
+                    raise self.damaged(name, word, f"{word!r:.60}; it must be a list of policies")
+                values[i, k] = int(policy)
+        return narrow(values)[codes]
+
+    def moves(self, name: str) -> Categorical:
+        """Return a column of lists of moves, shape (N, longest)."""
+        lists, codes = self.steps(name)
+        words: dict[str, int] = {}
+        values = np.full((len(lists), max(map(len, lists), default=0)), -1, np.int64)
+        for i, moves in enumerate(lists):
+            values[i, : len(moves)] = [words.setdefault(move, len(words)) for move in moves]
+        return Categorical(tuple(words), narrow(values)[codes])
+
+
+def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, list[str]]]) -> _Lines:
+    """Go through lines once, keeping every text of a column once."""
+    codes, at = [array("i") for _ in names], array("i")
+    words: list[dict[str, int]] = [{} for _ in names]
+    work = [(column.append, known.setdefault, known) for column, known in zip(codes, words, strict=True)]
+    for number, line in lines:
+        at.append(number)
+        for (append, place, known), text in zip(work, line, strict=True):
+            append(place(text, len(known)))
+    columns = {}
+    for name in names:
+        known, column = words.pop(0), codes.pop(0)  # one after the other, lest all of them lie there twice
+        columns[name] = Categorical(tuple(known), np.array(column, np.min_scalar_type(len(known))))
+    return _Lines(where, columns, np.array(at, np.int32))
+
+
+def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
+    """Turn words into numbers, checking each of them."""
+    if not len(lines.at):
+        raise InputError(f"{lines.where} holds no races")
+    missing = [name for name in (*NEEDED, *need) if name not in lines.columns]
+    if missing:
+        raise InputError(f"{lines.where} has no column {missing[0]!r}; it must be a results.csv of races")
+    if len(lines.at) > MOST_RACES:
+        raise InputError(f"{lines.where} holds {len(lines.at)} races; at most {MOST_RACES} can be read")
+
+    def both(name: str) -> NDArray[Any]:
+        return np.stack([lines.wholes(f"{car}_{name}", 1_000_000, missing=0) for car in CARS], axis=1)
+
+    fault = lines.choices("fault", FAULTS)
+    return RaceTable(
+        preset=lines.words("preset"),
+        agents=Categorical.concatenate([lines.words(car) for car in CARS], axis=1),
+        track=lines.words("track"),
+        race=lines.wholes("race", 2**31 - 1),
+        start_s=lines.numbers("start_s", -1e6, 1e6),
+        side=lines.wholes("side", 1),
+        seed=lines.seeds(),
+        lead=lines.numbers("lead", -1e6, 1e6),
+        winner=np.array([0, 1, -1], np.int8)[lines.choices("winner", WINNERS)],
+        crash=narrow(lines.choices("crash", CRASHES)),
+        fault=narrow(np.stack([fault & 1, fault >> 1], axis=1)),
+        overtakes=both("overtakes"),
+        duration=lines.numbers("duration", 0.0, 1e6, missing=math.nan),
+        variants=both("variant"),
+        path=_side_by_side([lines.paths(f"{car}_path") for car in CARS]),
+        moves=_moves_of_both([lines.moves(f"{car}_moves") for car in CARS]),
+    )
+
+
+def _side_by_side(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Two arrays (N, steps) as one (N, 2, most steps)."""
+    steps = max(column.shape[1] for column in columns)
+    return np.stack([np.pad(c, ((0, 0), (0, steps - c.shape[1])), constant_values=-1) for c in columns], axis=1)
+
+
+def _moves_of_both(columns: Sequence[Categorical]) -> Categorical:
+    steps = max(column.codes.shape[1] for column in columns)
+    wide = [
+        column._replace(codes=np.pad(column.codes, ((0, 0), (0, steps - column.codes.shape[1])), constant_values=-1))
+        for column in columns
+    ]
+    return Categorical.concatenate(wide, axis=1)
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan

@@ -1,0 +1,46 @@
+"""Tables of texts for people: aligned plain text, and Markdown."""
+
+import re
+from collections.abc import Iterable, Sequence
+
+__all__ = ["aligned", "is_number", "markdown"]
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell begins like a number, an interval or a bound."""
+    return bool(re.match(r"[-+\[<]?\s?[-+]?[0-9]", cell))
+
+
+def aligned(rows: Iterable[Sequence[str]], *, left: int | None = None) -> list[str]:
+    """Return rows as lines of plain text, without blanks at the end of a line.
+
+    Parameters
+    ----------
+    rows : iterable of sequence of str
+        Of one length; the first may be a head.
+    left : int, optional
+        So many columns stand to the left, the others to the right. By default the first one and all that hold no
+        numbers do.
+    """
+    cells = [list(row) for row in rows]
+    columns = list(zip(*cells, strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    words = [
+        i < left
+        if left is not None
+        else i == 0 or not any(cell[:1].isdigit() or cell[:1] in tuple("+-") for cell in column[1:] if cell)
+        for i, column in enumerate(columns)
+    ]
+    return [
+        "  ".join(
+            cell.ljust(width) if word else cell.rjust(width)
+            for cell, width, word in zip(row, widths, words, strict=True)
+        ).rstrip()
+        for row in cells
+    ]
+
+
+def markdown(rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return rows as lines of a table in Markdown; the first is its head."""
+    head, *others = ([cell.replace("|", "\\|") for cell in row] for row in rows)
+    return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *others)]

@@ -1,0 +1,116 @@
+"""The stages of a study: what each of them needs and does. Adding one is an entry here."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.optional import require
+from pcs_racing.base.reading import parse_yaml
+from pcs_racing_agents.learning.ppo.learner import check_packages
+from pcs_racing_agents.study import preparing, racing, reporting
+from pcs_racing_agents.study.config import StudyConfig
+from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.synthesis.config import load_archive_config
+
+__all__ = ["DONE", "STAGES", "Stage", "stage_seconds"]
+
+DONE = "done.yaml"
+"""File of a stage's folder that says that it is done."""
+
+
+def _nothing(config: StudyConfig) -> None:
+    """Need no library but those of the package."""
+
+
+def _synthesis(config: StudyConfig) -> None:
+    if config.synthesis is not None:
+        method = load_archive_config(config.synthesis).method
+        require("moocore", *(("cma",) if method == "mo-cma-es" else ()), extra="synthesis")
+
+
+def _torch_for_networks(config: StudyConfig) -> None:
+    if config.pairs > 0:
+        require("torch", extra="learning")
+
+
+def _torch_for_responses(config: StudyConfig) -> None:
+    if config.responses:
+        require("torch", extra="learning")
+
+
+def _ppo(config: StudyConfig) -> None:
+    if config.ppo is not None:
+        check_packages()
+
+
+def _report(study: Study) -> None:
+    reporting.write_report(study, stage_seconds(study))
+
+
+class Stage(NamedTuple):
+    """A stage of a study; it works in a folder of its name.
+
+    Attributes
+    ----------
+    name : str
+    needs : tuple of str
+        Stages that must be done before.
+    does : str
+        What it does, in a sentence.
+    run : callable
+        ``run(study)`` does it; what an earlier call has done is not done again.
+    check_libraries : callable
+        ``check_libraries(config)`` raises ModuleNotFoundError if a library is missing that it needs.
+    always : bool
+        Whether it runs again where it is done: it costs seconds and shows what is there.
+    """
+
+    name: str
+    needs: tuple[str, ...]
+    does: str
+    run: Callable[[Study], None]
+    check_libraries: Callable[[StudyConfig], None] = _nothing
+    always: bool = False
+
+
+LEARNED = ("networks", "blind", "responses", "ppo")
+
+STAGES = (
+    Stage("archive", (), "searches policies", preparing.make_the_archive, _synthesis),
+    Stage("trees", ("archive",), "plays game trees", preparing.play_trees),
+    Stage("networks", ("trees",), "trains networks on the trees", preparing.train_networks, _torch_for_networks),
+    Stage("blind", ("archive",), "chooses the best strategies that never look at the race", preparing.choose_blind),
+    Stage(
+        "responses",
+        ("networks", "blind"),
+        "learns answers to opponents",
+        preparing.learn_responses,
+        _torch_for_responses,
+    ),
+    Stage("ppo", ("archive",), "trains the PPO baseline", preparing.train_ppo_baseline, _ppo),
+    Stage("races", LEARNED, "drives the races of the table", racing.race_tables),
+    Stage("rivals", LEARNED, "lets agents race all against all", racing.race_rivals),
+    Stage("exploitability", LEARNED, "judges agents on trees that no network has seen", racing.judge_on_trees),
+    Stage("report", ("races", "rivals", "exploitability"), "writes results.csv and report.html", _report, always=True),
+)
+"""All stages, in the order in which they run."""
+
+
+def stage_seconds(study: Study) -> dict[str, float]:
+    """Return how long each stage that is done took, s; with the time before it was stopped, if it was.
+
+    Raises
+    ------
+    InputError
+        If a stage's note is damaged.
+    """
+    seconds = {}
+    for stage in STAGES:
+        file = study.folder / stage.name / DONE
+        if file.is_file():
+            note = parse_yaml(file, file.read_bytes())
+            found = note.get("seconds") if isinstance(note, dict) else None
+            if isinstance(found, bool) or not isinstance(found, int | float) or not 0.0 <= found < 1e9:
+                raise InputError(f"{file} is damaged: seconds are {found!r:.80}; delete it, and the stage runs again")
+            seconds[stage.name] = float(found)
+    return seconds

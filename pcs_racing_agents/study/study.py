@@ -1,0 +1,101 @@
+"""A study and its folder: what its stages work with."""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
+from pcs_racing.game.rules import RaceGame, make_game
+from pcs_racing.track.track import Track, load_track
+from pcs_racing_agents.agents.agent import Agent, Competitor
+from pcs_racing_agents.agents.setting import Setting, make_setting
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.jobs.jobs import Progress, show_progress
+from pcs_racing_agents.study.config import BEST_BLIND, StudyConfig
+
+__all__ = ["Study"]
+
+NETWORK_AGENTS = {
+    "cfr-argmax": "regret",
+    "cfr-regret-matching": "regret",
+    "normalised-regret": "normalised",
+    "advantage": "advantage",
+    "static-q": "static-q",
+    "nash": "nash",
+    "ppo": "ppo",
+}
+"""What the networks of the zoo's agents are trained to say."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study and where it stands.
+
+    Attributes
+    ----------
+    config : StudyConfig
+    folder : Path
+    executor : Executor, optional
+        Where its jobs run.
+    quiet : bool
+        Show no progress.
+    """
+
+    config: StudyConfig
+    folder: Path
+    executor: Executor | None = None
+    quiet: bool = False
+
+    @cached_property
+    def archive(self) -> PolicyArchive:
+        """The archive that was made, or the one that the configuration names."""
+        return load_archive(self.config.archive if self.config.synthesis is None else self.folder / "archive")
+
+    @cached_property
+    def setting(self) -> Setting:
+        """Archive and rules, as agents know them."""
+        return make_setting(self.archive, self.config.game)
+
+    def game(self, track: str) -> RaceGame:
+        """Return the game on a circuit."""
+        return make_game(self.track(track), self.archive, self.config.game)
+
+    def tree_game(self, track: str) -> RaceGame:
+        """Return the game on a circuit as trees are played: without "stay", which makes them six times as large."""
+        return make_game(self.track(track), self.archive, self.config.game, stay=False)
+
+    def track(self, name: str) -> Track:
+        """Return a circuit."""
+        return load_track(name)
+
+    def network(self, kind: str) -> Path:
+        """Return the folder of a network that this study trains."""
+        return self.folder / "networks" / kind
+
+    def agent(self, name: str) -> Competitor:
+        """Return an agent or driver by name: with the networks and choices of this study, where it has them.
+
+        Besides the names of the zoo there are those of the configuration's ``responses``: the answer that was learned,
+        made without a margin.
+        """
+        seed = self.config.seed
+        if name in self.config.responses:
+            agent = build("cfr-argmax", self.setting, seed=seed, network=self.network(name))
+            assert isinstance(agent, Agent)
+            return Agent(name, agent.strategy, agent.setting, agent.seed, agent.facts)
+        options: dict[str, Any] = {}
+        kind = NETWORK_AGENTS.get(name)
+        if name == "adaptive" and self.config.responses:
+            options = {"network": self.network(self.config.responses[0]), "blind": self.agent("best-fixed")}
+        elif kind is not None and self.network(kind).is_dir():
+            options = {"network": self.network(kind)}
+        elif name in BEST_BLIND:
+            options = {"fit": self.folder / "blind" / f"{name}.yaml"}
+        return build(name, self.setting, seed=seed, **options)
+
+    def progress(self, unit: str) -> Progress | None:
+        """Return a line on stderr that is kept up to date."""
+        return None if self.quiet else show_progress(unit)

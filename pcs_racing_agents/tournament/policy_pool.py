@@ -1,0 +1,142 @@
+"""Races between all pairs of a pool of policies, and the payoffs that they give.
+
+The policies are fixed for the whole race: this is the game of choosing a policy before the start, of which
+:mod:`pcs_racing_agents.tournament.headroom` says how much it is worth.
+"""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.checks import check_whole
+from pcs_racing.base.errors import InputError
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.track import Track, load_track
+from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.jobs.jobs import Job, Progress
+
+__all__ = ["PolicyPool", "pool_payoffs"]
+
+Floats = NDArray[np.float64]
+
+_RACES_AT_ONCE = 512
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyPool:
+    """A pool of policies and the races that decide its payoffs.
+
+    Attributes
+    ----------
+    policies : tuple of Policy
+        N >= 3 of them.
+    tracks : tuple of Track or str
+        Circuits, or their names or folders, which workers on other machines load themselves.
+    config : RaceConfig
+    races : int
+        Races of every pair on every circuit. The two sides of the grid take turns on each start line.
+    folds : int
+        Disjoint sets of start lines into which the races are divided.
+    seed : int
+        Root of start lines and noise. Every race has noise of its own.
+
+    Raises
+    ------
+    InputError
+        If there are too few policies or no circuit, or the races can't be divided evenly.
+    """
+
+    policies: tuple[Policy, ...]
+    tracks: tuple[Track | str, ...]
+    config: RaceConfig
+    races: int = 64
+    folds: int = 16
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.policies) < 3:
+            raise InputError(f"the pool holds {len(self.policies)} policies; a cycle needs at least 3")
+        if not self.tracks:
+            raise InputError("there are no tracks; name at least one")
+        check_whole("folds", self.folds, 2, 1000)
+        check_whole("races", self.races, 2 * self.folds, 1_000_000)
+        if self.races % (2 * self.folds):
+            raise InputError(f"races is {self.races}; it must be a multiple of twice the folds, {2 * self.folds}")
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """All pairs of different policies, the lower index first."""
+        return list(combinations(range(len(self.policies)), 2))
+
+
+def pool_payoffs(
+    pool: PolicyPool, *, job: Job | None = None, executor: Executor | None = None, progress: Progress | None = None
+) -> Floats:
+    """Race all pairs of a pool.
+
+    Parameters
+    ----------
+    pool : PolicyPool
+    job : Job, optional
+        Keeps what is done, so that a run that was stopped goes on; without it nothing is kept.
+    executor : Executor, optional
+        Where the races are driven; by default here, on all cores. It has no influence on the result.
+    progress : callable, optional
+        Called as ``progress(done, total, what)``, counting blocks of pairs.
+
+    Returns
+    -------
+    ndarray, shape (T, F, N, N)
+        Score of the row's policy against the column's minus one half, for every circuit and fold; a tie and a crash
+        that pays nobody count one half.
+    """
+    step = max(1, _RACES_AT_ONCE // pool.races)
+    blocks = [pool.pairs[first : first + step] for first in range(0, len(pool.pairs), step)]
+    tasks = [(pool, track, block) for track in range(len(pool.tracks)) for block in blocks]
+    race = _race_block if executor is None else partial(_race_block, threads=1)
+    if job is not None:
+        results = job.run("pairs", race, tasks, executor=executor, progress=progress)
+    else:
+        results = list((map if executor is None else executor.map)(race, tasks))
+    payoffs = np.zeros((len(pool.tracks), pool.folds, len(pool.policies), len(pool.policies)))
+    for (_, track, block), result in zip(tasks, results, strict=True):
+        i, j = np.transpose(block)
+        payoffs[track, :, i, j] = result["payoffs"]
+        payoffs[track, :, j, i] = -result["payoffs"]
+    return payoffs
+
+
+def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: int | None = None) -> Arrays:
+    """Race some pairs on one circuit: their payoffs in every fold, shape (pairs, F)."""
+    pool, number, pairs = task
+    source = pool.tracks[number]
+    track = source if isinstance(source, Track) else load_track(source)
+    rules = replace(pool.config, start_lines=pool.races // 2)
+    lines = start_lines(track, rules, np.random.SeedSequence(pool.seed, spawn_key=(number,)))
+    starts = Starts(np.repeat(lines, 2), np.tile([0, 1], len(lines)))
+    scores = np.empty((len(pairs), pool.races))
+    for row, (i, j) in enumerate(pairs):
+        ego, rival = pool.policies[i], pool.policies[j]
+        # A pair's noise depends on the two policies' places in the pool, not on the block that races it.
+        noise = (
+            np.random.SeedSequence(pool.seed, spawn_key=(number, i, j))
+            .generate_state(pool.races, np.uint64)
+            .astype(np.uint64)
+        )
+        setup = RaceSetup(track, pool.config, (ego.planner, rival.planner))
+        state = start_races(setup, starts, noise)
+        theta = np.stack([pad_parameters([policy], setup.theta_size)[0] for policy in (ego, rival)])
+        theta = np.ascontiguousarray(np.broadcast_to(theta, (pool.races, *theta.shape)))
+        advance(setup, state, theta, pool.config.ticks, threads=threads, ittc=False)
+        won = winners(pool.config, state)
+        scores[row] = np.where(won == 0, 1.0, np.where(won == 1, 0.0, 0.5))
+    folds = scores.reshape(len(pairs), pool.races // 2 // pool.folds, pool.folds, 2)
+    return {"payoffs": folds.mean(axis=(1, 3)) - 0.5}

@@ -1,0 +1,139 @@
+import numpy as np
+import pytest
+
+from pcs_racing import CONTEST, InputError, make_game
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.runner import play_pairing, play_pairings
+from pcs_racing_agents.tournament.statistics import compare, match_units
+from pcs_racing_agents.tournament.watching import record_match
+
+SIZE = {"egos": 4, "opponents": 3, "lines": 2, "seed": 5}
+
+
+@pytest.fixture(scope="module")
+def contest(oval, archive):
+    return make_game(oval, archive, CONTEST, step_seconds=0.8)
+
+
+@pytest.fixture(scope="module")
+def zoo(contest):
+    setting = make_setting(contest.archive, contest.config)
+    return {name: build(name, setting) for name in ("never-switch", "random-moves", "random-policy", "lane-switcher")}
+
+
+def units(pairing):
+    """What makes a race the same race for two egos."""
+    columns = (*pairing.variants.T, pairing.starts.s, pairing.starts.side)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def test_a_crossed_pairing_crosses_everything(contest, zoo):
+    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
+    assert len(pairing) == 4 * 3 * 2 * 2 == len(set(units(pairing)))
+    egos, opponents, starts, sides = (np.unique(column) for column in np.array(units(pairing)).T)
+    assert (len(egos), len(opponents), len(starts), sides.tolist()) == (4, 3, 16, [0, 1])
+    assert egos.max() < 12
+    assert opponents.max() < 20
+    # Every pair has two lines of its own out of sixteen, each of them from both sides.
+    for pair in np.unique(pairing.variants, axis=0):
+        of_pair = pairing.starts.s[(pairing.variants == pair).all(axis=1)]
+        assert sorted(np.unique(of_pair, return_counts=True)[1].tolist()) == [2, 2]
+    assert len(np.unique(pairing.noise)) == 48
+    paper = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"])
+    assert len(paper) == 12 * 20 * 5 * 2  # this archive has 12 policies to start with; with 20 it were 4,000
+
+
+def test_lines_of_a_short_circuit_share_places(archive):
+    """Tarnfjord has 27 places to start side by side, and a pairing draws from 40 lines; a place is one cluster."""
+    game = make_game("Tarnfjord", archive, "paper")
+    policies = build("never-switch", make_setting(archive, game.config))
+    pairing = cross_pairing(game, policies, policies, egos=4, opponents=4, lines=5)
+    assert len(np.unique(pairing.starts.s)) < 40
+
+
+def test_arms_pair_up_race_by_race(contest, zoo):
+    """Two egos against one opponent: the same races in the same order, and the opponent starts the same."""
+    for opponent in ("never-switch", "random-policy", "random-moves"):
+        pairings = [cross_pairing(contest, zoo[ego], zoo[opponent], **SIZE) for ego in ("never-switch", "random-moves")]
+        one, other = map(units, pairings)
+        np.testing.assert_array_equal(match_units(one, other), np.arange(48))
+        np.testing.assert_array_equal(pairings[0].noise, pairings[1].noise)
+        arms = [play_pairing(pairing) for pairing in pairings]
+        np.testing.assert_array_equal(arms[0].path[:, :, 0], arms[1].path[:, :, 0])
+        found = compare(arms[1].score, arms[0].score, *pairings[0].variants.T)
+        assert found.difference == pytest.approx(arms[1].score.mean() - arms[0].score.mean())
+    same = play_pairing(cross_pairing(contest, zoo["never-switch"], zoo["never-switch"], **SIZE))
+    reseeded = build("never-switch", zoo["never-switch"].setting, seed=9)
+    again = play_pairing(cross_pairing(contest, reseeded, zoo["never-switch"], **SIZE))
+    np.testing.assert_array_equal(same.score, again.score)
+
+
+def test_races_of_a_pairing_in_words(contest, zoo):
+    pairing = cross_pairing(contest, zoo["random-moves"], zoo["random-policy"], **SIZE)
+    races = play_pairing(pairing)
+    rows = list(races)
+    assert [(row.ego_variant, row.opponent_variant) for row in rows] == [tuple(pair) for pair in pairing.variants]
+    assert {(row.ego, row.opponent, row.track, row.seed) for row in rows} == {
+        ("random-moves", "random-policy", "oval", 5)
+    }
+    scores = [1.0 if row.winner == "ego" else 0.5 if row.winner == row.crash == "" else 0.0 for row in rows]
+    np.testing.assert_array_equal(scores, races.score)
+
+
+def test_one_race_of_a_pairing_is_that_race(contest, zoo):
+    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
+    whole, some = pairing.play(), pairing.take([7, 30]).play()
+    np.testing.assert_array_equal(whole.lead[[7, 30]], some.lead)
+    recording = record_match(contest, pairing.ego, pairing.opponent, **pairing.one(30), candidates=False)
+    assert recording.match.lead[0] == whole.lead[30]
+    with pytest.raises(InputError, match="there is no race 48"):
+        pairing.one(48)
+
+
+def test_a_pairing_in_a_job_is_played_once(contest, zoo, tmp_path, monkeypatch):
+    monkeypatch.setattr("pcs_racing_agents.tournament.runner.BLOCK", 20)
+    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
+    (here,) = play_pairings([pairing])
+    counts: list[tuple[int, int]] = []
+    for _ in range(2):
+        with open_job(tmp_path / "job", "races", {}) as job, make_executor("threads", 2) as executor:
+            (played,) = play_pairings(
+                [pairing], job=job, executor=executor, progress=lambda done, total, _: counts.append((done, total))
+            )
+        for name, array in played._asdict().items():
+            np.testing.assert_array_equal(array, getattr(here, name), err_msg=name)
+    assert counts == [(0, 48), (16, 48), (32, 48), (48, 48), (48, 48)]
+
+
+def test_observations_are_kept_where_they_are_asked_for(contest, zoo, tmp_path):
+    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
+    with open_job(tmp_path / "job", "races", {}) as job:
+        (bare,) = play_pairings([pairing], job=job)
+        (whole,) = play_pairings([pairing], observations=True, job=job)
+    assert bare.seen.shape == (48, 2, 0)
+    np.testing.assert_array_equal(whole.seen, pairing.play().seen)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"egos": 0}, "egos is 0; a pairing needs at least one variant"),
+        ({"egos": [1, 1]}, r"egos is \[1, 1\]; it must be"),
+        ({"egos": [12]}, "there are variants 0 to 11"),
+        ({"opponents": [20]}, "there are variants 0 to 19"),
+        ({"opponents": 2.5}, r"opponents is 2\.5"),
+        ({"lines": 0}, "lines is 0"),
+        ({"seed": -1}, "seed is -1"),
+    ],
+)
+def test_impossible_pairings_are_refused(contest, zoo, change, message):
+    with pytest.raises(InputError, match=message):
+        cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **(SIZE | change))
+
+
+def test_chosen_variants(contest, zoo):
+    pairing = cross_pairing(contest, zoo["never-switch"], zoo["never-switch"], egos=[7, 2], opponents=[1], lines=1)
+    assert pairing.variants.tolist() == [[7, 1], [7, 1], [2, 1], [2, 1]]
