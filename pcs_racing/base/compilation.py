@@ -10,7 +10,7 @@ from numba import njit
 
 from pcs_racing.base.code_cache import forget_stale_code
 
-__all__ = ["announce_compilation", "compiled", "kernel"]
+__all__ = ["announce_compilation", "compiled", "inner_kernel", "kernel"]
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -56,6 +56,22 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         Further options of :func:`numba.njit`.
     """
     return compiled(function, _nrt=False, **options)
+
+
+def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function as :func:`kernel` does, for other kernels alone.
+
+    It is left without the wrapper through which Python would call it, half the time of compiling a small one. A call
+    from Python crashes the process.
+
+    Parameters
+    ----------
+    function : callable, optional
+        What to compile; without it, a decorator is returned.
+    **options
+        Further options of :func:`numba.njit`.
+    """
+    return kernel(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
 
 
 _sources: set[Path] = set()

@@ -52,10 +52,7 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
                     draw = steering_noise(state.seed[race], 0, tick)
                     state.disturbance[race, 0] = keep * state.disturbance[race, 0] + gain * draw
                     state.command[race, 0, 0] += state.disturbance[race, 0]
-            rate, acceleration = _vehicle.target_inputs(
-                own, state.command[race, 0, 0], state.command[race, 0, 1], p, DT
-            )
-            _vehicle.step(own, rate, acceleration, p, DT)
+            _vehicle.step_to_target(own, state.command[race, 0, 0], state.command[race, 0, 1], p, DT)
             tick += 1
             state.tick[race] = tick
             if tick % CONTROL_EVERY == 0:
