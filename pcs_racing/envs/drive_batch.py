@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.compilation import announce_compilation
+from pcs_racing.base.compilation import first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import WORK_SHAPE, Beams, Lidar
 from pcs_racing.envs.batch import BatchStep, check_batch_size
@@ -152,8 +152,6 @@ class DriveBatch:
         self.vehicles = np.tile(cars, (races, 1, 1))  # never read-only, which would be another type to compile
         # Time to collision is measured only for opponents that observe characteristics: it costs time.
         self._settings = setup.settings if self._moving else setup.settings._replace(ittc_horizon=0.0)
-        with announce_compilation(step_races, "the control-level environment", 15):
-            self._pointers = (*setup.planners[0].pointers(), *setup.planners[1].pointers())
         self._limits = (setup.vehicles[0].steer_max, float(self.options.top_speed))
         self._weights = tuple(
             float(getattr(self.options, name)) for name in ("progress_reward", "rivalry", "crash_penalty")
@@ -167,6 +165,12 @@ class DriveBatch:
             for _ in range(workers)
         ]
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
+        with first_call(step_races, "the control-level environment", 20) as compiling:
+            self._pointers = (*setup.planners[0].pointers(), *setup.planners[1].pointers())
+            if compiling:
+                nothing, no = np.empty(races), np.empty(races, np.bool_)
+                before, out = self.state.progress.copy(), np.empty((races, len(self.elements)), np.float32)
+                self._step_part(np.empty((races, 2)), 0, 0, 0, 0, (before, nothing, no, no, out))
         self._compiled: Callable[..., None] | None = None
 
     def restart(

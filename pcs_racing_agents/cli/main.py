@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli import (
     agents,
+    compilation,
     explain,
     export,
     headroom,
@@ -100,6 +101,7 @@ def _parser() -> argparse.ArgumentParser:
         study,
         explain,
         view,
+        compilation,
     ):
         group.add(commands)
     return parser
