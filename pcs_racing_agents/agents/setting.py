@@ -12,8 +12,9 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.game import RaceGame, observation_elements
 from pcs_racing.game.moves import move_names, move_table
+from pcs_racing.game.observation import observation_elements
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 
 __all__ = ["STAY", "Setting", "make_setting"]

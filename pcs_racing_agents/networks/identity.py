@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 
 __all__ = ["GameIdentity", "check_same_game", "game_identity"]
 

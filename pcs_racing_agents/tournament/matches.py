@@ -11,20 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame, take_games
-from pcs_racing.game.state import GameState
+from pcs_racing.game.competitor import ask_moves, check_competitor, competitor_name
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.kernel import DT
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.agents.agent import Agent, Competitor, Decider, Driver, as_competitor
+from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 
 __all__ = [
     "Matches",
-    "check_competitor",
     "game_between",
     "join_matches",
-    "moves_of",
-    "name_of",
     "play_games",
     "variant_count",
 ]
@@ -112,31 +109,6 @@ def game_between(game: RaceGame, ego: Competitor, opponent: Competitor) -> RaceG
     return arena
 
 
-def check_competitor(game: RaceGame, competitor: Competitor) -> None:
-    """Check that a competitor fits a game, as far as possible before it is played.
-
-    Raises
-    ------
-    InputError
-        If an agent is made for another archive or other rules, or a model for other observations or moves.
-    """
-    if isinstance(competitor, Agent):
-        competitor.setting.check_fits(game, competitor.name)
-    model = getattr(competitor, "model", competitor)
-    size, moves = len(game.observation_elements), len(game.move_names)
-    shape = getattr(getattr(model, "observation_space", None), "shape", None)
-    if shape is not None and tuple(shape) != (size,):
-        raise InputError(
-            f"agent {name_of(competitor)!r} sees observations of shape {tuple(shape)}; this game shows ({size},)"
-        )
-    count = getattr(getattr(model, "action_space", None), "n", None)
-    if count is not None and int(count) > moves:
-        raise InputError(
-            f"agent {name_of(competitor)!r} has {int(count)} moves; this game has {moves} "
-            f"({', '.join(game.move_names)})"
-        )
-
-
 def play_games(
     game: RaceGame,
     ego: Competitor | Policy,
@@ -183,9 +155,10 @@ def play_games(
         count = variant_count(arena, competitor)
         wrong = np.flatnonzero((variants[:, car] < 0) | (variants[:, car] >= count))
         if len(wrong):
+            name = competitor_name(competitor)
             raise InputError(
-                f"game {wrong[0]}: the {CARS[car]}'s variant is {variants[wrong[0], car]}; {name_of(competitor)!r} has "
-                f"variants 0 to {count - 1}"
+                f"game {wrong[0]}: the {CARS[car]}'s variant is {variants[wrong[0], car]}; {name!r} has variants 0 to "
+                f"{count - 1}"
             )
     parts = []
     for first in range(0, max(len(starts), 1), BATCH):
@@ -212,7 +185,7 @@ def _play(
     policy = np.full((len(variants), 2, steps + 1), -1, np.int64)
     moves = np.full((len(variants), 2, steps), -1, np.int64)
     policy[:, :, 0] = first
-    memories: list[Any] = [None, None]
+    memories: list[list[Any]] = [[None] * len(variants), [None] * len(variants)]
     for step in range(steps):
         running = np.flatnonzero(~arena.done(state))
         if len(running) == 0:
@@ -221,16 +194,17 @@ def _play(
         actions = np.zeros((len(variants), 2), np.int64)
         for car, competitor in enumerate(cars):
             if makes_moves[car]:
-                observation = observations[:, car]
-                actions[:, car], memories[car] = _ask_moves(competitor, arena, state, observation, car, memories[car])
+                actions[:, car] = ask_moves(
+                    competitor, arena, state, car, observation=observations[:, car], memories=memories[car]
+                )
                 moves[running, car, step] = actions[running, car]
-        state = arena.step(state, actions)
+        state = arena.apply(state, actions)
         policy[running, :, step + 1] = state.policy[running]
     race = state.race
     return Matches(
         lead=race.lead,
         winner=arena.winner(state),
-        utility=arena.utility(state)[:, 0],
+        utility=arena.reward(state)[:, 0],
         crash=race.crash,
         fault=race.fault,
         overtakes=race.overtakes,
@@ -240,60 +214,3 @@ def _play(
         noise=race.seed,
         observations=arena.observation(state),
     )
-
-
-def moves_of(competitor: Competitor, game: RaceGame, state: GameState, car: int) -> NDArray[np.int64]:
-    """Return the moves of one car in a batch of B games, shape (B,); 0 in games that are over, and for drivers.
-
-    Parameters
-    ----------
-    competitor : Competitor
-        A recurrent model gets no memory, as at the beginning of a game.
-    game : RaceGame
-    state : GameState
-    car : int
-
-    Raises
-    ------
-    InputError
-        If the competitor does not return a move for each game.
-    """
-    return _ask_moves(competitor, game, state, game.observation(state)[:, car], car, None)[0]
-
-
-def _ask_moves(
-    competitor: Competitor, game: RaceGame, state: GameState, observation: NDArray[np.float32], car: int, memory: Any
-) -> tuple[NDArray[np.int64], Any]:
-    """Return the moves of one car in all games, and the memory of a recurrent model for the next step."""
-    running = ~game.done(state)
-    actions = np.zeros(state.games, np.int64)
-    if isinstance(competitor, Driver):
-        return actions, memory
-    moves: Any
-    if isinstance(competitor, Decider):
-        rows = np.flatnonzero(running)
-        moves = np.asarray(competitor.decide(game, take_games(state, rows), car))
-    else:
-        # Games that are over stay in the batch: a recurrent model keeps one memory for each game of it.
-        rows = np.arange(state.games)
-        moves, memory = competitor.predict(observation, memory, np.full(state.games, memory is None), True)
-        moves = np.asarray(moves)
-    if moves.shape != rows.shape or moves.dtype.kind not in "iu":
-        raise InputError(
-            f"agent {name_of(competitor)!r} returned moves of shape {moves.shape} and type {moves.dtype} for "
-            f"{len(rows)} games; they must be whole numbers, one for each"
-        )
-    wrong = np.flatnonzero((moves < 0) | (moves >= len(game.move_names)))
-    if len(wrong):
-        raise InputError(
-            f"agent {name_of(competitor)!r} made move {moves[wrong[0]]} in game {rows[wrong[0]]}; there are moves 0 to "
-            f"{len(game.move_names) - 1} ({', '.join(game.move_names)})"
-        )
-    actions[rows] = moves
-    actions[~running] = 0
-    return actions, memory
-
-
-def name_of(competitor: Any) -> str:
-    """Return the name of a competitor; for a model without a name, that of its class."""
-    return str(getattr(competitor, "name", type(competitor).__name__))

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.competitor import ask_moves
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing_agents.agents.agent import Competitor, Driver
-from pcs_racing_agents.tournament.matches import moves_of
 
 __all__ = ["WORTH", "Branches", "branch_games", "outcome"]
 
@@ -63,7 +63,7 @@ def outcome(game: RaceGame, state: GameState, worth: str = "win") -> NDArray[np.
     if worth not in WORTH:
         raise InputError(f"worth is {worth!r}; it must be one of {', '.join(WORTH)}")
     if worth == "utility":
-        return game.utility(state)[:, 0]
+        return game.reward(state)[:, 0]
     winner = game.winner(state)
     tie = np.where(state.race.crashed, 0.0, 0.5)
     return np.where(winner == 0, 1.0, np.where(winner == 1, 0.0, tie))
@@ -116,19 +116,19 @@ def branch_games(
         moves = np.zeros(state.games, np.int64)
         for i, behaviour in enumerate(behaviours):
             rows = np.flatnonzero(behaviour_of == i)
-            moves[rows] = moves_of(behaviour, game, take_games(state, rows), 0)
-        state = game.step(state, np.stack([moves, moves_of(opponent, game, state, 1)], axis=1))
+            moves[rows] = ask_moves(behaviour, game, take_games(state, rows), 0)
+        state = game.step(state, np.stack([moves, ask_moves(opponent, game, state, 1)], axis=1))
     running = np.flatnonzero(~game.done(state))
     count = len(game.move_names) if count is None else count
     state = take_games(state, running)
     observations, rival = game.observation(state)[:, 0], state.policy[:, 1].copy()
-    opponent_moves = moves_of(opponent, game, state, 1)
+    opponent_moves = ask_moves(opponent, game, state, 1)
     branch_moves = np.tile(np.arange(count), len(running))
     state = take_games(state, np.repeat(np.arange(len(running)), count))
     state = game.step(state, np.stack([branch_moves, np.repeat(opponent_moves, count)], axis=1))
     while not game.done(state).all():
-        moves = moves_of(continuation, game, state, 0)
-        state = game.step(state, np.stack([moves, moves_of(opponent, game, state, 1)], axis=1))
+        moves = ask_moves(continuation, game, state, 0)
+        state = game.step(state, np.stack([moves, ask_moves(opponent, game, state, 1)], axis=1))
     shape = len(running), count
     return Branches(
         observations=observations,
