@@ -1,4 +1,4 @@
-"""``pcs-racing headroom``: how much of a game an archive holds."""
+"""``pcs-racing headroom``: the value of knowing the opponent's policy, in an archive or a pool of policies."""
 
 import argparse
 from pathlib import Path
@@ -65,7 +65,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Race, print the table, write files and pictures."""
+    """Race all pairs, print the table, and write files and pictures."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
     from pcs_racing_agents.pictures.style import save_picture
     from pcs_racing_agents.tournament.headroom_report import (

@@ -1,4 +1,4 @@
-"""The headroom of a pool on several circuits: as a table, as files and as a picture in which a cycle can be seen."""
+"""The headroom of a pool of policies on several circuits as text, files and pictures."""
 
 import csv
 import io
@@ -61,7 +61,7 @@ class TrackGame(NamedTuple):
 
 
 def track_game(track: str, payoffs: Floats) -> TrackGame:
-    """Return what the payoffs on one circuit say about the game."""
+    """Return the statistics of the payoffs on one circuit."""
     return TrackGame(
         track=track,
         payoffs=payoffs,
@@ -73,7 +73,7 @@ def track_game(track: str, payoffs: Floats) -> TrackGame:
 
 
 def headroom_text(games: Sequence[TrackGame], names: Sequence[str]) -> str:
-    """Return the table of all circuits, their mean where there are several, and what the columns mean."""
+    """Return the table of all circuits, with their mean if there are several, and the meaning of its columns."""
     rows = [HEAD, *(_row(game) for game in games)]
     if len(games) > 1:
         estimates = [game.headroom for game in games]
@@ -103,10 +103,10 @@ def write_headroom(games: Sequence[TrackGame], names: Sequence[str], folder: Pat
 
 @picture
 def headroom_picture(game: TrackGame, names: Sequence[str]) -> Any:
-    """Draw the payoffs, policies ordered by rating, and beside them the strongest cyclic plane.
+    """Draw the payoffs, with the policies in order of rating, and the strongest cyclic plane.
 
-    A policy in the plane beats those that lie clockwise of it; the dashed circle is as far out as policies lie if noise
-    alone makes the plane.
+    A policy in the plane beats those that lie clockwise of it; the dashed circle is the distance of policies in a plane
+    of noise alone.
     """
     mean, rating = game.payoffs.mean(axis=0), ratings(game.payoffs)
     order = np.argsort(-rating, kind="stable")
@@ -137,12 +137,12 @@ def headroom_picture(game: TrackGame, names: Sequence[str]) -> Any:
 
 
 def _row(game: TrackGame) -> tuple[str, ...]:
-    found, plane = game.headroom, game.planes[0]
+    estimate, plane = game.headroom, game.planes[0]
     return (
         game.track,
-        *_signed(found.value, found.low),
-        f"{found.opponents_error:.3f}",
-        f"{found.pool_error:.3f}",
+        *_signed(estimate.value, estimate.low),
+        f"{estimate.opponents_error:.3f}",
+        f"{estimate.pool_error:.3f}",
         f"{game.transitive_share:.2f}",
         str(sum(plane.strength > plane.noise for plane in game.planes)),
         f"{plane.strength:.2f}",

@@ -1,17 +1,12 @@
 import xml.etree.ElementTree as ET
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from toy_races import toy_races
 
 from pcs_racing import InputError
-from pcs_racing.game.moves import move_names, move_table
-from pcs_racing_agents.explain.pcs_picture import archive_picture
 from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.pictures.style import picture_bytes, save_picture, spread_labels
+from pcs_racing_agents.pictures.style import picture_bytes
 from pcs_racing_agents.study import figures
 from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import make_table
@@ -101,31 +96,9 @@ def test_what_can_not_be_drawn_is_named(table):
         figures.payoffs_picture(["a", "b", "c"], PAYOFFS)
 
 
-def test_the_archive_shows_where_moves_lead(archive, tmp_path):
-    figure = archive_picture(archive, epsilon=0.5, policy=3)
-    texts = " ".join(text.get_text() for text in figure.axes[0].texts)
-    names, leads_to = move_names(archive, 0.5), move_table(archive, 0.5)[3]
-    assert all(name in texts for name in names)
-    arrows = [text for text in figure.axes[0].texts if text.get_text() == "" and text.arrow_patch is not None]
-    assert len(arrows) == len(set(leads_to.tolist()) - {3})
-    assert save_picture(figure, tmp_path / "archive.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(InputError, match="policy is 12"):
-        archive_picture(archive, policy=12)
-
-
 def test_drawing_leaves_the_readers_settings_alone(table):
     import matplotlib
 
     before = dict(matplotlib.rcParams)
     picture_bytes(figures.scores_picture(table))
     assert dict(matplotlib.rcParams) == before
-
-
-@given(st.lists(st.floats(-5.0, 5.0), max_size=12), st.floats(0.01, 2.0))
-def test_labels_move_apart_and_keep_their_order(wanted, gap):
-    places = spread_labels(wanted, gap)
-    order = sorted(range(len(wanted)), key=lambda i: wanted[i])
-    moved = [places[i] for i in order]
-    assert all(b - a >= gap - 1e-9 for a, b in pairwise(moved))
-    if all(wanted[b] - wanted[a] >= gap for a, b in pairwise(order)):
-        assert places == pytest.approx(wanted)

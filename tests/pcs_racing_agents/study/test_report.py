@@ -12,50 +12,23 @@ import numpy as np
 import pytest
 from toy_races import toy_races
 
-from pcs_racing import InputError, make_game
+from pcs_racing import InputError
 from pcs_racing.race.replay import read_replay
-from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
-from pcs_racing_agents.study.highlights import Watched, select_highlights, watch_race
 from pcs_racing_agents.study.report import Picture, ReportContent, Sheet, report_page, write_page
 from pcs_racing_agents.study.report_inputs import (
     TreeLoss,
-    mean_losses,
-    mean_scores,
-    read_curves,
-    read_losses,
-    scores_and_losses,
     software,
 )
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import overview_rows
-from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.round_robin import round_robin
-from pcs_racing_agents.tournament.runner import play_pairing
 
 NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 VOID = {"meta", "img", "br"}
-
-
-@pytest.fixture(scope="module")
-def raced(oval, archive):
-    """A pairing of an agent, its races, and those of the agent that never switches."""
-    game = make_game(oval, archive, "contest", step_seconds=0.8)
-    setting = make_setting(archive, game.config)
-    agent, base, rival = (build(name, setting) for name in ("random-moves", "never-switch", "lane-switcher"))
-    pairings = [cross_pairing(game, arm, rival, egos=4, opponents=4, lines=2, seed=3) for arm in (agent, base)]
-    return pairings[0], *map(play_pairing, pairings)
-
-
-@pytest.fixture(scope="module")
-def watched(raced) -> Watched:
-    pairing, ours, theirs = raced
-    title, race = next(iter(select_highlights(ours, theirs).values()))
-    return watch_race(pairing, race, title)
 
 
 @pytest.fixture(scope="module")
@@ -231,80 +204,6 @@ def test_every_field_is_told(content):
         if name not in ("epsilon", "loss_unit", "judged", "curves", "reward_curves", "title"):
             assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(empty), name
 
-
-# Races to watch
-
-
-def test_highlights_are_what_they_are_called(raced):
-    _, ours, theirs = raced
-    found = select_highlights(ours, theirs)
-    assert len(found) >= 2
-    for kind, (title, race) in found.items():
-        assert title.startswith(f"A {kind}")
-        if kind == "win":
-            assert ours.winner[race] == 0
-            assert len(set(ours[race].ego_path)) > 1
-        if kind == "loss":
-            assert ours.winner[race] == 1
-        if kind == "crash":
-            assert ours.fault[race, 0] == 1
-        else:
-            assert not ours.crash[race]
-        if "starts alike" in title:
-            assert theirs.winner[race] == 1 - ours.winner[race]
-
-
-def test_a_race_to_watch_is_the_race(raced, watched):
-    _, ours, theirs = raced
-    race = dict(select_highlights(ours, theirs).values())[watched.title]
-    assert watched.replay.lead[-1] == ours.lead[race]
-    assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
-
-
-# What the stages left
-
-
-def test_losses_are_means_over_trees(tmp_path):
-    path = tmp_path / "exploitability.csv"
-    head = "track,agent,tree,lost_to_best_response,lost_to_equilibrium,off_in_self_play,against_random\n"
-    path.write_text(head + "Oval,a,0,1.0,0.5,0,2\nOval,a,1,3.0,0.5,0,4\nOval,b,0,1,1,1,1\n")
-    first, second = read_losses(path)
-    assert first == TreeLoss("Oval", "a", 2, ((2.0, 1.0), (0.5, 0.0), (3.0, 1.0)))
-    assert np.isnan(second.columns[0][1])
-    table = make_table(toy_races(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
-    (place,) = scores_and_losses(table, [first, second])
-    assert (place.name, place.loss, place.loss_error) == ("a", 2.0, 1.0)
-    assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))
-    assert scores_and_losses(None, [first]) == []
-    assert mean_scores(table)["c"] == pytest.approx(np.mean([row.arms[1].score for row in table.rows]))
-    assert mean_scores(
-        replace(table, rows=(*table.rows, replace(table.rows[0], arms=table.rows[0].arms[:1])))
-    ).keys() == {"a"}
-    both = mean_losses(
-        [first, second, first._replace(track="Elsewhere", columns=((4.0, 0.0), (np.nan, np.nan), (3.0, 1.0)))]
-    )
-    assert both["a"].columns[0] == (3.0, 0.5)
-    assert np.isnan(both["a"].columns[1][0])
-    assert (both["a"].trees, both["a"].track) == (4, "Oval, Elsewhere")
-    path.write_text(head.replace("agent", "name"))
-    with pytest.raises(InputError, match="no column 'agent'"):
-        read_losses(path)
-    path.write_text(head + "Oval,a,0,much,0,0,0\n")
-    with pytest.raises(InputError, match="'much' where a number should be"):
-        read_losses(path)
-
-
-def test_curves_come_from_the_files_beside_networks(tmp_path):
-    path = tmp_path / "learning_curves.csv"
-    path.write_text("epoch,training_loss,validation_loss\n1,0.5,\n2,0.25,0.3\n")
-    training, validation = read_curves(path)
-    assert (training.label, training.y.tolist(), training.x.tolist()) == ("training", [0.5, 0.25], [1.0, 2.0])
-    assert np.isnan(validation.y[0])
-    with pytest.raises(InputError, match="can't read"):
-        read_curves(tmp_path / "nothing.csv")
-
-
-# In a browser
 
 VISIT = """
 <script>

@@ -6,42 +6,23 @@ import numpy as np
 import pytest
 
 from pcs_racing import GameConfig, InputError, load_race_config, load_track, parse_policy
-from pcs_racing_agents.agents import Driver, make_setting
+from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.jobs.jobs import make_executor, open_job, show_progress
-from pcs_racing_agents.results.race_files import race_table, read_results
-from pcs_racing_agents.results.races import concatenate_races
+from pcs_racing_agents.results.race_files import read_results
 from pcs_racing_agents.tournament import (
-    RaceRow,
-    Tournament,
     game_rules,
-    payoff_matrix,
-    payoff_picture,
     plan_tournament,
     play_plan,
     play_tournament,
     record_row,
     standings,
     tournament_settings,
-    tournament_text,
     write_results,
 )
-from pcs_racing_agents.tournament.play import TournamentPlan
-from pcs_racing_agents.tournament.table import sum_up
 
 CONTEST = load_race_config("contest", duration=6.0)
 POLICIES = [parse_policy(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
 MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher", POLICIES[1]]
-
-
-@pytest.fixture(scope="module")
-def tournament(oval) -> Tournament:
-    return play_tournament([oval, load_track("Pipkin")], POLICIES, CONTEST, races_per_pair=6, seed=4)
-
-
-@pytest.fixture(scope="module")
-def mixed(oval, archive) -> Tournament:
-    """Agents, a driver with variants, and a policy."""
-    return play_tournament(oval, MIXED, CONTEST, archive=archive, races_per_pair=8, seed=1)
 
 
 def test_every_pair_meets_on_every_track(tournament):
@@ -172,12 +153,6 @@ def test_a_table_of_races_reads_like_rows_and_takes_a_tenth_of_their_memory(mixe
     assert {column.dtype.itemsize for column in columns} == {1}
 
 
-def test_who_was_not_entered_is_told(tournament):
-    stranger = replace(tournament, races=race_table([tournament.races[0]._replace(opponent="somebody")]))
-    with pytest.raises(InputError, match="'somebody' raced, but is not one of lattice:"):
-        standings(stranger)
-
-
 def test_names_for_models(oval, archive):
     class Model:
         def predict(self, observation, state=None, episode_start=None, deterministic=False):
@@ -198,65 +173,6 @@ def test_a_race_is_cut_into_the_steps_of_a_game():
     assert game_rules(given) == given
     with pytest.raises(InputError, match=r"duration is 3\.7 s"):
         game_rules(load_race_config("paper", duration=3.7))
-
-
-def race(ego: str, opponent: str, **result: object) -> RaceRow:
-    return RaceRow(ego=ego, opponent=opponent, track="t", **result)
-
-
-def played(*rows: RaceRow, config=CONTEST) -> Tournament:
-    drivers = tuple(Driver(name, (parse_policy("lattice"),)) for name in "ab")
-    plan = TournamentPlan(drivers, (), make_setting("default", game_rules(config)), (), 2, 0)
-    return Tournament(plan, race_table(rows))
-
-
-def test_the_table_counts_every_ending_once():
-    rows = [
-        race("a", "b", winner="ego", lead=3.0, ego_overtakes=2),
-        race("a", "b", winner="opponent", lead=-3.0),
-        race("a", "b"),  # a tie
-        race("a", "b", winner="opponent", crash="wall", fault="ego"),
-        race("a", "b", winner="ego", crash="car", fault="opponent"),
-        race("b", "a", crash="car", fault="both"),
-        race("b", "a", winner="ego", lead=1.0, opponent_overtakes=1),
-        race("b", "a", winner="ego", lead=1.0),
-    ]
-    b, a = standings(played(*rows))
-    assert (a.name, b.name) == ("a", "b")
-    assert a.races == b.races == 8
-    assert (a.win, a.tie, a.loss, a.own_crash, a.other_crash) == (1 / 8, 1 / 8, 3 / 8, 2 / 8, 1 / 8)
-    assert (b.win, b.tie, b.loss, b.own_crash, b.other_crash) == (3 / 8, 1 / 8, 1 / 8, 2 / 8, 1 / 8)
-    assert a.score == pytest.approx((2 + 0.5) / 8)  # a win, a crash that the other pays for, half a tie
-    assert b.score == pytest.approx((4 + 0.5) / 8)
-    assert (a.overtakes, b.overtakes) == (3 / 8, 0.0)
-    matrix = payoff_matrix(played(*rows))
-    np.testing.assert_allclose(matrix, [[np.nan, 2.5 / 8], [4.5 / 8, np.nan]])
-
-
-def test_after_a_crash_that_pays_nobody_nobody_scores():
-    rows = [race("a", "b", crash="car", fault="both"), race("a", "b", crash="wall", fault="ego")]
-    table = standings(played(*rows, config=load_race_config("paper")))
-    assert [standing.score for standing in table] == [0.0, 0.0]
-    assert {(s.name, s.own_crash, s.other_crash) for s in table} == {("a", 1.0, 0.0), ("b", 0.5, 0.5)}
-
-
-def test_shares_and_payoffs_add_up(tournament):
-    for standing in standings(tournament):
-        assert sum(standing[4:9]) == pytest.approx(1.0)
-        assert standing.races == 2 * 2 * 6
-    matrix = payoff_matrix(tournament)
-    assert np.isnan(np.diag(matrix)).all()
-    both_to_blame = any(row.fault == "both" for row in tournament.races)
-    rest = (matrix + matrix.T)[~np.eye(3, dtype=bool)]
-    assert ((rest <= 1.0 + 1e-12) & ((rest > 1.0 - 1e-12) | both_to_blame)).all()
-
-
-def test_the_text_holds_table_and_matrix(tournament):
-    text = tournament_text(tournament)
-    assert text.startswith("36 races of 6 s, preset contest, on oval, Pipkin; seed 4\n")
-    for name in tournament.plan.names:
-        assert text.count(name) == 2  # once in the table, once in the matrix
-    assert "a crash is won by the car not to blame" in text
 
 
 def test_results_are_one_line_for_each_race(tournament, tmp_path):
@@ -280,15 +196,6 @@ def test_the_results_say_what_was_moved(mixed, tmp_path):
         assert found["ego_path"] == "; ".join(map(str, row.ego_path))
         assert found["ego_moves"].split("; ") == (list(row.ego_moves) or [""])
         assert int(found["opponent_variant"]) == row.opponent_variant
-
-
-def test_the_payoff_matrix_as_a_picture(mixed, tmp_path):
-    from PIL import Image
-
-    path = payoff_picture(mixed, tmp_path / "payoffs.png")
-    with Image.open(path) as picture:
-        assert min(picture.size) > 300
-    assert payoff_picture(mixed, tmp_path / "payoffs.svg").read_text().startswith("<?xml")
 
 
 def test_progress_is_told_in_plain_lines_where_there_is_no_terminal(oval, capsys):
@@ -316,15 +223,6 @@ def test_bad_input_is_refused_before_any_race(oval, change, message):
     with pytest.raises(InputError, match=message):
         play_tournament(**arguments, progress=lambda *news: driven.append(news))
     assert not driven
-
-
-def test_races_from_one_place_are_one_unit_of_the_ratings(tournament):
-    """Whatever their numbers: twice the races from the same places tell no more than once."""
-    doubled = replace(tournament.races, race=tournament.races.race + 6)
-    both = concatenate_races([tournament.races, doubled])
-    once, twice = (sum_up(replace(tournament, races=races)) for races in (tournament.races, both))
-    assert once.noise > 0.0
-    assert twice.noise == pytest.approx(once.noise)
 
 
 def test_the_same_bytes_come_back_from_the_file(mixed, tmp_path):
