@@ -48,14 +48,14 @@ def test_a_walk_arrives_and_stays(setting, game, target):
 
 
 def _reachable(table) -> list[list[int]]:
-    found = []
+    result = []
     for start in range(len(table)):
         known, new = {start}, [start]
         while new:
-            new = [int(there) for here in new for there in table[here] if there not in known]
+            new = [int(there) for policy in new for there in table[policy] if there not in known]
             known.update(new)
-        found.append(sorted(known))
-    return found
+        result.append(sorted(known))
+    return result
 
 
 @st.composite
@@ -76,12 +76,12 @@ def test_paths_are_shortest(world):
         goal = min(reached[start], key=lambda k: float(np.linalg.norm(points[k] - points[target])))
         fewest, layer = 0, {start}
         while goal not in layer:
-            layer = {int(there) for here in layer for there in table[here]}
+            layer = {int(there) for policy in layer for there in table[policy]}
             fewest += 1
-        here = start
+        policy = start
         for _ in range(fewest):
-            here = table[here, first[here]]
-        assert here == goal
+            policy = table[policy, first[policy]]
+        assert policy == goal
 
 
 def test_targets_that_do_not_exist_are_refused(setting):

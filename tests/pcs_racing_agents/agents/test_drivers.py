@@ -34,11 +34,11 @@ def folder(layers, tmp_path):
 
 
 def test_the_zoo_races_the_shipped_driver_or_another_one(folder):
-    shipped, mine = make("ppo-drive"), make("ppo-drive", network=folder)
+    shipped, own = make("ppo-drive"), make("ppo-drive", network=folder)
     assert shipped.planner is get_planner("ppo-drive")
     assert pickle.loads(pickle.dumps(shipped)).planner is shipped.planner
-    assert mine.planner.name == "mine"
-    assert len({shipped.content_hash, mine.content_hash, make("pure-pursuit").content_hash}) == 3
+    assert own.planner.name == "mine"
+    assert len({shipped.content_hash, own.content_hash, make("pure-pursuit").content_hash}) == 3
     with pytest.raises(UnknownNameError, match="unknown driver 'nobody'"):
         make("ppo-drive", network="nobody")
 

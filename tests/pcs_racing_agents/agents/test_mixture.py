@@ -27,14 +27,14 @@ def test_drawing_on_the_way_is_drawing_before_the_game(game, setting, network):
     behaviour, drawn = np.ones(30), np.ones((3, 30))
     differed = False
     while not game.done(state).all():
-        going = ~game.done(state)
+        running = ~game.done(state)
         seen = game.observation(state)[:, 0]
         after = game.step(state, rng.integers(0, 4, (30, 2)))
         way = (setting.table, state.policy[:, 0], after.policy[:, 0])
         steps = [on_the_way(one.probabilities(seen), *way) for one in (mixture, *members)]
         differed |= bool((np.abs(steps[0] - weights @ np.array(steps[1:])) > 0.01).any())
-        behaviour *= np.where(going, steps[0], 1.0)
-        drawn *= np.where(going, steps[1:], 1.0)
+        behaviour *= np.where(running, steps[0], 1.0)
+        drawn *= np.where(running, steps[1:], 1.0)
         state = after
     np.testing.assert_allclose(behaviour, weights @ drawn, rtol=1e-9, atol=1e-15)
     assert differed, "the members must have become unequally likely, or this test says nothing"

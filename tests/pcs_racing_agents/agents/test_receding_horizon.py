@@ -93,11 +93,11 @@ def test_the_best_reply_to_a_static_opponent(game, setting):
     games, _ = agent.root_games(game, state, 1)
     guess = guess_games(game, game, state, 1, state.race.seed)
     paid = [game.reward(game.step(guess, np.tile([STAY, move], (12, 1))))[:, 1] for move in range(5)]
-    going = ~game.done(state)
-    np.testing.assert_array_equal(games[going, :, 0], np.stack(paid, axis=1)[going])
-    chosen = agent.decide(game, state, 1)
+    running = ~game.done(state)
+    np.testing.assert_array_equal(games[running, :, 0], np.stack(paid, axis=1)[running])
+    selected = agent.decide(game, state, 1)
     best = np.max(paid, axis=0)
-    np.testing.assert_allclose(np.stack(paid, axis=1)[np.arange(12), chosen][going], best[going], atol=1e-6)
+    np.testing.assert_allclose(np.stack(paid, axis=1)[np.arange(12), selected][running], best[running], atol=1e-6)
 
 
 @pytest.mark.parametrize("options", [{"depth": 2}, {"opponent": "equilibrium", "decision": "sample"}])
@@ -115,8 +115,8 @@ def test_it_does_not_know_what_can_not_be_seen(noisy, archive, options, car):
     for array in (hidden.race.memory, hidden.race.path, hidden.race.command):
         array[:, other] += 0.1
     hidden.race.disturbance[:] = -0.02
-    found, expected = (agent.root_games(noisy, games, car)[0] for games in (hidden, state))
-    np.testing.assert_array_equal(found, expected)
+    result, expected = (agent.root_games(noisy, games, car)[0] for games in (hidden, state))
+    np.testing.assert_array_equal(result, expected)
     assert np.ptp(expected, axis=1).max() > 0.0
     faster = state.copy()
     faster.race.cars[:, other, 3] += 0.5
@@ -139,9 +139,9 @@ def test_two_views_of_a_network(game, setting):
     state = some_games(game)
     first, second = (agent._value(game, state, car) for car in range(2))
     np.testing.assert_array_equal(first, -second)
-    going = ~game.done(state)
+    running = ~game.done(state)
     best = network(game.observation(state)).max(axis=2)
-    np.testing.assert_allclose(first[going], 0.5 * (best[:, 0] - best[:, 1])[going], rtol=1e-5)
+    np.testing.assert_allclose(first[running], 0.5 * (best[:, 0] - best[:, 1])[running], rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -187,10 +187,10 @@ def test_of_races_won_alike_the_clearer_one(game, archive):
     won = np.stack([winning.reward(end)[:, 0] for end in ends], axis=1)
     lead = np.stack([end.race.lead for end in ends], axis=1)
     np.testing.assert_array_equal(np.round(values), won)
-    chosen = agent.decide(winning, state, 0)
+    selected = agent.decide(winning, state, 0)
     for row in np.flatnonzero(~winning.done(state)):
-        assert won[row, chosen[row]] == won[row].max()
-        assert lead[row, chosen[row]] >= lead[row, won[row] == won[row].max()].max() - 1e-5
+        assert won[row, selected[row]] == won[row].max()
+        assert lead[row, selected[row]] >= lead[row, won[row] == won[row].max()].max() - 1e-5
 
 
 def test_matches_with_agents_and_drivers(noisy, archive):
@@ -224,11 +224,11 @@ def test_without_the_move_stay(game, archive):
 
 
 def test_by_name(setting):
-    made = parse_agent("receding-horizon:depth=2,opponent=equilibrium", setting, seed=4)
-    assert isinstance(made, Decider)
-    assert made.name == "receding-horizon:depth=2,opponent=equilibrium"
+    created = parse_agent("receding-horizon:depth=2,opponent=equilibrium", setting, seed=4)
+    assert isinstance(created, Decider)
+    assert created.name == "receding-horizon:depth=2,opponent=equilibrium"
     same = receding_horizon(setting, depth=2, opponent="equilibrium", seed=4)
-    assert competitor_hash(made) == competitor_hash(same)
+    assert competitor_hash(created) == competitor_hash(same)
     for other in ({"seed": 5}, {"depth": 3}, {"leaf": "now"}, {"decision": "sample"}, {"noises": 2}):
         assert competitor_hash(replace(same, **other)) != competitor_hash(same), other
 

@@ -30,22 +30,22 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
     assert len(listed) == len(set(listed)) >= 20
     assert {"always-aggressiveness+", "always-restraint-"} <= set(listed)
     for name in listed:
-        made = build(name, setting, seed=3, **learned(name, setting))
-        assert made.name == name
-        if isinstance(made, Driver):
+        created = build(name, setting, seed=3, **learned(name, setting))
+        assert created.name == name
+        if isinstance(created, Driver):
             assert name in ("random-policy", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit")
             continue
         if name == "receding-horizon":
-            assert isinstance(made, Decider)
+            assert isinstance(created, Decider)
             continue
-        assert isinstance(made, Agent)
+        assert isinstance(created, Agent)
         for rows in seen[:-1]:
-            chances = made.probabilities(rows)
+            chances = created.probabilities(rows)
             np.testing.assert_allclose(chances.sum(axis=1), 1.0, atol=1e-9)
-            moves, _ = made.predict(rows)
+            moves, _ = created.predict(rows)
             assert (chances[np.arange(len(rows)), moves] > 0.0).all()
         if name in SHIPPED:
-            assert made.facts["does"] == entries()[name].summary
+            assert created.facts["does"] == entries()[name].summary
 
 
 def test_made_by_name_for_a_shipped_archive():
@@ -127,8 +127,8 @@ def test_agents_of_other_people(setting, empty_registry, monkeypatch):
     assert entries()["first-move"].summary == "Make the first move for ever."
     assert "first-move" in names(setting.archive, setting.config)
     assert options("first-move") == {"bold": False}
-    made = build("first-move", setting)
-    assert made.name == "first-move"
+    created = build("first-move", setting)
+    assert created.name == "first-move"
     assert isinstance(build("first-move", setting, bold=True), Agent)
     with pytest.raises(InputError, match="there is an agent 'first-move' already"):
         register_agent("first-move", random_moves)
@@ -167,12 +167,12 @@ def test_a_shipped_agent_is_a_file_and_a_line(setting, monkeypatch, tmp_path):
     monkeypatch.setitem(SHIPPED, "bold", "bold_agent:BOLD")
     assert "bold" in names(setting.archive, setting.config)
     assert options("bold") == {"move": "aggressiveness +"}
-    made = build("bold", setting)
-    assert (made.name, made.facts["does"]) == ("bold", "races ever more aggressively")
-    assert made.setting.moves[made.predict(np.zeros((1, len(setting.elements))))[0][0]] == "aggressiveness +"
-    told = describe("bold", entries()["bold"])
-    assert "Races ever more aggressively." in told
-    assert "- Option `move`, by default `aggressiveness +`." in told
+    created = build("bold", setting)
+    assert (created.name, created.facts["does"]) == ("bold", "races ever more aggressively")
+    assert created.setting.moves[created.predict(np.zeros((1, len(setting.elements))))[0][0]] == "aggressiveness +"
+    text = describe("bold", entries()["bold"])
+    assert "Races ever more aggressively." in text
+    assert "- Option `move`, by default `aggressiveness +`." in text
 
 
 @pytest.mark.parametrize("name", SHIPPED)

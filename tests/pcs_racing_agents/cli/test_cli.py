@@ -187,10 +187,10 @@ def test_track_import_completes_a_map(run, copied, tmp_path):
     )
     assert code == 0
     assert str(target) in out
-    found = load_track(target)
-    assert found.name == "Hall"
-    assert found.length == pytest.approx(load_track(copied).length, rel=0.03)
-    ahead = np.exp(1j * found.to_cartesian([0.0, 0.0])[2])
+    result = load_track(target)
+    assert result.name == "Hall"
+    assert result.length == pytest.approx(load_track(copied).length, rel=0.03)
+    ahead = np.exp(1j * result.to_cartesian([0.0, 0.0])[2])
     assert (ahead * np.exp(-1j * start[2])).real < -0.9  # the other way round
 
 
@@ -291,8 +291,8 @@ def test_what_stops_a_command_is_told_in_a_line(run, monkeypatch, stopped, code,
         raise stopped
 
     monkeypatch.setattr("pcs_racing_agents.cli.policies.get_planner", fails)
-    found, _, err = run("policies", "lattice")
-    assert found == code
+    result, _, err = run("policies", "lattice")
+    assert result == code
     assert told in err
     assert err.count("\n") == 1
 
@@ -327,8 +327,8 @@ def test_every_command_has_a_help_text_with_examples_that_it_understands(name, c
     with pytest.raises(SystemExit) as stop:
         main([*name.split()[1:], "--help"])
     assert stop.value.code == 0
-    told = capsys.readouterr().out
-    examples = re.findall(r"^(?:examples?:)?\s*(pcs-racing .*)$", told[told.rindex("example") :], re.MULTILINE)
+    captured = capsys.readouterr().out
+    examples = re.findall(r"^(?:examples?:)?\s*(pcs-racing .*)$", captured[captured.rindex("example") :], re.MULTILINE)
     assert examples
     for example in examples:
         assert example.startswith(name)

@@ -115,12 +115,12 @@ COMMANDS = {
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_long_command_says_how_long_it_takes_before_it_begins(command, capsys, monkeypatch, tmp_path):
-    told = []
+    captured = []
 
     def begin(*_arguments, **_options):
-        told.append(capsys.readouterr().err)
+        captured.append(capsys.readouterr().err)
         raise InputError("begun")
 
     monkeypatch.setattr(COMMANDS[command], begin)
     assert main([*command.split(), "--workers", "1", "--out", str(tmp_path / "out")]) == 2
-    assert re.match(r"pcs-racing: this takes (at most )?about [\d.]+ (min|h) on 1 core ", told[0])
+    assert re.match(r"pcs-racing: this takes (at most )?about [\d.]+ (min|h) on 1 core ", captured[0])

@@ -57,9 +57,9 @@ def test_every_race_of_a_tournament_is_found_again(folder):
 def test_a_race_is_told_and_drawn(folder, tmp_path, capsys):
     place, tournament = folder
     assert main(["explain", str(place), "1", "--out", str(tmp_path / "out")]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("random-moves (car 0) against lane-switcher on Pipkin, contest rules: ")
-    assert (tmp_path / "out" / "race.txt").read_text() in told
+    captured = capsys.readouterr().out
+    assert captured.startswith("random-moves (car 0) against lane-switcher on Pipkin, contest rules: ")
+    assert (tmp_path / "out" / "race.txt").read_text() in captured
     assert (tmp_path / "out" / "race.png").read_bytes().startswith(b"\x89PNG")
     replay = read_replay(tmp_path / "out" / "race.html")
     assert replay.lead[-1] == pytest.approx(tournament.races[1].lead, abs=0.002)
@@ -75,13 +75,13 @@ def test_drivers_are_left_to_the_other_car(folder, capsys):
 def test_all_races_of_an_agent_are_summarised(folder, tmp_path, capsys):
     place, tournament = folder
     assert main(["explain", str(place), "--situations", "never-switch", "--out", str(tmp_path)]) == 0
-    told = capsys.readouterr().out
+    captured = capsys.readouterr().out
     rows = list(csv.DictReader((tmp_path / "situations.csv").read_text().splitlines()))
-    made = sum(len(r.ego_moves) for r in tournament.races if r.ego == "never-switch")
-    made += sum(len(r.opponent_moves) for r in tournament.races if r.opponent == "never-switch")
-    assert sum(int(row["races"]) for row in rows) == made
+    count = sum(len(r.ego_moves) for r in tournament.races if r.ego == "never-switch")
+    count += sum(len(r.opponent_moves) for r in tournament.races if r.opponent == "never-switch")
+    assert sum(int(row["races"]) for row in rows) == count
     assert {row["move"] for row in rows if int(row["races"])} == {"stay"}
-    assert told.startswith("never-switch: moves by step")
+    assert captured.startswith("never-switch: moves by step")
     assert (tmp_path / "situations.png").is_file()
 
 
@@ -89,8 +89,8 @@ def test_two_agents_race_as_in_a_tournament(saved, capsys):
     arguments = ["explain", "--agents", "random-moves", "never-switch", "--track", "Pipkin", "--duration", "5"]
     arguments += ["--archive", str(saved), "--races", "4", "--seed", "2", "--preset", "contest"]
     assert main([*arguments, "--index", "3"]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
+    captured = capsys.readouterr().out
+    assert captured.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
     assert main([*arguments, "--situations", "random-moves"]) == 0
     assert capsys.readouterr().out.startswith("Pipkin, contest rules, 4 races\n")
     assert main([*arguments, "--situations", "somebody"]) == 2

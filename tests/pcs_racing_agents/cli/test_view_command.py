@@ -68,9 +68,9 @@ def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, capsys):
     lone = tmp_path / "lone.csv"
     shutil.copy(folder / "results.csv", lone)
     assert main(["view", str(lone), "--no-open"]) == 0
-    told = capsys.readouterr().out
-    assert "18 races, 0 of them to be watched" in told
-    assert "can't be driven again" in told
+    captured = capsys.readouterr().out
+    assert "18 races, 0 of them to be watched" in captured
+    assert "can't be driven again" in captured
     assert (tmp_path / "lone-view.html").is_file()
     for option in (["--serve"], ["--races", "1"], ["--replays", "3"]):
         assert main(["view", str(lone), *option, "--no-open"]) == 2
@@ -121,9 +121,9 @@ def test_a_study_and_its_ratings_are_viewed_too(archive, tmp_path, capsys):
 )
 def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, capsys):
     assert main(["view", *(text.format(folder=folder) for text in arguments), "--no-open"]) == 2
-    told = capsys.readouterr().err
-    assert message in told
-    assert told.count("\n") == 1
+    captured = capsys.readouterr().err
+    assert message in captured
+    assert captured.count("\n") == 1
     assert not (folder / "view.html").exists()
 
 
@@ -186,11 +186,11 @@ def other_races(folder):
 def test_folders_that_are_not_what_they_were_are_one_clear_error(folder, spoil, message, capsys):
     spoil(folder)
     assert main(["view", str(folder), "--replays", "4", "--no-open"]) == 2
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert told.startswith("pcs-racing: error: ")
-    assert message in told
+    captured = capsys.readouterr().err.splitlines()[-1]
+    assert captured.startswith("pcs-racing: error: ")
+    assert message in captured
     if spoil in (another_archive, other_races):
-        assert "--replays 0 lists the races" in told
+        assert "--replays 0 lists the races" in captured
         assert main(["view", str(folder), "--replays", "0", "--no-open"]) == 0
 
 
@@ -293,18 +293,18 @@ def test_answers_are_kept_but_not_for_ever():
 
 
 def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):
-    told = []
+    addresses = []
 
     def end(self, *_):
-        told.append(self.server_address)
+        addresses.append(self.server_address)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(view, "_open", told.append)
+    monkeypatch.setattr(view, "_open", addresses.append)
     monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
     assert main(["view", str(folder), "--serve"]) == 0
-    assert told[0] == f"http://127.0.0.1:{told[1][1]}/"
-    assert told[1][0] == "127.0.0.1"
-    assert f"18 races at {told[0]}" in capsys.readouterr().out
+    assert addresses[0] == f"http://127.0.0.1:{addresses[1][1]}/"
+    assert addresses[1][0] == "127.0.0.1"
+    assert f"18 races at {addresses[0]}" in capsys.readouterr().out
     assert not (folder / "view.html").exists()
 
 

@@ -65,10 +65,10 @@ def test_the_facts_are_those_of_the_match(contest, setting, race):
         seeds=race_seeds(5, 8)[:1],
     )
     assert race.match.lead == played.lead
-    made = played.moves[0, 0][played.moves[0, 0] >= 0]
-    assert [step.move for step in race.steps] == made.tolist()
-    assert [step.policy for step in race.steps] == played.policy[0, 0, : len(made)].tolist()
-    assert [step.time for step in race.steps] == pytest.approx([0.8 * (k + 1) for k in range(len(made))])
+    actions = played.moves[0, 0][played.moves[0, 0] >= 0]
+    assert [step.move for step in race.steps] == actions.tolist()
+    assert [step.policy for step in race.steps] == played.policy[0, 0, : len(actions)].tolist()
+    assert [step.time for step in race.steps] == pytest.approx([0.8 * (k + 1) for k in range(len(actions))])
     for k, step in enumerate(race.steps):
         assert step.move == np.argmax(step.values)
         assert step.probabilities[step.move] == 1.0
@@ -96,16 +96,16 @@ def test_what_was_seen_of_the_opponent_was_measured_in_the_step_before(contest, 
 def test_the_other_car_sees_the_other_side(contest, setting):
     ego, rival = build("random-moves", setting, seed=3), build("random-moves", setting, seed=4)
     first, second = (explained(contest, ego, rival, car=car) for car in (0, 1))
-    for mine, theirs in zip(first.steps, second.steps, strict=True):
-        assert mine.lead == pytest.approx(-theirs.lead, abs=1e-5)
-        assert (mine.move, mine.opponent_move) == (theirs.opponent_move, theirs.move)
+    for own, rival_step in zip(first.steps, second.steps, strict=True):
+        assert own.lead == pytest.approx(-rival_step.lead, abs=1e-5)
+        assert (own.move, own.opponent_move) == (rival_step.opponent_move, rival_step.move)
     assert np.array_equal(first.lead, -second.lead)
     assert story(second).startswith("random-moves (car 1) against random-moves (car 0)")
 
 
 def test_moves_are_events_of_the_replay(race):
-    told = [(event.time, event.text) for event in race.replay.events if event.kind == "move" and event.car == 0]
-    assert told == [(pytest.approx(step.time), race.moves[step.move]) for step in race.steps]
+    events = [(event.time, event.text) for event in race.replay.events if event.kind == "move" and event.car == 0]
+    assert events == [(pytest.approx(step.time), race.moves[step.move]) for step in race.steps]
 
 
 # Words

@@ -28,9 +28,9 @@ def races(archive):
     leads, estimates = 10.0 * rng.normal(size=(300, 5)), rng.uniform(-0.5, 1.5, size=(300, 2, 5, 2))
     own = np.zeros((300, 2, 5, 2))
     seen = encode_observation(own, estimates, leads, np.full(300, 4))[:, 0]
-    made = np.where((leads[:, :4] < 0.0) & (estimates[:, 1, :4, 0] > 0.5), 0, 2)
-    made[:30, 1:] = -1
-    return seen, made, leads, estimates[:, 1, :, 0]
+    actions = np.where((leads[:, :4] < 0.0) & (estimates[:, 1, :4, 0] > 0.5), 0, 2)
+    actions[:30, 1:] = -1
+    return seen, actions, leads, estimates[:, 1, :, 0]
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +48,9 @@ def test_every_race_is_counted_once(found):
 
 
 def test_the_edges_are_those_of_what_was_seen(found, races):
-    _, made, leads, pace = races
+    _, actions, leads, pace = races
     for k in range(4):
-        rows = made[:, k] >= 0
+        rows = actions[:, k] >= 0
         assert found.lead_edges[k] == pytest.approx(np.quantile(leads[rows, k], [1 / 3, 2 / 3]), abs=1e-4)
         assert found.pace_edges[k] == pytest.approx(np.quantile(pace[rows, k], [1 / 3, 2 / 3]), abs=1e-4)
 
@@ -102,17 +102,17 @@ def test_races_that_were_played_can_be_summarised(oval, game, setting, archive):
         starts=draw_starts(oval, game.setup.config, 60, 2),
         seeds=race_seeds(1, 60),
     )
-    found = summarise(played.observations[:, 0], played.moves[:, 0], archive, arena.move_names, "random-moves")
-    assert found.counts.sum() == (played.moves[:, 0] >= 0).sum()
-    assert found.counts.sum(axis=(0, 1, 2)).tolist() == [(played.moves[:, 0] == a).sum() for a in range(5)]
+    result = summarise(played.observations[:, 0], played.moves[:, 0], archive, arena.move_names, "random-moves")
+    assert result.counts.sum() == (played.moves[:, 0] >= 0).sum()
+    assert result.counts.sum(axis=(0, 1, 2)).tolist() == [(played.moves[:, 0] == a).sum() for a in range(5)]
     other = summarise(played.observations[:, 1], played.moves[:, 1], archive, arena.move_names, "never-switch")
     assert other.counts[..., :4].sum() == 0
 
 
 def test_what_can_not_be_summarised_is_named(races, archive):
-    seen, made, *_ = races
+    seen, actions, *_ = races
     names = move_names(archive, 0.5, True)
     with pytest.raises(InputError, match="made no move in these 300 races"):
-        summarise(seen, np.full_like(made, -1), archive, names, "driver")
+        summarise(seen, np.full_like(actions, -1), archive, names, "driver")
     with pytest.raises(InputError, match=r"observations .*\(300, 0\)"):
-        summarise(seen[:, :0], made, archive, names, "somebody")
+        summarise(seen[:, :0], actions, archive, names, "somebody")

@@ -20,6 +20,6 @@ def raced(oval, archive):
 
 @pytest.fixture(scope="session")
 def watched(raced) -> Watched:
-    pairing, ours, theirs = raced
-    title, race = next(iter(select_highlights(ours, theirs).values()))
+    pairing, ours, baseline = raced
+    title, race = next(iter(select_highlights(ours, baseline).values()))
     return watch_race(pairing, race, title)

@@ -2,10 +2,10 @@ from pcs_racing_agents.study.highlights import select_highlights
 
 
 def test_highlights_are_what_they_are_called(raced):
-    _, ours, theirs = raced
-    found = select_highlights(ours, theirs)
-    assert len(found) >= 2
-    for kind, (title, race) in found.items():
+    _, ours, baseline = raced
+    result = select_highlights(ours, baseline)
+    assert len(result) >= 2
+    for kind, (title, race) in result.items():
         assert title.startswith(f"A {kind}")
         if kind == "win":
             assert ours.winner[race] == 0
@@ -17,11 +17,11 @@ def test_highlights_are_what_they_are_called(raced):
         else:
             assert not ours.crash[race]
         if "starts alike" in title:
-            assert theirs.winner[race] == 1 - ours.winner[race]
+            assert baseline.winner[race] == 1 - ours.winner[race]
 
 
 def test_a_race_to_watch_is_the_race(raced, watched):
-    _, ours, theirs = raced
-    race = dict(select_highlights(ours, theirs).values())[watched.title]
+    _, ours, baseline = raced
+    race = dict(select_highlights(ours, baseline).values())[watched.title]
     assert watched.replay.lead[-1] == ours.lead[race]
     assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")

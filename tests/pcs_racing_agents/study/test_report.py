@@ -98,11 +98,11 @@ class _Balance(HTMLParser):
 
 @pytest.fixture(scope="module")
 def parsed(page) -> _Balance:
-    found = _Balance()
-    found.feed(page)
-    found.close()
-    assert found.open == []
-    return found
+    result = _Balance()
+    result.feed(page)
+    result.close()
+    assert result.open == []
+    return result
 
 
 def test_the_page_loads_nothing(page):
@@ -221,11 +221,11 @@ def test_the_page_works_in_a_browser(tmp_path, content):
     program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no chromium on PATH to open the page with")
-    shown = report_page(replace(content, pictures=(), races=content.races[:1]))
+    displayed = report_page(replace(content, pictures=(), races=content.races[:1]))
     # The race tells that it is there; nothing else in the page may complain.
-    shown = shown.replace(html.escape("</body>"), html.escape(TELL))
+    displayed = displayed.replace(html.escape("</body>"), html.escape(TELL))
     path = tmp_path / "report.html"
-    path.write_text(shown.replace("</body>", VISIT))
+    path.write_text(displayed.replace("</body>", VISIT))
     quiet = "--disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-component-update"
     command = [program, "--headless", "--no-sandbox", *quiet.split(), "--disable-sync", "--enable-logging=stderr"]
     command += [f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1200,8000", "--virtual-time-budget=4000"]
@@ -238,6 +238,6 @@ def test_the_page_works_in_a_browser(tmp_path, content):
     assert len(seen["images"]) == 8 + 1
     assert min(seen["images"]) > 100
     assert seen["wide"] <= 1200
-    told = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    assert len(told) == 1, told
-    assert f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g}" in told[0]
+    lines = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    assert len(lines) == 1, lines
+    assert f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g}" in lines[0]

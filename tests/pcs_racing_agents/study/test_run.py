@@ -98,11 +98,11 @@ def test_a_second_run_repeats_nothing_and_writes_the_same_bytes(finished):
 
 def without_times(folder: Path) -> dict[str, bytes]:
     """Return all files but those that tell how long something took, PPO's checkpoints among them."""
-    found = {str(file.relative_to(folder)): file for file in folder.rglob("*") if file.is_file()}
+    result = {str(file.relative_to(folder)): file for file in folder.rglob("*") if file.is_file()}
     times = ("done.yaml", "report.html", ".lock")
     return {
         name: file.read_bytes()
-        for name, file in found.items()
+        for name, file in result.items()
         if file.name not in times and "ppo/training/chunks" not in name
     }
 

@@ -51,9 +51,9 @@ def test_a_row_says_what_the_statistics_say(races, table):
     ours, base = (of(races, "Brackwater", "random-policy", arm) for arm in ("cfr-argmax", "never-switch"))
     expected = compare(ours.score, base.score, *base.variants.T, start=base.start_s)
     row = table.rows[4]
-    found = next(one for one in row.differences if one.arm == "cfr-argmax")
-    assert found.result == expected
-    assert found.two_way == compare(ours.score, base.score, *base.variants.T)
+    result = next(one for one in row.differences if one.arm == "cfr-argmax")
+    assert result.result == expected
+    assert result.two_way == compare(ours.score, base.score, *base.variants.T)
     arm = next(arm for arm in row.arms if arm.arm == "cfr-argmax")
     assert arm.score == expected.mean_a == pytest.approx(ours.score.mean())
     assert (arm.crash, arm.own_crash) == (ours.crashed.mean(), ours.fault[:, 0].mean())
@@ -65,8 +65,8 @@ def test_a_row_says_what_the_statistics_say(races, table):
 
 def test_p_values_are_adjusted_over_the_rows(table):
     for arm in ("best-fixed", "cfr-argmax", "our-best"):
-        found = [next(one for one in row.differences if one.arm == arm) for row in table.rows]
-        assert [one.p_holm for one in found] == holm([one.result.p_clustered for one in found]).tolist()
+        result = [next(one for one in row.differences if one.arm == arm) for row in table.rows]
+        assert [one.p_holm for one in result] == holm([one.result.p_clustered for one in result]).tolist()
     assert [row.gain.p_holm for row in table.rows] == holm([row.gain.result.p_clustered for row in table.rows]).tolist()
 
 
@@ -74,7 +74,7 @@ def test_the_order_of_the_races_does_not_matter(races):
     """Within an arm: it is compared race by race whatever stands where."""
     ours = np.flatnonzero(races.agents.codes[:, 0] == races.agents.words.index("our-best"))
     order = np.arange(len(races))
-    order[ours] = np.concatenate([np.random.default_rng(1).permutation(part) for part in np.split(ours, 6)])
+    order[ours] = np.concatenate([np.random.default_rng(1).permutation(piece) for piece in np.split(ours, 6)])
     options = {"best": "our-best", "blind": "best-fixed", "seen": {"Tarnfjord"}}
     assert make_table(races.take(order), **options) == make_table(races, **options)
 

@@ -38,8 +38,8 @@ def test_all_plans_are_tried_on_the_same_races(training, short):
         for sequence in product(range(5), repeat=2)
     ]
     values = evaluate(training, plans, Work(), "test")
-    chosen = [plan.facts["plan"] for plan in plans].index(", ".join(fit.choice))
-    assert values[chosen] == values.max()
+    selected = [plan.facts["plan"] for plan in plans].index(", ".join(fit.choice))
+    assert values[selected] == values.max()
     assert fit.training["candidates"] == 25
     assert fit.training["reached"] == pytest.approx(values.max(), abs=1e-4)
     ascent = fit_best_schedule(training)

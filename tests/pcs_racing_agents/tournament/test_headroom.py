@@ -64,10 +64,10 @@ def test_replies_are_judged_on_races_that_had_no_say():
 
 
 def test_the_gain_of_each_opponent_adds_up_to_the_headroom():
-    found = headroom(played(wheel(6), 3))
-    assert found.gains.shape == (6,)
-    assert found.gains.mean() == pytest.approx(found.value)
-    assert found.opponents_error == pytest.approx(found.gains.std(ddof=1) / np.sqrt(6))
+    result = headroom(played(wheel(6), 3))
+    assert result.gains.shape == (6,)
+    assert result.gains.mean() == pytest.approx(result.value)
+    assert result.opponents_error == pytest.approx(result.gains.std(ddof=1) / np.sqrt(6))
 
 
 def test_the_error_over_the_pool_is_near_what_fresh_pools_of_the_same_kind_vary_by():
@@ -76,9 +76,9 @@ def test_the_error_over_the_pool_is_near_what_fresh_pools_of_the_same_kind_vary_
     values, errors = [], []
     for seed in range(60):
         angle = rng.uniform(0.0, 2.0 * np.pi, 12)
-        found = headroom(played(0.2 * np.sin(angle[:, None] - angle[None, :]), seed, 2000))
-        values.append(found.value)
-        errors.append(found.pool_error)
+        result = headroom(played(0.2 * np.sin(angle[:, None] - angle[None, :]), seed, 2000))
+        values.append(result.value)
+        errors.append(result.pool_error)
     assert 0.5 < np.mean(errors) / np.std(values) < 2.0
 
 

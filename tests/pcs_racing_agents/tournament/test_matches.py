@@ -82,10 +82,12 @@ def test_a_match_is_the_game_that_the_moves_make(contest, cars, given):
 )
 def test_what_comes_of_a_game_depends_on_the_game_alone(contest, cars, given, pair):
     ego, opponent = (cars[name] for name in pair)
-    chosen = given | {"policies": np.minimum(given["policies"], [0 if name == "pure-pursuit" else 11 for name in pair])}
-    together = play_games(contest, ego, opponent, **chosen)
+    selected = given | {
+        "policies": np.minimum(given["policies"], [0 if name == "pure-pursuit" else 11 for name in pair])
+    }
+    together = play_games(contest, ego, opponent, **selected)
     for rows in ([0], [7, 3], [11, 0, 5]):
-        assert_same(play_games(replace(contest, threads=1), ego, opponent, **some(chosen, rows)), together, rows)
+        assert_same(play_games(replace(contest, threads=1), ego, opponent, **some(selected, rows)), together, rows)
     drivers = [name in ("random-policy", "pure-pursuit") for name in pair]
     assert ((together.moves < 0).all(axis=(0, 2)) == drivers).all()
     assert ((together.policy < 0).all(axis=(0, 2)) == drivers).all()
@@ -157,8 +159,8 @@ class Looker:
 def test_models_with_a_memory_and_deciders(contest, cars, given):
     played = play_games(contest, Counter(), cars["never-switch"], **given)
     for moves in played.moves[:, 0]:
-        made = [move for move in moves.tolist() if move >= 0]
-        assert made == list(range(len(made)))
+        steps = [move for move in moves.tolist() if move >= 0]
+        assert steps == list(range(len(steps)))
     looker = Looker()
     played = play_games(contest, looker, cars["never-switch"], **given)
     assert looker.asked[0] == (played.moves[:, 0, 0] >= 0).sum()

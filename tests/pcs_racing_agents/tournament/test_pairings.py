@@ -63,8 +63,8 @@ def test_arms_pair_up_race_by_race(contest, zoo):
         np.testing.assert_array_equal(pairings[0].noise, pairings[1].noise)
         arms = [play_pairing(pairing) for pairing in pairings]
         np.testing.assert_array_equal(arms[0].path[:, :, 0], arms[1].path[:, :, 0])
-        found = compare(arms[1].score, arms[0].score, *pairings[0].variants.T)
-        assert found.difference == pytest.approx(arms[1].score.mean() - arms[0].score.mean())
+        result = compare(arms[1].score, arms[0].score, *pairings[0].variants.T)
+        assert result.difference == pytest.approx(arms[1].score.mean() - arms[0].score.mean())
     same = play_pairing(cross_pairing(contest, zoo["never-switch"], zoo["never-switch"], **SIZE))
     reseeded = build("never-switch", zoo["never-switch"].setting, seed=9)
     again = play_pairing(cross_pairing(contest, reseeded, zoo["never-switch"], **SIZE))
@@ -96,7 +96,7 @@ def test_one_race_of_a_pairing_is_that_race(contest, zoo):
 def test_a_pairing_in_a_job_is_played_once(contest, zoo, tmp_path, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.tournament.runner.BLOCK", 20)
     pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
-    (here,) = play_pairings([pairing])
+    (matches,) = play_pairings([pairing])
     counts: list[tuple[int, int]] = []
     for _ in range(2):
         with open_job(tmp_path / "job", "races", {}) as job, make_executor("threads", 2) as executor:
@@ -104,7 +104,7 @@ def test_a_pairing_in_a_job_is_played_once(contest, zoo, tmp_path, monkeypatch):
                 [pairing], job=job, executor=executor, progress=lambda done, total, _: counts.append((done, total))
             )
         for name, array in played._asdict().items():
-            np.testing.assert_array_equal(array, getattr(here, name), err_msg=name)
+            np.testing.assert_array_equal(array, getattr(matches, name), err_msg=name)
     assert counts == [(0, 48), (16, 48), (32, 48), (48, 48), (48, 48)]
 
 

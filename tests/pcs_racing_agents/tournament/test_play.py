@@ -74,8 +74,8 @@ def test_a_row_tells_the_game_again(mixed, archive):
             assert len(moves) == max(len(path) - 1, 0)
             if path:
                 assert path[0] == variant
-            for here, move, there in zip(path, moves, path[1:], strict=False):
-                assert setting.table[here, setting.move(move)] == there
+            for policy, move, there in zip(path, moves, path[1:], strict=False):
+                assert setting.table[policy, setting.move(move)] == there
         assert (row.crash != "") == (row.duration < 6.0) == (row.fault != "")
 
 
@@ -181,9 +181,9 @@ def test_results_are_one_line_for_each_race(tournament, tmp_path):
         rows = list(csv.DictReader(stream))
     assert len(rows) == len(tournament.races)
     assert rows[0]["preset"] == "contest"
-    for found, row in zip(rows, tournament.races, strict=True):
-        assert (found["ego"], found["winner"], found["fault"]) == (row.ego, row.winner, row.fault)
-        assert float(found["lead"]) == pytest.approx(row.lead, abs=1e-4)
+    for result, row in zip(rows, tournament.races, strict=True):
+        assert (result["ego"], result["winner"], result["fault"]) == (row.ego, row.winner, row.fault)
+        assert float(result["lead"]) == pytest.approx(row.lead, abs=1e-4)
     assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]
     with pytest.raises(InputError, match="there is no folder"):
         write_results(tournament.races, tmp_path / "missing" / "results.csv")
@@ -192,10 +192,10 @@ def test_results_are_one_line_for_each_race(tournament, tmp_path):
 def test_the_results_say_what_was_moved(mixed, tmp_path):
     with open(write_results(mixed.races, tmp_path / "results.csv"), newline="") as stream:
         rows = list(csv.DictReader(stream))
-    for found, row in zip(rows, mixed.races, strict=True):
-        assert found["ego_path"] == "; ".join(map(str, row.ego_path))
-        assert found["ego_moves"].split("; ") == (list(row.ego_moves) or [""])
-        assert int(found["opponent_variant"]) == row.opponent_variant
+    for result, row in zip(rows, mixed.races, strict=True):
+        assert result["ego_path"] == "; ".join(map(str, row.ego_path))
+        assert result["ego_moves"].split("; ") == (list(row.ego_moves) or [""])
+        assert int(result["opponent_variant"]) == row.opponent_variant
 
 
 def test_progress_is_told_in_plain_lines_where_there_is_no_terminal(oval, capsys):

@@ -64,9 +64,9 @@ def test_nothing_leads_uphill_from_the_fit_and_another_optimiser_finds_nothing_b
     slopes = np.array([loss(fit + 1e-30j * axis).imag / 1e-30 for axis in np.eye(6)])
     assert np.abs(slopes).max() < 1e-9 * len(result)  # one race alone has a slope of up to 1
     assert (ratings.tie == 0.0) == (tie == 0.0)
-    theirs = minimize(loss, np.zeros(6), tol=1e-10).fun
-    assert theirs >= loss(fit) - 1e-12 * len(result)  # what is lost to rounding in a sum over the races
-    assert theirs == pytest.approx(loss(fit), rel=1e-6)
+    reference = minimize(loss, np.zeros(6), tol=1e-10).fun
+    assert reference >= loss(fit) - 1e-12 * len(result)  # what is lost to rounding in a sum over the races
+    assert reference == pytest.approx(loss(fit), rel=1e-6)
 
 
 @pytest.mark.compare
@@ -75,11 +75,11 @@ def test_the_fit_is_that_of_evalica():
     evalica = pytest.importorskip("evalica", reason="evalica is not installed")
     first, second, result = simulate(np.random.default_rng(2), 100)
     winners = [{1: evalica.Winner.X, 0: evalica.Winner.Draw, -1: evalica.Winner.Y}[r] for r in result]
-    theirs = evalica.newman(first, second, winners, tolerance=1e-12, limit=1000)
-    logs = np.log(theirs.scores[list(NAMES)].to_numpy())
+    reference = evalica.newman(first, second, winners, tolerance=1e-12, limit=1000)
+    logs = np.log(reference.scores[list(NAMES)].to_numpy())
     ours = rate(first, second, result, prior_sd=1e4)
     assert ours.strength == pytest.approx(logs - logs.mean(), abs=1e-6)
-    assert ours.tie == pytest.approx(2.0 * theirs.v, abs=1e-6)
+    assert ours.tie == pytest.approx(2.0 * reference.v, abs=1e-6)
 
 
 def test_intervals_cover_the_strengths():

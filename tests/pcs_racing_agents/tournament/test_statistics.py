@@ -84,15 +84,15 @@ def test_start_lines_that_all_pairs_share_are_a_third_kind_of_cluster():
 def slow_variance(x, *kinds):
     """Cameron, Gelbach and Miller, one sum after the other."""
     residual, terms = [value - sum(x) / len(x) for value in x], {}
-    for chosen in product((0, 1), repeat=len(kinds)):
-        if any(chosen):
+    for selected in product((0, 1), repeat=len(kinds)):
+        if any(selected):
             sums = {}
             for i, value in enumerate(residual):
-                key = tuple(kind[i] for kind, used in zip(kinds, chosen, strict=True) if used)
+                key = tuple(kind[i] for kind, used in zip(kinds, selected, strict=True) if used)
                 sums[key] = sums.get(key, 0.0) + value
             total = sum(s**2 for s in sums.values()) / len(x) ** 2
-            terms[chosen] = total * len(sums) / (len(sums) - 1)
-    total = sum(term if sum(chosen) % 2 else -term for chosen, term in terms.items())
+            terms[selected] = total * len(sums) / (len(sums) - 1)
+    total = sum(term if sum(selected) % 2 else -term for selected, term in terms.items())
     return max(total, *terms.values())
 
 

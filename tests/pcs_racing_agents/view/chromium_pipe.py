@@ -110,11 +110,11 @@ class Browser:
         self.wait("document.readyState === 'complete' && location.href !== 'about:blank'")
 
     def run(self, expression):
-        found = self.call(
+        result = self.call(
             "Runtime.evaluate", self._session, expression=expression, returnByValue=True, awaitPromise=True
         )
-        assert "exceptionDetails" not in found, found["exceptionDetails"]
-        return found["result"].get("value")
+        assert "exceptionDetails" not in result, result["exceptionDetails"]
+        return result["result"].get("value")
 
     def thread_seconds(self):
         """Processor time of the page's main thread."""
@@ -123,10 +123,10 @@ class Browser:
 
     def wait(self, expression):
         end = time.monotonic() + PATIENCE
-        while not (found := self.run(expression)):
-            assert time.monotonic() < end, f"{expression} stays {found!r}"
+        while not (result := self.run(expression)):
+            assert time.monotonic() < end, f"{expression} stays {result!r}"
             time.sleep(0.1)
-        return found
+        return result
 
     def press(self, key, text=""):
         kind = "keyDown" if text or len(key) == 1 else "rawKeyDown"

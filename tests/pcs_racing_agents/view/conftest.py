@@ -16,6 +16,6 @@ def page(tournament_folder, tmp_path_factory):
 def browser(tmp_path_factory):
     if chromium() is None:
         pytest.skip("no chromium on PATH to open the page with")
-    found = Browser(tmp_path_factory.mktemp("profile"))
-    yield found
-    found.close()
+    result = Browser(tmp_path_factory.mktemp("profile"))
+    yield result
+    result.close()

@@ -80,11 +80,11 @@ def test_as_many_as_asked_for_each_of_them_once(given_races, count):
     picks = choose_races(columns, count)
     assert len(picks) == len({pick.race for pick in picks}) == min(count, len(columns))
     assert picks == choose_races(columns, count)
-    told = np.array([outcomes(columns, car) for car in range(2)])
+    by_car = np.array([outcomes(columns, car) for car in range(2)])
     for race, why in picks:
         name, outcome = why.split(": ")
         cars = [car for car in range(2) if given_races[race][car] == name]
-        assert any(OUTCOMES[told[car, race]] == outcome for car in cars)
+        assert any(OUTCOMES[by_car[car, race]] == outcome for car in cars)
     if count:
         assert choose_races(columns, count - 1) == picks[: count - 1] or len(picks) < count
 

@@ -31,7 +31,7 @@ def coloured(pixels, colour):
 
 def played(browser):
     """Wait for a race to have been drawn; its time and duration."""
-    return [float(part) for part in browser.wait("document.body.dataset.played || ''").split("/")]
+    return [float(piece) for piece in browser.wait("document.body.dataset.played || ''").split("/")]
 
 
 def test_the_page_lists_the_races_and_says_nothing_wrong(browser, page, tournament_folder):
@@ -40,13 +40,13 @@ def test_the_page_lists_the_races_and_says_nothing_wrong(browser, page, tourname
     played(browser)
     assert browser.complaints == []
     rows = rows_of(tournament_folder[0] / "results.csv")
-    shown = browser.run("[...document.querySelectorAll('#pane .line:not([hidden])')].map((line) => line.innerText)")
-    assert len(shown) >= 10
+    displayed = browser.run("[...document.querySelectorAll('#pane .line:not([hidden])')].map((line) => line.innerText)")
+    assert len(displayed) >= 10
     first = browser.run("Number(document.querySelector('#pane .line').dataset.race)")
     row = rows[first]
-    assert row["ego"] in shown[0]
-    assert row["opponent"] in shown[0]
-    assert f"{abs(float(row['lead'])):.1f}" in shown[0]
+    assert row["ego"] in displayed[0]
+    assert row["opponent"] in displayed[0]
+    assert f"{abs(float(row['lead'])):.1f}" in displayed[0]
     assert browser.run("document.querySelectorAll('link, script[src], img').length") == 0
     assert browser.run("document.documentElement.scrollWidth") <= 1280
 
@@ -138,9 +138,9 @@ def test_a_race_that_is_not_there_says_how_to_watch_it(browser, page, tournament
     browser.open(page)
     absent = browser.run("[...Array(N).keys()].find((i) => !here(i))")
     browser.run(f"choose({absent}, true)")
-    told = browser.run("document.getElementById('instead').innerText")
-    assert f"pcs-racing view '{tournament_folder[0]}' --races {absent}" in told
-    assert f"Race {absent}: " in told
+    text = browser.run("document.getElementById('instead').innerText")
+    assert f"pcs-racing view '{tournament_folder[0]}' --races {absent}" in text
+    assert f"Race {absent}: " in text
 
 
 def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):

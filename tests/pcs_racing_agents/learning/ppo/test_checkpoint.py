@@ -20,12 +20,12 @@ def state(x=0.0):
 def test_what_is_taken_apart_comes_together_again():
     arrays = pack(state(1.5))
     assert all(isinstance(array, np.ndarray) and array.dtype != object for array in arrays.values())
-    found = unpack(arrays, state())
-    assert isinstance(found, Pair)
-    np.testing.assert_array_equal(found.a[0], np.full((2, 3), 1.5))
-    assert isinstance(found.a[1], tuple)
-    assert found.a[1][1] is None
-    assert found.b == state(1.5).b
+    result = unpack(arrays, state())
+    assert isinstance(result, Pair)
+    np.testing.assert_array_equal(result.a[0], np.full((2, 3), 1.5))
+    assert isinstance(result.a[1], tuple)
+    assert result.a[1][1] is None
+    assert result.b == state(1.5).b
 
 
 def test_only_where_it_fits():

@@ -43,9 +43,9 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     settings = replace(drive_settings, hold=hold, noise=0.1)
     with own_randomness():
         learner = make_learner(settings, [drives(track, hold=hold)], 5, "tanh", 10.0)
-    part = learner.model.env.groups[0]
-    seen, _ = part.reset(seed=9)
-    batch = part.batch
+    envs = learner.model.env.groups[0]
+    seen, _ = envs.reset(seed=9)
+    batch = envs.batch
     seeds, rivals = batch.state.seed.copy(), batch.theta[:, 1].copy()
     places = [int(np.flatnonzero((batch.grid.cars == car).all(axis=(1, 2)))[0]) for car in batch.state.cars]
 
@@ -62,58 +62,58 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
         both = np.zeros((6, 2, setup.theta_size))
         both[:, 0, : len(theta)] = theta
         both[:, 1, : rivals.shape[1]] = rivals
-        seen, _ = part.reset(seed=9)
+        seen, _ = envs.reset(seed=9)
         for _ in range(100 // hold):
-            seen, _, terminated, truncated, _ = part.step(learner.model.predict(seen, deterministic=True)[0])
+            seen, _, terminated, truncated, _ = envs.step(learner.model.predict(seen, deterministic=True)[0])
             advance(setup, state, both, hold)
-            going = ~(terminated | truncated | state.crashed)
-            np.testing.assert_allclose(batch.state.cars[going], state.cars[going], atol=2e-4)
+            running = ~(terminated | truncated | state.crashed)
+            np.testing.assert_allclose(batch.state.cars[running], state.cars[running], atol=2e-4)
             np.testing.assert_array_equal(terminated, state.crashed)
-            if not going.all():
+            if not running.all():
                 break
-        assert going.sum() >= 4
+        assert running.sum() >= 4
         assert state.tick.max() >= 20
 
 
 def test_races_go_on_from_their_state(track):
     rng = np.random.default_rng(0)
     actions = rng.normal(0.0, 1.0, (60, 6, 2)).astype(np.float32)
-    part, other = drives(track), drives(track)
-    part.reset(seed=3)
+    envs, other = drives(track), drives(track)
+    envs.reset(seed=3)
     other.reset(seed=4)
     for action in actions[:30]:
-        part.step(action)
-    other.set_state(part.get_state())
+        envs.step(action)
+    other.set_state(envs.get_state())
     for action in actions[30:]:
-        for one, two in zip(part.step(action)[:4], other.step(action)[:4], strict=True):
+        for one, two in zip(envs.step(action)[:4], other.step(action)[:4], strict=True):
             np.testing.assert_array_equal(one, two)
 
 
 def test_rewards_are_progress_less_a_share_of_the_opponents(track):
-    part = drives(track, hold=10, rivalry=0.5, leading=3.0, crash_penalty=7.0)
-    part.reset(seed=0)
+    envs = drives(track, hold=10, rivalry=0.5, leading=3.0, crash_penalty=7.0)
+    envs.reset(seed=0)
     actions = np.tile(np.array([0.0, 0.5], np.float32), (6, 1))
     crashes = 0
     for _ in range(25):
-        before, tick = part.batch.state.progress.copy(), part.batch.state.tick.copy()
-        _, rewards, terminated, truncated, _ = part.step(actions)
-        going = ~(terminated | truncated)
-        driven = part.batch.state.progress - before
+        before, tick = envs.batch.state.progress.copy(), envs.batch.state.tick.copy()
+        _, rewards, terminated, truncated, _ = envs.step(actions)
+        running = ~(terminated | truncated)
+        driven = envs.batch.state.progress - before
         np.testing.assert_allclose(
-            rewards[going], driven[going] @ [1.0, -0.5] + 0.3 * (part.batch.state.lead[going] > 0.0), atol=1e-12
+            rewards[running], driven[running] @ [1.0, -0.5] + 0.3 * (envs.batch.state.lead[running] > 0.0), atol=1e-12
         )
         crashes += int(terminated.sum())
         assert (rewards[terminated] < -4.0).all()  # straight on into a wall: by own fault
-        assert (part.batch.state.tick[~going] == 0).all()
-        assert (part.batch.state.tick[going] == tick[going] + 10).all()
+        assert (envs.batch.state.tick[~running] == 0).all()
+        assert (envs.batch.state.tick[running] == tick[running] + 10).all()
     assert crashes > 0
 
 
 def test_a_last_observation_is_the_old_races(track):
-    part = drives(track)
-    part.reset(seed=0)
+    envs = drives(track)
+    envs.reset(seed=0)
     for _ in range(100):
-        seen, _, terminated, truncated, info = part.step(np.zeros((6, 2), np.float32))
+        seen, _, terminated, truncated, info = envs.step(np.zeros((6, 2), np.float32))
         ended = terminated | truncated
         if ended.any():
             break

@@ -18,15 +18,15 @@ def config(drive_settings, tmp_path):
 def test_training_from_the_command_line(config, tmp_path, capsys):
     arguments = ["ppo", "--config", config, "--out", str(tmp_path / "out"), "--seeds", "3", "--name", "mine"]
     assert main(arguments) == 0
-    told = capsys.readouterr()
-    assert "320 with seed 3: " in told.out
-    assert "Pipkin short" in told.out
-    assert "320/320 steps" in told.err
-    made = {path.name for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")}
-    assert made == {"job.yaml", "chunks", "updates.csv", "curve.png", "policy"}
+    captured = capsys.readouterr()
+    assert "320 with seed 3: " in captured.out
+    assert "Pipkin short" in captured.out
+    assert "320/320 steps" in captured.err
+    created = {path.name for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")}
+    assert created == {"job.yaml", "chunks", "updates.csv", "curve.png", "policy"}
     assert yaml.safe_load((tmp_path / "out" / "policy" / "manifest.yaml").read_text())["name"] == "mine"
     assert main(arguments) == 0  # finished: it is only read
-    assert capsys.readouterr().out == told.out
+    assert capsys.readouterr().out == captured.out
 
 
 @pytest.mark.parametrize(
@@ -47,8 +47,8 @@ def test_training_from_the_command_line(config, tmp_path, capsys):
 )
 def test_errors_are_one_line_before_any_work(arguments, message, tmp_path, capsys):
     assert main(["ppo", *arguments, "--out", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("pcs-racing: error: ")
-    assert message in told
-    assert told.count("\n") == 1
+    captured = capsys.readouterr().err
+    assert captured.startswith("pcs-racing: error: ")
+    assert message in captured
+    assert captured.count("\n") == 1
     assert not (tmp_path / "out").exists()

@@ -16,14 +16,14 @@ def test_train_save_race(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    made = tmp_path / "out" / "ppo_against_cfr"
-    assert {path.name for path in (made / "training" / "policy").iterdir()} == {
+    created = tmp_path / "out" / "ppo_against_cfr"
+    assert {path.name for path in (created / "training" / "policy").iterdir()} == {
         "weights.safetensors",
         "manifest.yaml",
         "curve.csv",
     }
     assert "always-aggressiveness+     24 " in done.stdout
-    assert (made / "race.html").is_file()
+    assert (created / "race.html").is_file()
 
 
 def test_an_unknown_rival_is_told_before_training(tmp_path):

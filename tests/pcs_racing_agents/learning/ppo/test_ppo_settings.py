@@ -11,13 +11,13 @@ from pcs_racing_agents.study import load_study_config
 
 
 def test_shipped_settings_are_those_of_the_two_levels():
-    found = {name: load_ppo_settings(name) for name in shipped_configs("ppo")}
-    assert set(found) == {"drive", "duel-contest", "duel-paper", "study-contest", "study-paper"}
-    assert isinstance(found["drive"], DriveSettings)
-    assert isinstance(found["duel-contest"], DuelSettings)
-    assert found["duel-contest"].archive == "contest"
-    assert found["duel-paper"].steps >= 1_000_000
-    assert found["drive"].steps >= 2_000_000
+    result = {name: load_ppo_settings(name) for name in shipped_configs("ppo")}
+    assert set(result) == {"drive", "duel-contest", "duel-paper", "study-contest", "study-paper"}
+    assert isinstance(result["drive"], DriveSettings)
+    assert isinstance(result["duel-contest"], DuelSettings)
+    assert result["duel-contest"].archive == "contest"
+    assert result["duel-paper"].steps >= 1_000_000
+    assert result["drive"].steps >= 2_000_000
 
 
 @pytest.mark.parametrize("name", ["paper", "contest"])

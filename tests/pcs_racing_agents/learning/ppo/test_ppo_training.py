@@ -98,10 +98,10 @@ def test_a_folder_belongs_to_its_settings(settings, trained):
 
 def test_a_folder_belongs_to_its_archive(settings, tmp_path):
     """An archive that was exchanged for another under the same name is noticed."""
-    mine = save_archive(load_archive("default"), tmp_path / "mine")
-    few = {"archive": str(mine), "opponents": {"random-moves": 1}, "steps": 16}
+    own = save_archive(load_archive("default"), tmp_path / "mine")
+    few = {"archive": str(own), "opponents": {"random-moves": 1}, "steps": 16}
     train_ppo(settings["duel"], tmp_path / "out", **few)
-    save_archive(load_archive("contest"), mine)
+    save_archive(load_archive("contest"), own)
     with pytest.raises(InputError, match="holds another run: its archive_sha256 is"):
         train_ppo(settings["duel"], tmp_path / "out", **few)
 
@@ -119,7 +119,7 @@ def test_two_trainings_in_one_process_do_not_disturb_each_other(settings, traine
 
 def test_an_executor_changes_no_weight(settings, trained, tmp_path):
     """Pieces of two seeds in turn; other processes are in tests/pcs_racing_agents/jobs/test_cluster.py."""
-    told = []
+    reports = []
     with make_executor("threads", 2) as executor:
         both = train_ppo(
             settings["drive"],
@@ -127,13 +127,13 @@ def test_an_executor_changes_no_weight(settings, trained, tmp_path):
             seeds=(0, 1),
             executor=executor,
             checkpoint_seconds=0.0,
-            progress=lambda *news: told.append(news),
+            progress=lambda *news: reports.append(news),
         )
     assert both.curves[0] == trained["drive"].curves[0]
     assert_same_state(state_of(tmp_path), state_of(trained["drive"].folder.parent))
-    assert told[-1][:2] == (1280, 1280)
-    assert [news[0] for news in told] == sorted(news[0] for news in told)
-    assert len(told) >= 8  # every piece is told of
+    assert reports[-1][:2] == (1280, 1280)
+    assert [news[0] for news in reports] == sorted(news[0] for news in reports)
+    assert len(reports) >= 8  # one for every piece
 
 
 def test_seeds_differ_and_the_best_is_kept(settings, trained, tmp_path):
@@ -147,8 +147,8 @@ def test_seeds_differ_and_the_best_is_kept(settings, trained, tmp_path):
 
 def test_training_ends_at_a_plateau(settings, tmp_path):
     level = replace(settings["drive"], learning_rate=1e-8, final_learning_rate=0.0, patience=2, steps=10**6)
-    found = train_ppo(level, tmp_path)
-    assert found.curves[0].steps == (0, 320, 640)
+    result = train_ppo(level, tmp_path)
+    assert result.curves[0].steps == (0, 320, 640)
 
 
 def test_random_generators_of_the_process_are_left_alone(settings, tmp_path):
@@ -223,21 +223,21 @@ def test_a_drive_policy_is_a_driver(trained):
 
 def test_curves_are_kept(settings, trained, tmp_path):
     run = trained["drive"]
-    found = read_evaluations(run.folder / "curve.csv")
-    assert [curve.steps for curve in found] == [(0, 320, 640)]
-    assert found[0].scores[1].keys() == run.curves[0].scores[1].keys()
+    result = read_evaluations(run.folder / "curve.csv")
+    assert [curve.steps for curve in result] == [(0, 320, 640)]
+    assert result[0].scores[1].keys() == run.curves[0].scores[1].keys()
     cell = next(iter(run.scores))
-    assert found[0].scores[1][cell] == pytest.approx(run.curves[0].scores[1][cell], rel=1e-5)
-    again = write_evaluations(found, tmp_path / "again.csv")
+    assert result[0].scores[1][cell] == pytest.approx(run.curves[0].scores[1][cell], rel=1e-5)
+    again = write_evaluations(result, tmp_path / "again.csv")
     assert again.read_bytes() == (run.folder / "curve.csv").read_bytes()
     lines = (run.folder.parent / "updates.csv").read_text().splitlines()
     assert lines[0].startswith("seed,steps,approx_kl")
     assert [line.split(",")[1] for line in lines[1:]] == ["160", "320", "480", "640"]
-    panels = evaluation_curves(found, settings["drive"].opponents)
+    panels = evaluation_curves(result, settings["drive"].opponents)
     assert list(panels) == ["worth of a race", "races won", "crashes by own fault"]
     (worth,) = panels["worth of a race"]
     assert (worth.label, worth.x.tolist()) == ("seed 0", [0.0, 0.00032, 0.00064])
-    assert worth.y[1] == mean_score(found[0].scores[1], settings["drive"].opponents).worth
+    assert worth.y[1] == mean_score(result[0].scores[1], settings["drive"].opponents).worth
 
 
 @pytest.mark.parametrize("text", ["seed,steps\n0,1\n", "no curve at all\nx\n"])

@@ -27,15 +27,15 @@ def game(setting):
 def test_a_branch_is_what_comes_of_playing_its_moves(game, setting):
     keys = race_seeds(3, 4)
     stay = never_switch(setting)
-    found = branch_games(game, random_moves(setting, seed=1), keys, 1, [stay], stay, worth="utility")
+    result = branch_games(game, random_moves(setting, seed=1), keys, 1, [stay], stay, worth="utility")
     # The same by hand: stay, then the move, against the same opponent.
     rival = random_moves(setting, seed=1)
     for move in range(len(game.move_names)):
         state = game.reset(keys)
-        for made in (len(game.move_names) - 1, move):
+        for own_move in (len(game.move_names) - 1, move):
             reply, _ = rival.predict(game.observation(state)[:, 1])
-            state = game.step(state, np.stack([np.full(4, made), reply], axis=1))
-        np.testing.assert_array_equal(found.outcomes[:, move], game.reward(state)[found.game, 0])
+            state = game.step(state, np.stack([np.full(4, own_move), reply], axis=1))
+        np.testing.assert_array_equal(result.outcomes[:, move], game.reward(state)[result.game, 0])
 
 
 def test_branches_do_not_depend_on_the_batch(game, setting):
@@ -44,16 +44,16 @@ def test_branches_do_not_depend_on_the_batch(game, setting):
     rival = random_moves(setting, seed=2)
     whole = branch_games(game, rival, keys, 1, *rest)
     parts = [branch_games(game, rival, keys[k : k + 2], 1, *rest) for k in (0, 2, 4)]
-    np.testing.assert_array_equal(whole.outcomes, np.concatenate([part.outcomes for part in parts]))
-    np.testing.assert_array_equal(whole.observations, np.concatenate([part.observations for part in parts]))
+    np.testing.assert_array_equal(whole.outcomes, np.concatenate([piece.outcomes for piece in parts]))
+    np.testing.assert_array_equal(whole.observations, np.concatenate([piece.observations for piece in parts]))
 
 
 def test_a_driver_from_outside_may_be_the_opponent(game, setting):
     rival = planner_driver(setting, name="lane-switcher")
     arena = game_between(game, never_switch(setting), rival)
-    found = branch_games(arena, rival, race_seeds(0, 3), 0, [never_switch(setting)], never_switch(setting))
-    assert found.outcomes.shape == (len(found.game), len(arena.move_names))
-    assert np.isin(found.outcomes, (0.0, 0.5, 1.0)).all()
+    result = branch_games(arena, rival, race_seeds(0, 3), 0, [never_switch(setting)], never_switch(setting))
+    assert result.outcomes.shape == (len(result.game), len(arena.move_names))
+    assert np.isin(result.outcomes, (0.0, 0.5, 1.0)).all()
 
 
 def test_impossible_requests_are_refused(game, setting):
@@ -66,9 +66,9 @@ def test_impossible_requests_are_refused(game, setting):
 
 def test_branches_tell_who_played_and_how_the_race_ended(game, setting):
     pilots = [random_moves(setting), never_switch(setting)]
-    found = branch_games(game, always(setting, "restraint +"), race_seeds(5, 6), 1, pilots, pilots[1])
-    np.testing.assert_array_equal(found.behaviour, found.game % 2)
-    assert ((found.rival >= 0) & (found.rival < len(game.archive))).all()
-    won = np.where(found.leads > 0.0, 1.0, np.where(found.leads < 0.0, 0.0, 0.5))
-    assert (found.outcomes == won)[~found.crashed].all()
-    assert (found.outcomes == 0.0)[found.crashed].all()  # by the paper's rule a crash pays nobody
+    result = branch_games(game, always(setting, "restraint +"), race_seeds(5, 6), 1, pilots, pilots[1])
+    np.testing.assert_array_equal(result.behaviour, result.game % 2)
+    assert ((result.rival >= 0) & (result.rival < len(game.archive))).all()
+    won = np.where(result.leads > 0.0, 1.0, np.where(result.leads < 0.0, 0.0, 0.5))
+    assert (result.outcomes == won)[~result.crashed].all()
+    assert (result.outcomes == 0.0)[result.crashed].all()  # by the paper's rule a crash pays nobody

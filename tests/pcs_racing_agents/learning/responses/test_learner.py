@@ -39,8 +39,8 @@ def test_the_same_network_from_threads_and_after_a_stop(game, setting, tmp_path)
         file.unlink()
     third = learn(game, setting, tmp_path / "b")
     for other in (second, third):
-        for mine, theirs in zip(first.layers.weights, other.layers.weights, strict=True):
-            np.testing.assert_array_equal(mine, theirs)
+        for own, others in zip(first.layers.weights, other.layers.weights, strict=True):
+            np.testing.assert_array_equal(own, others)
 
 
 def test_games_must_be_alike(game, setting, tmp_path):
