@@ -1,16 +1,14 @@
 """``pcs-racing solve``: solve every tree of a folder with several methods, and compare their strategies."""
 
 import argparse
-import csv
-import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.cli.options import Commands, add_command, output_file
+from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.solvers.compare import METHODS, MethodRow, compare_methods
 from pcs_racing_agents.trees import load_trees
@@ -84,8 +82,7 @@ def run(arguments: argparse.Namespace) -> None:
     )
     print(solve_table(solved))
     if target is not None:
-        write_atomically(target, lambda file: file.write(_csv(solved).encode()))
-        print(f"table: {target}")
+        print(f"table: {write_csv(_csv_rows(solved), target)}")
 
 
 def solve_table(solved: Sequence[SolvedTree]) -> str:
@@ -111,12 +108,9 @@ def _cells(row: MethodRow) -> tuple[str, ...]:
     return row.method, f"{row.value:.4f}", exploited, *agreed, f"{1e3 * row.seconds:.1f}"
 
 
-def _csv(solved: Sequence[SolvedTree]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("tree", "policy_0", "policy_1", "seeds", *MethodRow._fields))
+def _csv_rows(solved: Sequence[SolvedTree]) -> Iterator[tuple[object, ...]]:
+    yield ("tree", "policy_0", "policy_1", "seeds", *MethodRow._fields)
     for tree in solved:
         for row in tree.rows:
             numbers = (f"{number:.9g}" for number in row[1:])
-            writer.writerow((tree.number, *tree.policies, tree.seeds, row.method, *numbers))
-    return text.getvalue()
+            yield (tree.number, *tree.policies, tree.seeds, row.method, *numbers)

@@ -1,8 +1,6 @@
 """``pcs-racing train``: train a network that predicts counterfactual regrets from observations."""
 
 import argparse
-import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
@@ -12,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.cli.options import Commands, add_command, output_folder
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.folders import hold_folder
+from pcs_racing_agents.results.csv_files import write_csv
 
 if TYPE_CHECKING:
     from pcs_racing_agents.networks import RegretNetwork, TrainSettings
@@ -248,9 +246,6 @@ def _check_packages(arguments: argparse.Namespace) -> None:
 
 def _write_scores(scores: list[dict[str, str | float]], file: Path) -> None:
     """Write the scores of the network and of other strategies on the trees held out from training."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(scores[0]) if scores else ["strategy"], lineterminator="\n")
-    writer.writeheader()
-    for row in scores:
-        writer.writerow({key: f"{value:.7g}" if isinstance(value, float) else value for key, value in row.items()})
-    write_atomically(file, lambda stream: stream.write(text.getvalue().encode("utf-8")))
+    rows = [list(scores[0]) if scores else ["strategy"]]
+    rows += [[f"{value:.7g}" if isinstance(value, float) else str(value) for value in row.values()] for row in scores]
+    write_csv(rows, file)

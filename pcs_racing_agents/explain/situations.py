@@ -5,8 +5,6 @@ first characteristic of the archive ("aggressiveness", "pace"), as it was measur
 observed.
 """
 
-import csv
-import io
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing_agents.agents.observing import earlier, opponent
 from pcs_racing_agents.explain.explain import observed_lead
 from pcs_racing_agents.pictures.style import INK, SOFT, new_figure, picture, short
+from pcs_racing_agents.results.csv_files import write_csv
 
 __all__ = ["LEADS", "PACES", "Situations", "situations_picture", "situations_text", "summarise", "write_situations"]
 
@@ -145,10 +143,8 @@ def situations_text(situations: Situations) -> str:
 
 def write_situations(situations: Situations, path: str | os.PathLike[str]) -> Path:
     """Write one line for each step, third of the lead, third of the opponent's pace, and move as CSV."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     thirds = ("lead", "lead_low_m", "lead_high_m", "opponent", "pace_low", "pace_high")
-    writer.writerow(("agent", "move_number", *thirds, "move", "races", "share"))
+    rows: list[tuple[object, ...]] = [("agent", "move_number", *thirds, "move", "races", "share")]
     shares = situations.shares
     for k, i, j, a in np.ndindex(*situations.counts.shape):
         bounds = [
@@ -158,11 +154,9 @@ def write_situations(situations: Situations, path: str | os.PathLike[str]) -> Pa
         ]
         share = "" if np.isnan(shares[k, i, j, a]) else f"{shares[k, i, j, a]:.4f}"
         lead, pace = (LEADS[i], *bounds[:2]), (PACES[j], *bounds[2:])
-        writer.writerow(
-            (situations.agent, k + 1, *lead, *pace, situations.moves[a], int(situations.counts[k, i, j, a]), share)
-        )
-    write_atomically(Path(path), lambda file: file.write(text.getvalue().encode("utf-8")))
-    return Path(path)
+        count = int(situations.counts[k, i, j, a])
+        rows.append((situations.agent, k + 1, *lead, *pace, situations.moves[a], count, share))
+    return write_csv(rows, path)
 
 
 @picture

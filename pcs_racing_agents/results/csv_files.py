@@ -1,16 +1,18 @@
-"""Reading tables that anybody may have written: ordinary files of a limited size, every line as wide as the first."""
+"""Tables as CSV files: writing them, and reading untrusted ones with limits on their size and shape."""
 
 import csv
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited
 
-__all__ = ["CsvTable", "read_csv"]
+__all__ = ["CsvTable", "read_csv", "write_csv"]
 
 MAX_BYTES = 500_000_000
 MAX_COLUMNS = 1000
@@ -60,6 +62,20 @@ class CsvTable:
     def rows(self) -> list[dict[str, str]]:
         """Return all lines."""
         return [row for _, row in self.lines()]
+
+
+def write_csv(rows: Iterable[Iterable[object]], path: str | os.PathLike[str]) -> Path:
+    """Write the rows of a table, its columns' names first; the file appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist.
+    """
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    write_atomically(Path(path), lambda file: file.write(text.getvalue().encode("utf-8")))
+    return Path(path)
 
 
 def read_csv(path: str | os.PathLike[str]) -> CsvTable:

@@ -1,7 +1,5 @@
 """The stages with races of the agents and with their exploitability on game trees."""
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -11,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.files import write_atomically
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Agent
@@ -19,6 +16,7 @@ from pcs_racing_agents.agents.fits import save_fit
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.tasks import Task, run_tasks
 from pcs_racing_agents.networks.metrics import Play, TreeScore, score_trees
+from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.race_files import write_results
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.study.preparing import play_on_circuits, stored_trees
@@ -142,9 +140,7 @@ def judge_on_trees(study: Study) -> None:
     rows: list[tuple[object, ...]] = [("track", "agent", "tree", *TreeScore._fields)]
     for track, trees in held_out.items():
         rows += [(track, name, i, *lost[track, i][name]) for name in lost[track, 0] for i in range(len(trees))]
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    write_atomically(study.folder / "exploitability.csv", lambda file: file.write(text.getvalue().encode()))
+    write_csv(rows, study.folder / "exploitability.csv")
 
 
 @dataclass(frozen=True, eq=False)

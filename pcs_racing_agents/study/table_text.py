@@ -1,14 +1,12 @@
 """The table of a study as plain text, Markdown and CSV."""
 
-import csv
-import io
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned, markdown
 from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
 
@@ -147,16 +145,12 @@ def write_table(table: StudyTable, path: str | os.PathLike[str]) -> Path:
     InputError
         If the folder does not exist.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
+    lines: list[Sequence[object]] = [CSV_COLUMNS]
     for row in table.rows:
-        for difference in row.differences:
-            writer.writerow(_csv_row("difference", row, difference))
+        lines += [_csv_row("difference", row, difference) for difference in row.differences]
         if row.gain is not None:
-            writer.writerow(_csv_row("adaptivity gain", row, row.gain))
-    write_atomically(Path(path), lambda file: file.write(text.getvalue().encode("utf-8")))
-    return Path(path)
+            lines.append(_csv_row("adaptivity gain", row, row.gain))
+    return write_csv(lines, path)
 
 
 def _csv_row(kind: str, row: TableRow, difference: Difference) -> list[object]:

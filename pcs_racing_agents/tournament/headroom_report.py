@@ -1,7 +1,5 @@
 """The headroom of a pool of policies on several circuits as text, files and pictures."""
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
+from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.tournament.headroom import (
     CyclicPlane,
@@ -98,7 +96,7 @@ def write_headroom(games: Sequence[TrackGame], names: Sequence[str], folder: Pat
             for i, j in np.ndindex(mean.shape)
             if i != j
         ]
-    return [_write_csv(folder / "headroom.csv", lines), _write_csv(folder / "payoffs.csv", pairs)]
+    return [write_csv(lines, folder / "headroom.csv"), write_csv(pairs, folder / "payoffs.csv")]
 
 
 @picture
@@ -160,10 +158,3 @@ def _plain_row(game: TrackGame, names: Sequence[str]) -> tuple[object, ...]:
 
 def _signed(*values: float) -> tuple[str, ...]:
     return tuple(f"{value:+.3f}" for value in values)
-
-
-def _write_csv(file: Path, lines: Sequence[Sequence[object]]) -> Path:
-    text = io.StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows(lines)
-    write_atomically(file, lambda stream: stream.write(text.getvalue().encode()))
-    return file

@@ -1,7 +1,5 @@
 """Evaluations of a learner: scores of races, their means, and the curve of all evaluations as a CSV file."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
 from pcs_racing.race.state import RaceState
 from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.csv_files import read_csv
+from pcs_racing_agents.results.csv_files import read_csv, write_csv
 
 __all__ = [
     "EvaluationCurve",
@@ -154,16 +151,13 @@ class EvaluationCurve(NamedTuple):
 
 def write_evaluations(curves: Sequence[EvaluationCurve], file: Path) -> Path:
     """Write a line for each seed, moment, circuit, rules and opponent."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(EVALUATION_COLUMNS)
+    rows: list[tuple[object, ...]] = [EVALUATION_COLUMNS]
     for curve in curves:
         for steps, scores in zip(curve.steps, curve.scores, strict=True):
             for matchup, score in scores.items():
-                figures = [score.races, *(f"{value:.6g}" for value in score[1:])]
-                writer.writerow([curve.seed, steps, *matchup, *figures])
-    write_atomically(file, lambda stream: stream.write(text.getvalue().encode("utf-8")))
-    return file
+                figures = (score.races, *(f"{value:.6g}" for value in score[1:]))
+                rows.append((curve.seed, steps, *matchup, *figures))
+    return write_csv(rows, file)
 
 
 def read_evaluations(file: Path) -> list[EvaluationCurve]:

@@ -15,7 +15,6 @@ from typing import Any
 
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
@@ -29,6 +28,7 @@ from pcs_racing_agents.learning.ppo.learner import FIGURES, check_packages
 from pcs_racing_agents.learning.ppo.seed_training import SeedRecord, SeedTraining
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, PPOSettings, load_ppo_settings
 from pcs_racing_agents.learning.ppo.tasks import LearningTask
+from pcs_racing_agents.results.csv_files import write_csv
 
 __all__ = ["PPOResult", "check_checkpoint_seconds", "make_task", "train_ppo"]
 
@@ -125,12 +125,8 @@ def train_ppo(
     """
     settings = load_ppo_settings(config, **changes)
     check_checkpoint_seconds(checkpoint_seconds)
-    if isinstance(settings, DuelSettings):  # the stored settings must name what was used
-        if policies is not None:
-            settings = replace(settings, archive=policies.name)
-        if rules is not None:
-            epsilon = rules.epsilon if isinstance(rules.epsilon, float) else settings.epsilon
-            settings = replace(settings, race=rules.race.name, epsilon=epsilon)
+    if isinstance(settings, DuelSettings):
+        settings = _named(settings, policies, rules)
     check_packages()
     task = make_task(settings, archive=policies, rules=rules)
     identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **task.identity}
@@ -200,6 +196,16 @@ def make_task(
     return make_drive_task(settings)
 
 
+def _named(settings: DuelSettings, archive: PolicyArchive | None, rules: GameConfig | None) -> DuelSettings:
+    """Return the settings with the names of the archive and the rules that replace theirs, for the stored settings."""
+    if archive is not None:
+        settings = replace(settings, archive=archive.name)
+    if rules is not None:
+        epsilon = rules.epsilon if isinstance(rules.epsilon, float) else settings.epsilon
+        settings = replace(settings, race=rules.race.name, epsilon=epsilon)
+    return settings
+
+
 def check_checkpoint_seconds(seconds: float) -> None:
     """Check the time between two checkpoints.
 
@@ -216,13 +222,10 @@ def check_checkpoint_seconds(seconds: float) -> None:
 
 
 def _write_updates(runs: Sequence[SeedRecord], file: Path) -> None:
-    rows = [",".join(("seed", "steps", *FIGURES, "reward"))]
-    rows += [
-        f"{run.seed},{int(row[0])},{','.join(f'{value:.6g}' for value in row[1:])}"
-        for run in runs
-        for row in run.updates
-    ]
-    write_atomically(file, lambda stream: stream.write(("\n".join(rows) + "\n").encode("utf-8")))
+    rows: list[tuple[object, ...]] = [("seed", "steps", *FIGURES, "reward")]
+    for run in runs:
+        rows += [(run.seed, int(steps), *(f"{value:.6g}" for value in figures)) for steps, *figures in run.updates]
+    write_csv(rows, file)
 
 
 def _about(trained: PPOResult) -> dict[str, str | int | float | bool]:

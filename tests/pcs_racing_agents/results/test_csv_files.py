@@ -5,7 +5,7 @@ import os
 import pytest
 
 from pcs_racing import InputError
-from pcs_racing_agents.results.csv_files import read_csv
+from pcs_racing_agents.results.csv_files import read_csv, write_csv
 
 
 def written(tmp_path, text):
@@ -56,3 +56,11 @@ def test_pipes_and_devices_that_never_end_are_refused(tmp_path):
     for name in ("pipe.csv", "zero.csv"):
         with pytest.raises(InputError, match="no ordinary file"):
             read_csv(tmp_path / name)
+
+
+def test_a_written_table_can_be_read(tmp_path):
+    path = write_csv([("ego", "lead"), ("b, c", 2), ("", 1.5)], tmp_path / "table.csv")
+    assert path.read_bytes() == b'ego,lead\n"b, c",2\n,1.5\n'
+    assert read_csv(path).rows() == [{"ego": "b, c", "lead": "2"}, {"ego": "", "lead": "1.5"}]
+    with pytest.raises(InputError, match="missing"):
+        write_csv([("ego",)], tmp_path / "missing" / "table.csv")
