@@ -38,15 +38,16 @@ def test_noise_may_last_for_some_steps(drive_settings, part, hidden):
     assert len({row.tobytes() for row in tried}) == 200
 
 
-def test_environments_of_a_part_are_not_asked_one_by_one(drive_settings, part):
+def test_environments_of_a_part_share_their_attributes(drive_settings, part):
     with own_randomness():
         envs = make_learner(drive_settings, [part], 3, "tanh", 10.0).model.env
     assert envs.get_attr("render_mode") == [None] * 4
     assert envs.get_images() == [None] * 4
     assert envs.env_is_wrapped(object) == [False] * 4
-    with pytest.raises(AttributeError, match="no attribute 'track'"):
-        envs.get_attr("track")
+    assert envs.get_attr("num_envs", indices=0) == [4]
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        envs.get_attr("nothing")
     with pytest.raises(InputError, match="'track' can't be set for single environments"):
         envs.set_attr("track", "Pipkin")
-    with pytest.raises(AttributeError, match="no method 'action_masks'"):
-        envs.env_method("action_masks")
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        envs.env_method("nothing")
