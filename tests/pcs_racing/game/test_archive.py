@@ -226,7 +226,7 @@ def test_the_shipped_archive_is_sound():
         ({"settings": {"a": [1]}}, "setting 'a' is"),
         ({"own_crash": np.zeros(4)}, r"own_crash has shape \(4,\); it must have \(5\)"),
         ({"own_crash": np.full(5, -0.1)}, "own_crash is -0.1 somewhere; it must be 0 or above"),
-        ({"spread": np.full((5, 2), np.nan)}, "spread is not finite in row 0"),
+        ({"spread": np.where(np.arange(10).reshape(5, 2) == 6, np.nan, 1.0)}, "spread is not finite in row 3"),
     ],
 )
 def test_an_impossible_archive_is_one_clear_error(changes, message):
@@ -253,7 +253,10 @@ def test_an_impossible_question_is_one_clear_error(call, message):
         call(archive())
 
 
-@pytest.mark.parametrize("epsilon", [0.0, -1.0, np.nan, "0.3", (), (0.1, 0.1), True, None, (0.1, "x")])
+@pytest.mark.parametrize(
+    "epsilon",
+    [0.0, -1.0, np.nan, "0.3", (), (0.1, 0.1), True, None, (0.1, "x"), (0.3, True), (0.3, "0.2"), (0.3, -0.1), 11.0],
+)
 def test_an_impossible_epsilon_is_one_clear_error(epsilon):
     with pytest.raises(InputError, match=r"epsilon is .*; it must be a number in"):
         check_epsilon(epsilon)

@@ -69,6 +69,8 @@ def test_pieces_of_a_race_add_up():
     )
     going = ~state.crashed
     assert going.any()
+    piece = Segment.between(moments[0], moments[1], 2.0)
+    np.testing.assert_allclose(piece.time[going], 2.0)
     np.testing.assert_allclose((first + second)[going, :, 0], whole[going, :, 0], atol=1e-9)
     np.testing.assert_allclose(((first + second) / 2)[going, :, 1], whole[going, :, 1])
     np.testing.assert_allclose(whole[:, 0, 0], -whole[:, 1, 0])

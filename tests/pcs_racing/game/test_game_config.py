@@ -44,6 +44,8 @@ def test_axes_are_kept_as_a_tuple():
     config = GameConfig(characteristics=["speed", "restraint"])
     assert config.characteristics == ("speed", "restraint")
     hash(config)
+    with pytest.raises(ConfigError, match="'speed'"):
+        GameConfig(characteristics="speed")
 
 
 @pytest.mark.parametrize(
