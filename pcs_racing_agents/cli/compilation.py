@@ -8,6 +8,12 @@ from multiprocessing import get_context
 
 import numpy as np
 
+from pcs_racing.car.lidar import Lidar
+from pcs_racing.game.rules import make_game
+from pcs_racing.planners.registry import parse_policy
+from pcs_racing.race.config import load_race_config
+from pcs_racing.race.races import draw_starts, run_races
+from pcs_racing.track.track import load_track
 from pcs_racing_agents.cli.options import Commands, add_command
 
 __all__ = ["add", "compile_kernels"]
@@ -47,15 +53,13 @@ def compile_kernels() -> None:
 
 def _races() -> None:
     """Races of all planners, one and several at a time, and what a game observes of them."""
-    import pcs_racing
-
-    track, lattice = pcs_racing.load_track(TRACK), pcs_racing.parse_policy("lattice")
-    config = pcs_racing.load_race_config("contest", duration=0.1)
+    track, lattice = load_track(TRACK), parse_policy("lattice")
+    config = load_race_config("contest", duration=0.1)
     for count in (1, 2):
-        starts = pcs_racing.draw_starts(track, config, count, 0)
+        starts = draw_starts(track, config, count, 0)
         for text in PLANNERS:
-            pcs_racing.run_races(track, lattice, pcs_racing.parse_policy(text), config, starts=starts)
-    game = pcs_racing.make_game(track, step_seconds=0.1)
+            run_races(track, lattice, parse_policy(text), config, starts=starts)
+    game = make_game(track, step_seconds=0.1)
     game.observation(game.step(game.reset(games=2, seed=0), np.zeros((2, 2), int)))
 
 
@@ -70,12 +74,10 @@ def _solvers() -> None:
 
 def _environments() -> None:
     """Environments at the control level: with a lidar and an opponent, and alone."""
-    import gymnasium
-
-    import pcs_racing  # noqa: F401
+    from pcs_racing.envs.drive import DriveVectorEnv
 
     for options in ({"opponent": "lattice", "beams": 8}, {"opponent": None}):
-        env = gymnasium.make_vec("pcs_racing/Drive-v1", num_envs=2, track=TRACK, **options)
+        env = DriveVectorEnv(2, track=TRACK, **options)
         env.reset(seed=0)
         env.step(np.zeros((2, 2), np.float32))
         env.close()
@@ -83,10 +85,8 @@ def _environments() -> None:
 
 def _circuits() -> None:
     """A generated circuit, and a lidar on one."""
-    import pcs_racing
     from pcs_racing.track.mapping.circuits import generate_circuit
 
     with suppress(ModuleNotFoundError):  # the libraries of the extra mapping may be missing
         generate_circuit(7)
-    track = pcs_racing.load_track(TRACK)
-    pcs_racing.Lidar(track, 8).scan(np.zeros((2, 3)))
+    Lidar(load_track(TRACK), 8).scan(np.zeros((2, 3)))
