@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcs_racing import load_archive, make_game
+from pcs_racing.game.identity import game_identity
 from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.agent import Agent
@@ -33,7 +34,7 @@ from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task
 from pcs_racing_agents.learning.responses import learner
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.networks import Rows, game_identity, load_network, train_network
+from pcs_racing_agents.networks import Rows, load_network, train_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.study import StudyConfig, load_study_config
 from pcs_racing_agents.study.racing import _Judge

@@ -15,6 +15,7 @@ from pcs_racing.game.archive import PolicyArchive, check_indices
 
 __all__ = [
     "EPSILON",
+    "STAY",
     "check_epsilon",
     "duplicate_moves",
     "duplicate_share",
@@ -28,6 +29,9 @@ Indices = NDArray[np.int64]
 
 EPSILON = 0.5
 """How far a move goes unless the game says otherwise: half of the archive's range on an axis."""
+
+STAY = "stay"
+"""Name of the move that keeps the policy; where there is one, it comes last."""
 
 
 def move(archive: PolicyArchive, index: ArrayLike, axis: ArrayLike, sign: ArrayLike, epsilon: ArrayLike) -> Indices:
@@ -93,7 +97,7 @@ def move_names(
         for axis in archive.characteristics
         for sign in "+-"
     ]
-    return (*names, "stay") if stay else tuple(names)
+    return (*names, STAY) if stay else tuple(names)
 
 
 def no_op_share(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON) -> float:

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.moves import STAY
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import FitSource, find_fit, fit_facts
 from pcs_racing_agents.agents.observing import Observations, moves_made, own
-from pcs_racing_agents.agents.setting import STAY, Setting
+from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry
 
 __all__ = [

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.decisions import get_decision
 from pcs_racing_agents.agents.observing import Observations
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build_member
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network
 
@@ -123,19 +123,7 @@ def fitting_network(source: NetworkSource, setting: Setting, kind: str, who: str
                 "with 'pcs-racing train' and give it as network=FOLDER"
             )
     network = load_network(source)
-    epsilon = setting.config.epsilon
-    identity = GameIdentity(
-        elements=setting.elements,
-        moves=setting.moves,
-        epsilon=epsilon if isinstance(epsilon, tuple) else (epsilon,),
-        archive=setting.archive.name,
-        archive_sha256=setting.archive.content_hash,
-        preset=setting.race,
-    )
-    try:
-        network.check_identity(identity, "the game")
-    except InputError as error:
-        raise InputError(f"agent {who!r}: {error}") from None
+    check_same_game(network.identity, setting.identity, f"agent {who!r}: network {network.name!r}")
     return network
 
 

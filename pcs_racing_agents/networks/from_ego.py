@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.jobs import Progress
 from pcs_racing_agents.networks.ego_rows import ego_rows, ego_values
 from pcs_racing_agents.networks.from_trees import TrainedOnTrees, hold_out
-from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.metrics import Play, constant_plays, follow, score_rows
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import pair_number

@@ -3,15 +3,16 @@
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.identity import GameIdentity
+from pcs_racing.game.moves import STAY
 from pcs_racing_agents.jobs.jobs import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
-from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, draw_pairs, join_rows, pair_number
@@ -20,7 +21,7 @@ from pcs_racing_agents.networks.targets import get_target, solve_for
 from pcs_racing_agents.networks.training import TrainingResult, train_network
 from pcs_racing_agents.networks.tree_rows import PlayedTree, tree_rows
 
-__all__ = ["TrainedOnTrees", "hold_out", "train_on_trees", "trees_identity"]
+__all__ = ["TrainedOnTrees", "hold_out", "train_on_trees"]
 
 
 class TrainedOnTrees(NamedTuple):
@@ -42,19 +43,6 @@ class TrainedOnTrees(NamedTuple):
     result: TrainingResult
     rows: list[RowScore]
     scores: dict[str, NDArray[np.float64]]
-
-
-def trees_identity(settings: Any) -> GameIdentity:
-    """Return the game that stored trees belong to, of :attr:`pcs_racing_agents.trees.StoredTrees.settings`."""
-    epsilon = settings["rules"]["epsilon"]
-    return GameIdentity(
-        elements=tuple(settings["encoding"]),
-        moves=tuple(settings["move_names"]),
-        epsilon=tuple(epsilon) if isinstance(epsilon, list | tuple) else (epsilon,),
-        archive=settings["archive"]["name"],
-        archive_sha256=settings["archive"]["sha256"],
-        preset=settings["preset"],
-    )
 
 
 def train_on_trees(
@@ -101,7 +89,7 @@ def train_on_trees(
     settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
     held_out = hold_out(numbers, settings, 3 if settings.test_share > 0.0 else 2, "trees")
-    solve = _Solver(settings, len(identity.moves) - 1 if identity.moves[-1] == "stay" else None)
+    solve = _Solver(settings, len(identity.moves) - 1 if identity.moves[-1] == STAY else None)
     rows: list[Rows | None] = [None] * len(held_out)
     tasks = numbered_tasks(solve, (tree_at(i) for i in range(len(held_out))))
     for done, (i, found) in enumerate(run_tasks(tasks, executor, "solving trees"), start=1):

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.dense import DenseLayers, dense_rows
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.game import RaceGame
-from pcs_racing_agents.networks.identity import GameIdentity, check_same_game, game_identity
+from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
 
 __all__ = ["RegretNetwork"]
 
@@ -195,15 +195,4 @@ class RegretNetwork:
         InputError
             If the observation, the moves or the archive are others.
         """
-        self.check_identity(game_identity(game), "the game")
-
-    def check_identity(self, other: GameIdentity, what: str) -> None:
-        """Check as :meth:`check_fits` does, against what is known of some game.
-
-        Parameters
-        ----------
-        other : GameIdentity
-        what : str
-            What it belongs to, for the message.
-        """
-        check_same_game(self.identity, other, f"network {self.name!r}", what)
+        check_same_game(self.identity, game_identity(game), f"network {self.name!r}")

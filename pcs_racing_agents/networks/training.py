@@ -14,9 +14,9 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.jobs import Progress
 from pcs_racing_agents.networks.goals import row_goals, scale_rows
-from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, split_by_pair
 from pcs_racing_agents.networks.settings import TrainSettings

@@ -231,8 +231,8 @@ def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
         "seed": plan.seed,
         "races_per_pair": plan.races_per_pair,
         "game": setting.config,
-        "archive": setting.archive.name,
-        "archive_sha256": setting.archive.content_hash,
+        "archive": setting.identity.archive,
+        "archive_sha256": setting.identity.archive_sha256,
         "tracks": {track.name: track.content_hash for track in plan.tracks},
         "agents": {name: competitor_hash(one) for name, one in zip(plan.names, plan.competitors, strict=True)},
     }

@@ -14,13 +14,22 @@ from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.game import RaceGame
+from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing_agents.jobs.folders import read_job
 from pcs_racing_agents.jobs.jobs import Progress, TaskGroup, chunk_file, open_job, read_chunk, run_groups
 from pcs_racing_agents.trees.build import build_tree, check_game
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
 
-__all__ = ["StoredTrees", "build_trees", "game_settings", "load_trees", "open_trees", "read_settings"]
+__all__ = [
+    "StoredTrees",
+    "build_trees",
+    "game_settings",
+    "load_trees",
+    "open_trees",
+    "read_settings",
+    "stored_identity",
+]
 
 KIND = "game trees"
 NAME = "tree"
@@ -135,16 +144,32 @@ def open_trees(
 
 
 def game_settings(game: RaceGame) -> dict[str, Any]:
-    """Everything that decides how a game goes and what its observations mean, as plain values for a manifest."""
+    """Return the identity, the track and the rules of a game as plain values for a manifest."""
+    identity = game_identity(game)
     return {
-        "archive": {"name": game.archive.name, "sha256": game.archive.content_hash},
+        "archive": {"name": identity.archive, "sha256": identity.archive_sha256},
         "track": {"name": game.track.name, "sha256": game.track.content_hash},
-        "preset": game.config.race.name,
+        "preset": identity.preset,
         "speed_range": [float(speed) for speed in game.setup.speed_range],
         "rules": asdict(game.config),
-        "move_names": list(game.move_names),
-        "encoding": [element.name for element in game.observation_elements],
+        "move_names": list(identity.moves),
+        "encoding": list(identity.elements),
     }
+
+
+def stored_identity(settings: Mapping[str, Any]) -> GameIdentity:
+    """Return the identity of the game that stored trees belong to, out of :func:`game_settings`."""
+    rules, archive = settings["rules"], settings["archive"]
+    epsilon = rules["epsilon"]
+    return GameIdentity(
+        elements=tuple(settings["encoding"]),
+        moves=tuple(settings["move_names"]),
+        epsilon=tuple(epsilon) if isinstance(epsilon, list | tuple) else (epsilon,),
+        archive=archive["name"],
+        archive_sha256=archive["sha256"],
+        preset=settings["preset"],
+        decisions=rules["moves"],
+    )
 
 
 def _checked_pairs(archive: PolicyArchive, pairs: int | ArrayLike, seed: int) -> NDArray[np.int64]:
