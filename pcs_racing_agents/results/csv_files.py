@@ -1,4 +1,4 @@
-"""Reading tables that anybody may have written: ordinary files of a limited size, every line as wide as the first."""
+"""Safe reading of csv files: ordinary files of limited size, in which every line is as wide as the first."""
 
 import csv
 import io
@@ -85,5 +85,5 @@ def read_csv(path: str | os.PathLike[str]) -> CsvTable:
 
 
 def _reader(data: bytes) -> Any:
-    """A reader that decodes as it goes: the text of a large table would take four times the memory of its bytes."""
+    """Return a reader that decodes line by line: the text of a large table takes four times the memory of its bytes."""
     return csv.reader(io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=""), strict=True)
