@@ -44,7 +44,7 @@ from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.synthesis.evaluate import race_policies
 from pcs_racing_agents.tournament import runner
 from pcs_racing_agents.tournament.pairings import cross_pairing
-from pcs_racing_agents.trees.storage import _Builder, _Task
+from pcs_racing_agents.trees.storage import _Builder, _TreeTask
 from pcs_racing_agents.trees.tree import tree_from_arrays
 
 CIRCUITS = ("Tarnfjord", "Vellindra", "Kestrelheim")
@@ -117,8 +117,9 @@ def measure(moves: int) -> dict[str, Cost]:
     keep("branch", branch, [learner.BranchTask(0, 0, step, 0, 0, learner.BLOCK, 1) for step in steps])
 
     tree_game = replace(make_game("Tarnfjord", moves=moves, stay=False), threads=1)
-    _Builder(replace(make_game("Tarnfjord", moves=1, stay=False), threads=1))(_Task((0, 1), 0, 1, 0))  # loads the code
-    arrays = keep("tree", _Builder(tree_game), [_Task((10, 20), 0, 1, 0)], loaded=True)
+    warm_up = _Builder(replace(make_game("Tarnfjord", moves=1, stay=False), threads=1))
+    warm_up(_TreeTask((0, 1), 0, 1, 0))  # loads the code
+    arrays = keep("tree", _Builder(tree_game), [_TreeTask((10, 20), 0, 1, 0)], loaded=True)
     names = load_study_config("paper").every_arm
     agents = [agent for agent in (build(_shipped(name), setting) for name in names) if isinstance(agent, Agent)]
     tree = tree_from_arrays(arrays, moves, "the tree")

@@ -1,4 +1,4 @@
-"""Playing a game tree: level by level, all nodes of a level in one batch."""
+"""Construction of a game tree by simulation, level by level, all nodes of a level in one batch."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -26,7 +26,7 @@ def build_tree(
     *,
     share: bool = True,
 ) -> RaceTree:
-    """Play everything that can happen in a game from one start.
+    """Build the tree of all moves in a game from one start.
 
     Histories of moves that pass through the same policies are driven once, a crash ends its branch, and the last step
     of two cars that are out of each other's sight is put together from their single drives
@@ -48,7 +48,7 @@ def build_tree(
     Raises
     ------
     InputError
-        If a policy, start or seed is impossible, the tree would be too large, or the game has drivers from outside the
+        If a policy, start or seed does not exist, the tree would be too large, or the game has drivers from outside the
         archive.
     """
     check_game(game)
@@ -87,7 +87,7 @@ def build_tree(
 
 
 def check_game(game: RaceGame) -> None:
-    """Refuse games of which no tree can be played.
+    """Check that trees of a game can be built.
 
     Raises
     ------
@@ -113,7 +113,7 @@ Grown = tuple[
 
 
 def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: bool) -> Grown:
-    """Play the tree of one seed: payoffs, and for each level leads, estimates and which races are over."""
+    """Build the tree of one seed: payoffs, and for each level leads, estimates and which races are over."""
     moves, axes = game.config.moves, len(game.characteristics)
     races = root.race  # those of the level that go on
     row = np.where(races.crashed, -1, 0).reshape(1, 1)  # of each pair of paths in ``races``, -1 where it is over
