@@ -194,7 +194,7 @@ def play_tournament(
     executor : Executor, optional
         Where the races are driven; by default here, on all cores. It does not change the result.
     progress : callable, optional
-        Called as ``progress(done, total, what)``, counting races; :func:`pcs_racing_agents.jobs.jobs.show_progress`
+        Called as ``progress(done, total, label)``, counting races; :func:`pcs_racing_agents.jobs.jobs.show_progress`
         prints a line.
 
     Returns

@@ -90,7 +90,7 @@ def pool_payoffs(
     executor : Executor, optional
         Where the races are driven; by default here, on all cores. It has no influence on the result.
     progress : callable, optional
-        Called as ``progress(done, total, what)``, counting blocks of pairs.
+        Called as ``progress(done, total, label)``, counting blocks of pairs.
 
     Returns
     -------

@@ -14,6 +14,7 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.race.state import RaceState
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv
+from pcs_racing_agents.results.text_table import aligned
 
 __all__ = [
     "EvaluationCurve",
@@ -115,18 +116,17 @@ def mean_score(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> S
 
 
 def score_table(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> str:
-    """Text for people: a line for each circuit and rules, the mean over opponents, and one for everything."""
-    lines = [f"{'':28} {'worth':>8} {'+-':>6} {'won':>6} {'lost':>6} {'crashed':>8} {'at fault':>9} {'lead':>7}"]
+    """Return scores as text: a line for each circuit and rules, the mean over opponents, and one for everything."""
+    table = [["", "worth", "+-", "won", "lost", "crashed", "at fault", "lead"]]
     places = list(dict.fromkeys((matchup.track, matchup.race) for matchup in scores))
     for place in [*places, None]:
         mean = mean_score(
             {matchup: score for matchup, score in scores.items() if place in (None, matchup[:2])}, weights
         )
-        lines.append(
-            f"{' '.join(place) if place else 'all':28} {mean.worth:8.3f} {mean.error:6.3f} {mean.won:6.1%} "
-            f"{mean.lost:6.1%} {mean.crashed:8.1%} {mean.at_fault:9.1%} {mean.lead:5.1f} m"
-        )
-    return "\n".join(lines)
+        shares = [f"{share:.1%}" for share in (mean.won, mean.lost, mean.crashed, mean.at_fault)]
+        name = " ".join(place) if place else "all"
+        table.append([name, f"{mean.worth:.3f}", f"{mean.error:.3f}", *shares, f"{mean.lead:.1f} m"])
+    return "\n".join(aligned(table, left=1))
 
 
 # Learning curves
