@@ -29,7 +29,7 @@ demo: $(VENV)/base.stamp
 
 # The kernels are compiled once before the tests begin, rather than by every worker at the same time.
 test: $(VENV)/test.stamp
-	$(RUN) tools/compile_kernels.py
+	$(VENV)/bin/pcs-racing compile
 	$(RUN) -m pytest -n 2 --dist worksteal
 
 # Some of these libraries are large, so that nothing else waits for them.
@@ -57,7 +57,7 @@ INTERPRETED := tests/interpreted tests/pcs_racing/car/test_collision.py tests/pc
 COVERED := $(RUN) -m pytest --cov --cov-report= --cov-fail-under=0
 
 coverage: $(VENV)/test.stamp
-	$(RUN) tools/compile_kernels.py
+	$(VENV)/bin/pcs-racing compile
 	$(COVERED) -n 2 --dist worksteal
 	NUMBA_DISABLE_JIT=1 PCS_RACING_MAPS=none $(COVERED) --cov-append -p no:xdist $(INTERPRETED) \
 		-W ignore::RuntimeWarning

@@ -15,10 +15,8 @@ from collections.abc import Callable
 import numpy as np
 
 from pcs_racing import Lidar
-from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.drive_vector import DriveVectorEnv
-from pcs_racing.envs.duel import DuelEnv
-from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 
 ROUNDS = 5
 STEPS = 100  # between two looks at the clock
@@ -38,7 +36,7 @@ def drive_batch(track: str, envs: int, both: bool = False, **arguments) -> Work:
         for _ in range(STEPS):
             env.step(actions)
             if lidar is not None:
-                cars = env.get_state().races.cars
+                cars = env.batch.state.cars
                 lidar.scan(cars[:, 1][:, [0, 1, 4]], cars[:, 0][:, [0, 1, 4]])
 
     return work, STEPS * envs
@@ -50,7 +48,7 @@ def drive_scalar(track: str, inner: bool = False, **arguments) -> Work:
     action = np.array([0.0, -0.75], np.float32)
     env.reset(seed=0)
     env.step(action)
-    batch = env._batch
+    batch = env.batch
     command = np.array([[0.0, -0.75]])
     results = (np.zeros((1, 2)), np.empty(1), np.empty(1, np.bool_), np.empty(1, np.bool_))
     results += (np.empty((1, len(env.elements)), np.float32),)

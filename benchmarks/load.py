@@ -71,7 +71,7 @@ def run_steps(step: Callable[[], object], envs: int, steps: int) -> list[Slice]:
 
 def drive(envs: int, steps: int, threads: int) -> list[Slice]:
     """Control-level environments with an opponent on the lattice."""
-    from pcs_racing.envs.drive_vector import DriveVectorEnv
+    from pcs_racing.envs.drive import DriveVectorEnv
 
     env = DriveVectorEnv(envs, threads=threads)
     env.reset(seed=0)
@@ -92,7 +92,7 @@ def drive(envs: int, steps: int, threads: int) -> list[Slice]:
 
 def duel(envs: int, steps: int, threads: int, step_seconds: float) -> list[Slice]:
     """Games against random moves."""
-    from pcs_racing.envs.duel_vector import DuelVectorEnv
+    from pcs_racing.envs.duel import DuelVectorEnv
 
     env = DuelVectorEnv(envs, threads=threads, step_seconds=step_seconds)
     env.reset(seed=0)

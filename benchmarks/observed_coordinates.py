@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 
 from pcs_racing import make_game
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 
 GAMES = {
     "paper": ("default", ("Tarnfjord", "Brackwater")),

@@ -2,22 +2,28 @@
 
     python benchmarks/race_speed.py                    # on a shipped circuit
     python benchmarks/race_speed.py --track DIR --json # ends with one JSON line holding ms_per_race_per_core
+    python benchmarks/race_speed.py --against PATH     # beside the package in another checkout: how many times as fast
 
 Processor time, the best of several repeats, scaled to 40 s (races end early in a crash). The parts are timed alone
-on states from
-the middle of the same races, and multiplied by how often a race calls them; what they leave over is the loop itself.
+on states from the middle of the same races, and multiplied by how often a race calls them; what they leave over is the
+loop itself. With ``--against`` the two packages take turns, each in a process of its own.
 """
 
 import argparse
 import json
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numba import njit
 
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.lanes import LANES, LANES_SIZE, load_car, step_lanes
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners import lattice
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE, follow_path
@@ -52,9 +58,9 @@ def _controls(n, track, theta, view, memory, scratch, path, command):  # type: i
 
 
 @njit(error_model="numpy")
-def _steps(n, state, params):  # type: ignore[no-untyped-def]
+def _steps(n, lanes):  # type: ignore[no-untyped-def]
     for _ in range(n):
-        _vehicle.step(state, 0.0, 0.0, params, 0.01)
+        step_lanes(lanes, 0.01)
 
 
 @njit(error_model="numpy")
@@ -97,12 +103,64 @@ def best_of(action: Callable[[], object]) -> float:
     return min(times)
 
 
+# Runs the same races once for each line that it reads; nothing but the public interface, which other checkouts have.
+RACES = """
+import sys, time
+import numpy as np
+import pcs_racing
+track, races = pcs_racing.load_track(sys.argv[1]), int(sys.argv[2])
+config, lattice = pcs_racing.load_race_config("paper"), pcs_racing.parse_policy("lattice")
+paces = [pcs_racing.parse_policy(f"lattice:pace={pace:.3f}") for pace in np.linspace(0.05, 0.95, races)]
+def run():
+    start = time.process_time()
+    state = pcs_racing.run_races(track, paces, lattice, config, seed=0, threads=1).state
+    return 1e3 * (time.process_time() - start) * config.ticks / state.tick.sum()
+run()
+print(pcs_racing.__file__, flush=True)
+for _ in sys.stdin:
+    print(run(), flush=True)
+"""
+
+
+def side_by_side(track: str, races: int, other: Path) -> tuple[float, float]:
+    """Least milliseconds per 40 s race of this package and of the one in another checkout, which take turns."""
+    workers = [
+        subprocess.Popen(
+            [sys.executable, "-c", RACES, track, str(races)],
+            env={**os.environ, "PYTHONPATH": str(folder)},
+            cwd=folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for folder in (Path(__file__).resolve().parents[1], other.resolve())
+    ]
+    best = [float("inf")] * len(workers)
+    for worker in workers:
+        assert worker.stdout is not None
+        print(f"  {worker.stdout.readline().strip()}")
+    for _ in range(4 * REPEATS):
+        for i, worker in enumerate(workers):
+            assert worker.stdin is not None
+            assert worker.stdout is not None
+            print(file=worker.stdin, flush=True)
+            best[i] = min(best[i], float(worker.stdout.readline()))
+    for worker in workers:
+        worker.communicate()
+    return best[0], best[1]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default="Tarnfjord", help="name or folder of a circuit")
     parser.add_argument("--races", type=int, default=40)
     parser.add_argument("--json", action="store_true", help="end with one JSON line")
+    parser.add_argument("--against", type=Path, metavar="PATH", help="only compare with the checkout in this folder")
     arguments = parser.parse_args()
+    if arguments.against is not None:
+        new, old = side_by_side(arguments.track, arguments.races, arguments.against)
+        print(f"{new:.2f} ms per 40 s race and core here, {old:.2f} ms there: {old / new:.2f} times as fast")
+        return
     track = load_track(arguments.track)
     config = load_race_config("paper")
     races = arguments.races
@@ -141,6 +199,9 @@ def main() -> None:
         memory = one.memory[0, 0]
         theta = LATTICE.default
         lattice.plan(t, theta, view, memory, scratch, path)
+        lanes = np.zeros(LANES_SIZE)
+        for lane in range(LANES):
+            load_car(lanes, lane, one.cars[0, lane % 2], F1TENTH.as_row())
         arrays = (one.cars, one.frenet)
         timed: dict[str, tuple[int, Callable[[], object]]] = {
             "planner": (2 * ticks // PLAN_EVERY, lambda: _plans(CALLS, t, theta, view, memory, scratch, path)),
@@ -148,8 +209,7 @@ def main() -> None:
                 2 * ticks // CONTROL_EVERY,
                 lambda: _controls(CALLS, t, theta, view, memory, scratch, path, command),
             ),
-            # A copy drives on in each repeat, so that its speed stays what it was.
-            "dynamics (RK4)": (2 * ticks, lambda: _steps(CALLS, one.cars[0, 0].copy(), params[0])),
+            "dynamics (RK4)": (2 * ticks // LANES, lambda: _steps(CALLS, lanes.copy())),
             "Frenet projection": (
                 ticks // CONTROL_EVERY,
                 lambda: _progresses(CALLS, t.line, t.ds, t.length, *arrays, one.progress),

@@ -21,7 +21,7 @@ import numpy as np
 
 from pcs_racing import load_track, make_game, run_races
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing.game.game import take_games
+from pcs_racing.game.state import take_games
 from pcs_racing_agents.agents import Agent, Driver, make_setting, names
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.measured import Measured

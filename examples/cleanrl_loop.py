@@ -84,7 +84,8 @@ def main() -> None:
     torch.manual_seed(a.seed)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     opponent = None if a.opponent == "none" else a.opponent
-    envs = gym.make_vec("pcs_racing/Drive-v1", num_envs=a.envs, track=a.track, opponent=opponent, normalize=True)
+    given = {"track": a.track, "opponent": opponent, "normalize": True, "autoreset_mode": "SAME_STEP"}
+    envs = gym.make_vec("pcs_racing/Drive-v1", num_envs=a.envs, **given)
     size, actions = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
     agent = Agent(size, actions)
     optimiser = torch.optim.Adam(agent.parameters(), lr=a.learning_rate, eps=1e-5)
@@ -157,7 +158,8 @@ def drive(agent: Agent, scale: "RunningScale", a: Arguments, opponent: str | Non
                 move = agent.mean(scale(torch.as_tensor(seen))).numpy()
             seen, _, terminated, truncated, info = env.step(np.clip(move, -1.0, 1.0))
             over = terminated or truncated
-        print(f"episode {episode}: {info['progress']:6.1f} m in {info['time']:4.1f} s, crash: {info['crash']}")
+        crash = env.unwrapped.outcome()["crash"]
+        print(f"episode {episode}: {info['progress']:6.1f} m in {info['time']:4.1f} s, crash: {crash}")
 
 
 class RunningScale:

@@ -11,7 +11,7 @@ import argparse
 
 import numpy as np
 
-from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.duel import DuelVectorEnv
 
 try:
     from stable_baselines3 import PPO
@@ -42,7 +42,7 @@ model = PPO(
 model.learn(arguments.steps)
 
 print(f"{'opponent':28} {'utility':>8} {'+-':>6} {'won':>6}")
-names = [f"always-{move}" for move in envs.envs.game.move_names]
+names = [f"always-{move}" for move in envs.get_attr("game")[0].move_names]
 for opponent in ("random-moves", "never-switch", *names):
     duels = DuelVectorEnv(arguments.games, track=arguments.track, opponent=opponent)
     seen, _ = duels.reset(seed=1_000_000 + arguments.seed)

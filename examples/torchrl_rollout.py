@@ -33,7 +33,7 @@ except ImportError as error:
 
 
 class MaskOnly(BaseParallelWrapper):
-    """Keep the mask of the infos and drop the rest: TorchRL makes tensors of all infos, and ours hold names."""
+    """Keep the mask of the infos, and drop the rest, of which TorchRL would keep tensors."""
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """Begin a new game."""

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.duel import DuelVectorEnv
+from pcs_racing.envs.infos import Result
 
 try:
     from matplotlib.figure import Figure
@@ -103,8 +104,8 @@ def main() -> None:
         means[name] = returns.mean()
         error = returns.std() / np.sqrt(len(returns))
         print(
-            f"{name:28} {returns.mean():8.2f} {error:6.2f} {np.mean(results == 'win'):6.1%} "
-            f"{np.mean(results == 'crash'):8.1%}"
+            f"{name:28} {returns.mean():8.2f} {error:6.2f} {np.mean(results == Result.WIN):6.1%} "
+            f"{np.mean(results == Result.CRASH):8.1%}"
         )
     draw(curve, means, arguments)
     print(f"{arguments.out / 'learning_curve.png'}")
@@ -114,14 +115,14 @@ def measure(player, arguments: Arguments, game: dict) -> tuple[np.ndarray, np.nd
     """Returns and results of the first game of each of many environments: the same starts for every player."""
     envs = DuelVectorEnv(arguments.games, **game)
     seen, _ = envs.reset(seed=1_000_000 + arguments.seed)
-    returns, results = np.zeros(arguments.games), np.full(arguments.games, "", dtype="<U5")
+    returns, results = np.zeros(arguments.games), np.zeros(arguments.games, int)
     going = np.ones(arguments.games, bool)
     while going.any():
         seen, rewards, done, _, info = envs.step(player(seen))
         ended = going & done
         returns[ended] = rewards[ended]
         if ended.any():
-            results[ended] = info["final_info"]["result"][ended]
+            results[ended] = info["result"][ended]
         going &= ~done
     return returns, results
 

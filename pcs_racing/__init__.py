@@ -19,7 +19,8 @@ from pcs_racing.envs.registration import register_environments
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import list_archives, load_archive, save_archive
 from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.game import GameState, RaceGame, make_game
+from pcs_racing.game.rules import RaceGame, make_game
+from pcs_racing.game.state import GameState
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.registry import get_planner, parse_policy, planner_names, register_planner
 from pcs_racing.race.config import CONTEST, PAPER, RaceConfig, load_race_config

@@ -5,6 +5,10 @@
 
 from typing import Any
 
+from pcs_racing.game.competitor_names import register_competitors
+
+register_competitors("zoo", "pcs_racing_agents.agents.opponents")
+
 
 def __getattr__(name: str) -> Any:
     """Import the zoo when somebody asks for an agent."""

@@ -101,9 +101,10 @@ MODULES = {
         """
         drive_kernel: drive_kernel; drive
         drive_batch: drive_kernel; drive
-        drive drive_vector: ; drive
-        duel_batch opponents: duel_batch; duel
-        duel duel_vector: ; duel
+        drive moving_opponents: ; drive
+        game_batch opponents: game_batch; duel
+        duel: ; duel
+        scalar vector reset_options: ; vector
         head_to_head: ; head_to_head
         """,
     ),

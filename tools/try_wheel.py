@@ -43,13 +43,13 @@ AGENT = """
 import gymnasium as gym
 import pcs_racing, pcs_racing_agents
 agent = pcs_racing_agents.make("cfr-argmax")
-duel = gym.make("pcs_racing/Duel-v1", opponent=pcs_racing_agents.make("best-fixed"), stay=True)
+duel = gym.make("pcs_racing/Duel-v1", opponent="best-fixed", stay=True)
 seen, info = duel.reset(seed=1)
 over = False
 while not over:
     move, _ = agent.predict(seen)
     seen, reward, over, _, info = duel.step(int(move))
-print("cfr-argmax against best-fixed:", info["result"], round(float(reward), 2))
+print("cfr-argmax against best-fixed:", duel.unwrapped.outcome()["result"], round(float(reward), 2))
 """
 
 

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from numba import njit
 
 from pcs_racing.base.code_cache import forget_stale_code
 
-__all__ = ["announce_compilation", "compiled", "kernel"]
+__all__ = ["compiled", "first_call", "inner_kernel", "kernel"]
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -45,8 +45,8 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function like :func:`compiled`, but without reference counts for its arrays.
 
     Only for functions that neither allocate nor return arrays (allocating in one is an error when it is compiled).
-    Numba offers no public option for that. Without this one (``_nrt=False``) a scan of 108 beams takes 21 us instead of
-    4 us, a race 7 % longer, and two threads count the same shared arrays (benchmarks/scan_speed.py, race_speed.py).
+    Numba offers no public option for that. Without this one (``_nrt=False``) a scan of 108 beams takes 21 us or more
+    instead of 4 us, and two threads count the references of the same arrays (benchmarks/scan_speed.py).
 
     Parameters
     ----------
@@ -58,31 +58,86 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return compiled(function, _nrt=False, **options)
 
 
+def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function as :func:`kernel` does, for other kernels alone.
+
+    It is left without the wrapper through which Python would call it, half the time of compiling a small one. A call
+    from Python crashes the process.
+
+    Parameters
+    ----------
+    function : callable, optional
+        What to compile; without it, a decorator is returned.
+    **options
+        Further options of :func:`numba.njit`.
+    """
+    return kernel(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
+
+
 _sources: set[Path] = set()
 """Files with compiled functions whose cached code was looked at in this process."""
 
-_announced: set[str] = set()
+_begun: set[str] = set()
+"""What this process has compiled, or waited for."""
 
 
 @contextmanager
-def announce_compilation(dispatcher: Any, what: str, seconds: int) -> Iterator[None]:
-    """Print a line to stderr if a compiled function is neither in memory nor in numba's cache on disk.
+def first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
+    """Surround the first call of a compiled function, so that one process compiles it and the others wait.
+
+    Prints a line to stderr if the function is neither in memory nor in numba's cache on disk: that it is compiled,
+    or that another process does so.
 
     Parameters
     ----------
     dispatcher : numba dispatcher
         The function about to be called.
     what : str
-        Name of the compiled code in the message.
+        What is being compiled, for the reader.
     seconds : int
-        Approximate time that the compilation takes, s.
+        About how long it takes.
+
+    Yields
+    ------
+    bool
+        Whether the function is about to be compiled. A caller whose work takes long can then call it without any work,
+        so that other processes wait for the compilation alone.
     """
     # Without compilation (NUMBA_DISABLE_JIT) it is an ordinary function.
-    if what not in _announced and hasattr(dispatcher, "signatures") and not dispatcher.signatures:
-        _announced.add(what)
-        name = f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__qualname__}-"
-        cache = Path(dispatcher.stats.cache_path)
-        if not (cache.is_dir() and any(entry.name.startswith(name) for entry in cache.glob("*.nbi"))):
-            line = f"pcs-racing: compiling {what} (about {seconds} s, once; it is cached on disk)"
-            print(line, file=sys.stderr, flush=True)
-    yield
+    if what in _begun or not hasattr(dispatcher, "signatures") or dispatcher.signatures or _on_disk(dispatcher):
+        yield False
+        return
+    _begun.add(what)
+    with ExitStack() as turn:
+        with suppress(OSError):  # nowhere to write to: then nothing is kept either, and every process compiles
+            _wait_for_turn(turn, dispatcher, what)
+        if not _on_disk(dispatcher):
+            _say(f"compiling {what} (about {seconds} s, once; it is cached on disk)")
+        yield True
+
+
+def _wait_for_turn(turn: ExitStack, dispatcher: Any, what: str) -> None:
+    from filelock import FileLock, Timeout  # only where something is compiled
+
+    cache = Path(dispatcher.stats.cache_path)
+    cache.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(cache / f".{_cached_name(dispatcher)}lock")
+    try:
+        turn.enter_context(lock.acquire(timeout=0))
+    except Timeout:
+        _say(f"waiting for another process that compiles {what}")
+        turn.enter_context(lock.acquire())
+
+
+def _on_disk(dispatcher: Any) -> bool:
+    cache, name = Path(dispatcher.stats.cache_path), _cached_name(dispatcher)
+    return cache.is_dir() and any(entry.name.startswith(name) for entry in cache.glob("*.nbi"))
+
+
+def _cached_name(dispatcher: Any) -> str:
+    """How the names of a function's cached files begin."""
+    return f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__qualname__}-"
+
+
+def _say(line: str) -> None:
+    print(f"pcs-racing: {line}", file=sys.stderr, flush=True)

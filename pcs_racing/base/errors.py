@@ -1,6 +1,17 @@
 """Errors for bad input. A message is one line that names the value and the correct form."""
 
-__all__ = ["ConfigError", "InputError", "MapError", "UnknownNameError"]
+import difflib
+from collections.abc import Iterable
+
+__all__ = [
+    "ConfigError",
+    "InputError",
+    "MapError",
+    "UnknownArgumentError",
+    "UnknownNameError",
+    "choices",
+    "unknown_argument",
+]
 
 
 _LONGEST = 2000
@@ -31,6 +42,22 @@ class UnknownNameError(InputError, KeyError):
     def __str__(self) -> str:
         """Show the message itself (``KeyError`` would show its repr)."""
         return str(self.args[0]) if self.args else ""
+
+
+class UnknownArgumentError(InputError, TypeError):
+    """A function or class has no argument of this name."""
+
+
+def unknown_argument(function: str, name: str, known: Iterable[str]) -> UnknownArgumentError:
+    """Make the error for an unknown keyword argument, in Python's words and with the nearest known name."""
+    return UnknownArgumentError(f"{function}() got an unexpected keyword argument {name!r}; {choices(name, known)}")
+
+
+def choices(name: str, known: Iterable[str]) -> str:
+    """Return the end of an error message about an unknown name: the nearest known one, and all of them."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names)}"
 
 
 def _shortened(message: str) -> str:

@@ -7,7 +7,7 @@ contact. No lidar scan is needed.
 
 import numpy as np
 
-from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.frenet import interpolate, wrap_s
 
@@ -69,7 +69,7 @@ def rectangles_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     return abs(dy * c1 - dx * s1) < half_width1 + half_length0 * s + half_width0 * c
 
 
-@kernel(inline="always")
+@inner_kernel(forceinline=True)
 def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ignore[no-untyped-def]
     """Whether a segment, given in the rectangle's own frame, passes through its inside."""
     if max(ax, bx) <= -half_length or min(ax, bx) >= half_length:
@@ -93,7 +93,7 @@ def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
     return track.distance[int(row), int(column)] <= 0.0
 
 
-@kernel
+@inner_kernel
 def _wall_in_rectangle(walls, seen_start, seen, distance, middle, stretch, x, y, psi, half_length, half_width):  # type: ignore[no-untyped-def]
     """Whether a wall that can be seen from a stretch passes through the inside of a rectangle."""
     s, c = sine_cosine(psi)
@@ -222,12 +222,15 @@ def _clip(polygon, count, a, b, limit, out):  # type: ignore[no-untyped-def]
     """Keep the part of a convex polygon where a x + b y <= limit (Sutherland and Hodgman 1974); returns its size."""
     kept = 0
     for i in range(count):
-        px, py = polygon[i]
-        qx, qy = polygon[(i + 1) % count]
+        # Number by number: numba takes seconds to compile the copying of rows.
+        px, py = polygon[i, 0], polygon[i, 1]
+        following = i + 1 if i + 1 < count else 0
+        qx, qy = polygon[following, 0], polygon[following, 1]
         here = a * px + b * py - limit
         there = a * qx + b * qy - limit
         if here <= 0.0:
-            out[kept] = polygon[i]
+            out[kept, 0] = px
+            out[kept, 1] = py
             kept += 1
         if (here < 0.0 < there) or (there < 0.0 < here):
             share = here / (here - there)
@@ -249,7 +252,8 @@ def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
         polygon[i, 0] = x1 - x0 + u * c - v * s
         polygon[i, 1] = y1 - y0 + u * s + v * c
     s, c = sine_cosine(psi0)
-    count = _clip(polygon, 4, c, s, half_length0, other)
+    count = polygon.shape[0] // 2  # of the corners
+    count = _clip(polygon, count, c, s, half_length0, other)
     count = _clip(other, count, -c, -s, half_length0, polygon)
     count = _clip(polygon, count, -s, c, half_width0, other)
     count = _clip(other, count, s, -c, half_width0, polygon)
@@ -257,8 +261,8 @@ def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     mx = 0.0
     my = 0.0
     for i in range(1, count - 1):
-        ax, ay = polygon[i] - polygon[0]
-        bx, by = polygon[i + 1] - polygon[0]
+        ax, ay = polygon[i, 0] - polygon[0, 0], polygon[i, 1] - polygon[0, 1]
+        bx, by = polygon[i + 1, 0] - polygon[0, 0], polygon[i + 1, 1] - polygon[0, 1]
         part = ax * by - ay * bx
         area += part
         mx += part * (ax + bx) / 3.0
@@ -268,7 +272,7 @@ def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
     return polygon[0, 0] + mx / area, polygon[0, 1] + my / area
 
 
-@kernel
+@inner_kernel
 def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
     """The axis of direction psi, turned to point along (dx, dy), and how deep shapes of this reach overlap on it."""
     ay, ax = sine_cosine(psi)
@@ -307,11 +311,17 @@ def contact_fault(state0, state1, half_length0, half_width0, half_length1, half_
     s, c = sine_cosine(psi1 - psi0)
     s, c = abs(s), abs(c)
     axes = np.empty((4, 3))  # unit vector from the first car towards the second, penetration along it
-    axes[0] = _axis(dx, dy, psi0, half_length0 + half_length1 * c + half_width1 * s)
-    axes[1] = _axis(dx, dy, psi0 + 0.5 * np.pi, half_width0 + half_length1 * s + half_width1 * c)
-    axes[2] = _axis(dx, dy, psi1, half_length1 + half_length0 * c + half_width0 * s)
-    axes[3] = _axis(dx, dy, psi1 + 0.5 * np.pi, half_width1 + half_length0 * s + half_width0 * c)
-    least = axes[:, 2].min()
+    reaches = (
+        half_length0 + half_length1 * c + half_width1 * s,
+        half_width0 + half_length1 * s + half_width1 * c,
+        half_length1 + half_length0 * c + half_width0 * s,
+        half_width1 + half_length0 * s + half_width0 * c,
+    )
+    least = np.inf
+    for i in range(4):
+        psi = (psi0 if i < 2 else psi1) + 0.5 * np.pi * (i % 2)
+        axes[i, 0], axes[i, 1], axes[i, 2] = _axis(dx, dy, psi, reaches[i])
+        least = min(least, axes[i, 2])
     nx = 0.0
     ny = 0.0
     for i in range(4):

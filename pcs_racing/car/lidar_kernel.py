@@ -54,7 +54,7 @@ class Beams(NamedTuple):
     sin: NDArray[np.float64]
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def _angle(x, y):  # type: ignore[no-untyped-def]
     """Direction of (x, y) in rad to 2e-8 (Abramowitz and Stegun 1964, 4.4.49); free of branches, to be vectorised."""
     ax = abs(x)
@@ -69,7 +69,7 @@ def _angle(x, y):  # type: ignore[no-untyped-def]
     return -a if y < 0.0 else a
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def _faces_lidar(ax, ay, bx, by):  # type: ignore[no-untyped-def]
     """Whether a segment has the lidar on its left and spans an angle (3e-7 rad) well above the error of `_angle`."""
     across = ax * by - ay * bx
@@ -199,7 +199,7 @@ def _follow(track, beams, x, y, cos, sin, k, reach):  # type: ignore[no-untyped-
     return min(cells * track.cell, reach) if cells < reach / track.cell else reach
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def _stands_out(out, k):  # type: ignore[no-untyped-def]
     """Whether the jump behind beam k is no mere slope: along a wall seen at a grazing angle ranges grow steadily."""
     before = abs(out[k] - out[max(k - 1, 0)])

@@ -12,17 +12,29 @@ References
 """
 
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_number
-from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.base.errors import InputError
 
-__all__ = ["F1TENTH", "STATE_SIZE", "ControlMode", "VehicleParams", "simulate", "step", "target_inputs"]
+__all__ = [
+    "F1TENTH",
+    "STATE_SIZE",
+    "ControlMode",
+    "Handling",
+    "VehicleParams",
+    "handling",
+    "runge_kutta",
+    "simulate",
+    "step",
+    "step_to_target",
+    "target_inputs",
+]
 
 # Columns of a vehicle state; X and Y share their numbers with a line of the track.
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
@@ -106,114 +118,199 @@ F1TENTH = VehicleParams()
 PARAMS_SIZE = 16
 
 
-@kernel(inline="always")
-def _limited_rate(delta, rate, p):  # type: ignore[no-untyped-def]
-    limit = p[STEER_MAX]
-    if (delta <= -limit and rate <= 0.0) or (delta >= limit and rate >= 0.0):
-        return 0.0
-    return min(max(rate, -p[STEER_RATE_MAX]), p[STEER_RATE_MAX])
+class Handling(NamedTuple):
+    """What the equations of motion need of a car's parameters.
+
+    The tyres' stiffness times the load on them is ``front - front_shift a`` and ``rear + rear_shift a`` under the
+    longitudinal acceleration a.
+    """
+
+    steer_max: float
+    steer_rate_max: float
+    v_min: float
+    v_max: float
+    a_max: float
+    v_switch: float
+    lf: float
+    lr: float
+    front: float
+    front_shift: float
+    rear: float
+    rear_shift: float
+    yaw_gain: float
+    slip_gain: float
 
 
-@kernel(inline="always")
-def _limited_acceleration(v, a, p):  # type: ignore[no-untyped-def]
-    if (v <= p[V_MIN] and a <= 0.0) or (v >= p[V_MAX] and a >= 0.0):
-        return 0.0
-    most = p[A_MAX] * p[V_SWITCH] / v if v > p[V_SWITCH] else p[A_MAX]
-    return min(max(a, -p[A_MAX]), most)
+@inner_kernel(forceinline=True)
+def handling(p):  # type: ignore[no-untyped-def]
+    """Work out :class:`Handling` from a row of parameters."""
+    slip_gain = p[MU] / (p[LF] + p[LR])
+    return Handling(
+        p[STEER_MAX],
+        p[STEER_RATE_MAX],
+        p[V_MIN],
+        p[V_MAX],
+        p[A_MAX],
+        p[V_SWITCH],
+        p[LF],
+        p[LR],
+        p[C_SF] * GRAVITY * p[LR],
+        p[C_SF] * p[H],
+        p[C_SR] * GRAVITY * p[LF],
+        p[C_SR] * p[H],
+        slip_gain * p[M] / p[INERTIA],
+        slip_gain,
+    )
 
 
-@kernel(inline="always")
-def _derivative(delta, v, psi, psi_dot, beta, rate, acceleration, p):  # type: ignore[no-untyped-def]
-    """Right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
-    rate = _limited_rate(delta, rate, p)
-    a = _limited_acceleration(v, acceleration, p)
-    lf = p[LF]
-    lr = p[LR]
-    wheelbase = lf + lr
-    if v < KINEMATIC_BELOW:
-        sin_delta, cos_delta = sine_cosine(delta)
-        tan_delta = sin_delta / cos_delta
-        slip = arctangent(tan_delta * lr / wheelbase)
-        slip_dot = lr * rate / (wheelbase * cos_delta**2 * (1.0 + (tan_delta * lr / wheelbase) ** 2))
-        _, cos_slip = sine_cosine(slip)
-        yaw = v * cos_slip * tan_delta / wheelbase
-        sin_beta, cos_beta = sine_cosine(beta)
-        yaw_dot = (
-            a * cos_beta * tan_delta - v * sin_beta * slip_dot * tan_delta + v * cos_beta * rate / cos_delta**2
-        ) / wheelbase
-        sine, cosine = sine_cosine(psi + slip)
-        return v * cosine, v * sine, rate, a, yaw, yaw_dot, slip_dot
-    front = p[C_SF] * (GRAVITY * lr - a * p[H])
-    rear = p[C_SR] * (GRAVITY * lf + a * p[H])
-    per_v = 1.0 / v
+@inner_kernel(forceinline=True)
+def _limited_rate(delta, rate, car):  # type: ignore[no-untyped-def]
+    limit = car.steer_max
+    least = -car.steer_rate_max if delta > -limit else 0.0
+    most = car.steer_rate_max if delta < limit else 0.0
+    return min(max(rate, least), most)
+
+
+@inner_kernel(forceinline=True)
+def _limited_acceleration(v, a, car):  # type: ignore[no-untyped-def]
+    least = -car.a_max if v > car.v_min else 0.0
+    most = car.a_max * (car.v_switch / v if v > car.v_switch else 1.0)
+    return min(max(a, least), most if v < car.v_max else 0.0)
+
+
+@inner_kernel
+def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):  # type: ignore[no-untyped-def]
+    """Right-hand side of the model at low speed, where the tyres roll without slip."""
+    sin_delta, cos_delta = sine_cosine(delta)
+    tan_delta = sin_delta / cos_delta
+    slip = arctangent(tan_delta * lr / wheelbase)
+    slip_dot = lr * rate / (wheelbase * cos_delta**2 * (1.0 + (tan_delta * lr / wheelbase) ** 2))
+    _, cos_slip = sine_cosine(slip)
+    yaw = v * cos_slip * tan_delta / wheelbase
+    sin_beta, cos_beta = sine_cosine(beta)
     yaw_dot = (
-        p[MU]
-        * p[M]
-        / (p[INERTIA] * wheelbase)
-        * (lf * front * delta + (lr * rear - lf * front) * beta - (lf * lf * front + lr * lr * rear) * psi_dot * per_v)
+        a * cos_beta * tan_delta - v * sin_beta * slip_dot * tan_delta + v * cos_beta * rate / cos_delta**2
+    ) / wheelbase
+    sine, cosine = sine_cosine(psi + slip)
+    return v * cosine, v * sine, rate, a, yaw, yaw_dot, slip_dot
+
+
+@inner_kernel(forceinline=True)
+def _derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  # type: ignore[no-untyped-def]
+    """Right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
+    rate = _limited_rate(delta, rate, car)
+    a = _limited_acceleration(v, acceleration, car)
+    if slow and v < KINEMATIC_BELOW:
+        return _kinematic_derivative(delta, v, psi, beta, rate, a, car.lr, car.lf + car.lr)
+    front = car.front - car.front_shift * a
+    rear = car.rear + car.rear_shift * a
+    front_moment = car.lf * front
+    rear_moment = car.lr * rear
+    turn = rear_moment - front_moment
+    per_v = 1.0 / v
+    turned = psi_dot * per_v
+    yaw_dot = car.yaw_gain * (
+        front_moment * delta + turn * beta - (car.lf * front_moment + car.lr * rear_moment) * turned
     )
-    beta_dot = (
-        p[MU] * per_v / wheelbase * (front * delta - (rear + front) * beta + (rear * lr - front * lf) * psi_dot * per_v)
-        - psi_dot
-    )
+    beta_dot = car.slip_gain * per_v * (front * delta - (rear + front) * beta + turn * turned) - psi_dot
     sine, cosine = sine_cosine(psi + beta)
     return v * cosine, v * sine, rate, a, psi_dot, yaw_dot, beta_dot
 
 
+@inner_kernel(forceinline=True)
+def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow):  # type: ignore[no-untyped-def]
+    """One classic Runge-Kutta step of a car with its inputs held; returns its new state.
+
+    Parameters
+    ----------
+    x, y, delta, v, psi, r, beta : float
+        The car's state.
+    rate, acceleration : float
+        Steering rate in rad/s and longitudinal acceleration in m/s^2; limited inside the derivative, in all four
+        stages.
+    car : Handling
+    dt : float
+        Length of the step in s.
+    slow : bool
+        Whether the speed may be below ``KINEMATIC_BELOW`` in one of the stages. Without it there is no branch, so that
+        loops over many cars use vector instructions.
+    """
+    h = 0.5 * dt
+    a0, a1, a2, a3, a4, a5, a6 = _derivative(delta, v, psi, r, beta, rate, acceleration, car, slow)
+    b0, b1, b2, b3, b4, b5, b6 = _derivative(
+        delta + h * a2, v + h * a3, psi + h * a4, r + h * a5, beta + h * a6, rate, acceleration, car, slow
+    )
+    c0, c1, c2, c3, c4, c5, c6 = _derivative(
+        delta + h * b2, v + h * b3, psi + h * b4, r + h * b5, beta + h * b6, rate, acceleration, car, slow
+    )
+    d0, d1, d2, d3, d4, d5, d6 = _derivative(
+        delta + dt * c2, v + dt * c3, psi + dt * c4, r + dt * c5, beta + dt * c6, rate, acceleration, car, slow
+    )
+    w = dt / 6.0
+    psi += w * (a4 + 2.0 * b4 + 2.0 * c4 + d4)
+    return (
+        x + w * (a0 + 2.0 * b0 + 2.0 * c0 + d0),
+        y + w * (a1 + 2.0 * b1 + 2.0 * c1 + d1),
+        delta + w * (a2 + 2.0 * b2 + 2.0 * c2 + d2),
+        v + w * (a3 + 2.0 * b3 + 2.0 * c3 + d3),
+        psi - 2.0 * np.pi * np.floor(psi * (0.5 / np.pi)),
+        r + w * (a5 + 2.0 * b5 + 2.0 * c5 + d5),
+        beta + w * (a6 + 2.0 * b6 + 2.0 * c6 + d6),
+    )
+
+
 @kernel
 def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
-    """Advance one vehicle in place by one classic Runge-Kutta step with its inputs held.
+    """Advance one vehicle in place by one step with its inputs held (`runge_kutta`).
 
     Parameters
     ----------
     state : ndarray, shape (7,)
         The vehicle's state, overwritten.
     rate, acceleration : float
-        Steering rate in rad/s and longitudinal acceleration in m/s^2; limited inside the derivative, in all four
-        stages.
+        Steering rate in rad/s and longitudinal acceleration in m/s^2.
     p : ndarray, shape (16,)
         Parameter row (:meth:`VehicleParams.as_row`).
     dt : float
         Length of the step in s.
     """
-    h = 0.5 * dt
-    delta, v, psi, r, beta = state[DELTA], state[V], state[PSI], state[PSI_DOT], state[BETA]
-    a0, a1, a2, a3, a4, a5, a6 = _derivative(delta, v, psi, r, beta, rate, acceleration, p)
-    b0, b1, b2, b3, b4, b5, b6 = _derivative(
-        delta + h * a2, v + h * a3, psi + h * a4, r + h * a5, beta + h * a6, rate, acceleration, p
+    state[X], state[Y], state[DELTA], state[V], state[PSI], state[PSI_DOT], state[BETA] = runge_kutta(
+        state[X],
+        state[Y],
+        state[DELTA],
+        state[V],
+        state[PSI],
+        state[PSI_DOT],
+        state[BETA],
+        rate,
+        acceleration,
+        handling(p),
+        dt,
+        True,
     )
-    c0, c1, c2, c3, c4, c5, c6 = _derivative(
-        delta + h * b2, v + h * b3, psi + h * b4, r + h * b5, beta + h * b6, rate, acceleration, p
-    )
-    d0, d1, d2, d3, d4, d5, d6 = _derivative(
-        delta + dt * c2, v + dt * c3, psi + dt * c4, r + dt * c5, beta + dt * c6, rate, acceleration, p
-    )
-    w = dt / 6.0
-    state[X] += w * (a0 + 2.0 * b0 + 2.0 * c0 + d0)
-    state[Y] += w * (a1 + 2.0 * b1 + 2.0 * c1 + d1)
-    state[DELTA] = delta + w * (a2 + 2.0 * b2 + 2.0 * c2 + d2)
-    state[V] = v + w * (a3 + 2.0 * b3 + 2.0 * c3 + d3)
-    psi += w * (a4 + 2.0 * b4 + 2.0 * c4 + d4)
-    state[PSI] = psi - 2.0 * np.pi * np.floor(psi / (2.0 * np.pi))
-    state[PSI_DOT] = r + w * (a5 + 2.0 * b5 + 2.0 * c5 + d5)
-    state[BETA] = beta + w * (a6 + 2.0 * b6 + 2.0 * c6 + d6)
 
 
-@kernel(inline="always")
-def target_inputs(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
+@inner_kernel(forceinline=True)
+def target_inputs(delta, v, steer, speed, car, dt):  # type: ignore[no-untyped-def]
     """Inputs that lead to a target steering angle and speed without chatter or overshoot.
 
     The steering moves at its full rate and arrives exactly; the speed error decays with a time constant of 0.1 s
-    where the
-    engine and the brakes allow it.
+    where the engine and the brakes allow it.
     """
-    steer = min(max(steer, -p[STEER_MAX]), p[STEER_MAX])
-    rate = (steer - state[DELTA]) / dt
-    rate = min(max(rate, -p[STEER_RATE_MAX]), p[STEER_RATE_MAX])
-    return rate, _limited_acceleration(state[V], 10.0 * (speed - state[V]), p)
+    steer = min(max(steer, -car.steer_max), car.steer_max)
+    rate = (steer - delta) / dt
+    rate = min(max(rate, -car.steer_rate_max), car.steer_rate_max)
+    return rate, _limited_acceleration(v, 10.0 * (speed - v), car)
 
 
-@kernel
+@inner_kernel
+def step_to_target(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
+    """Advance one vehicle in place by one step towards a target steering angle (rad) and speed (m/s)."""
+    rate, acceleration = target_inputs(state[DELTA], state[V], steer, speed, handling(p), dt)
+    step(state, rate, acceleration, p, dt)
+
+
+@inner_kernel
 def _gym_inputs(state, steer, speed, p):  # type: ignore[no-untyped-def]
     """Inputs of the established simulator's controllers: bang-bang steering and a speed gain that depends on the
     case.
@@ -243,7 +340,7 @@ def _simulate(states, controls, mode, dt, params):  # type: ignore[no-untyped-de
             first = controls[b, k, 0]
             second = controls[b, k, 1]
             if mode == 1:
-                first, second = target_inputs(state, first, second, p, dt)
+                first, second = target_inputs(state[DELTA], state[V], first, second, handling(p), dt)
             elif mode == 2:
                 delayed = controls[b, k - _GYM_DELAY, 0] if k >= _GYM_DELAY else 0.0
                 first, second = _gym_inputs(state, delayed, second, p)

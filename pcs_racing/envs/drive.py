@@ -1,47 +1,24 @@
-"""The control-level environment: steering and speed for one car, a policy in the other."""
+"""The environment at the level of steering and speed: one car for an agent, an opponent in the other."""
 
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import gymnasium as gym
-import numpy as np
-from gymnasium import spaces
-from numpy.typing import NDArray
+from gymnasium.vector import AutoresetMode
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.envs.drive_batch import EXTERNAL, DriveBatch, DriveOptions, Element, Opponent
+from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.drive_batch import EXTERNAL, DriveBatch
+from pcs_racing.envs.drive_options import DriveOptions
+from pcs_racing.envs.scalar import ScalarEnv
+from pcs_racing.envs.vector import BatchVectorEnv
+from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.rendering import MODES, VIEWS, Renderer
-from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track
 
-__all__ = ["EXTERNAL", "DriveEnv", "DriveState"]
+__all__ = ["EXTERNAL", "DriveEnv", "DriveVectorEnv"]
 
 
-class DriveState(NamedTuple):
-    """A moment of a :class:`DriveEnv`: a value that can be kept, copied, pickled and restored.
-
-    Attributes
-    ----------
-    races : RaceState
-        The one race.
-    opponents : ndarray, shape (1,)
-        Which of the opponents drives in it.
-    running : bool
-        Whether the episode goes on.
-    generator : dict
-        State of the random generator that the next episodes are drawn from.
-    """
-
-    races: RaceState
-    opponents: NDArray[np.int64]
-    running: bool
-    generator: dict[str, Any]
-
-
-class DriveEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class DriveEnv(ScalarEnv):
     """Drive one car against a motion planner, or alone.
 
     ## Description
@@ -109,11 +86,21 @@ class DriveEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     generator, and so are the opponent, if there are several, and the key of the race's noise: the steering disturbance
     of the preset "contest" and the noise of the lidar. Cars start at up to 4 m/s.
 
+    ``reset(options=...)`` takes ``start``, (arc length of the line in m, side: 0 puts the agent on the left or in
+    front); or ``poses``, (x, y, heading) or (x, y, heading, speed) of both cars, in m, rad and m/s; ``opponent`` and
+    ``track``, which replace the arguments from then on; and ``state``, what ``get_state()`` returned. Others are
+    refused.
+
     ## Episode End
 
-    *Terminated* by a crash of either car. *Truncated* after the preset's duration (40 s). The info of each step holds
-    ``time`` (s), ``progress`` and ``lead`` (m), ``crash`` and ``opponent_crash`` ("none", "wall" or "car"),
-    ``at_fault`` (whether the agent is to blame for a crash), ``overtakes``, and the name of the ``opponent``.
+    *Terminated* by a crash of either car. *Truncated* after the preset's duration (40 s).
+
+    ## Information
+
+    Numbers: ``time`` (s), ``progress`` and ``lead`` (m), ``crash`` and ``opponent_crash``
+    (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the agent is to blame for a crash),
+    ``overtakes``, and ``opponent``, the index of the episode's opponent (-1 if there is none).
+    ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.
 
     ## Arguments
 
@@ -121,10 +108,12 @@ class DriveEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     ----------
     track : str, Path or Track
         Name of a shipped circuit, a map folder, or a track.
-    opponent : str, Policy, None, or a list of them
-        "lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a list of policies of one planner, of which one
-        is drawn for each episode. With None the agent is alone on the track: the second car is not simulated, can't be
-        touched or seen, and its elements are 0.
+    opponent : str, competitor, None, or a list of them
+        "lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a driver. Or an agent of the game of moves
+        (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an object, such as "cfr-argmax": it changes its policy of
+        the archive every 8 s. Of a list, in which entries may be (weight, opponent), one is drawn for each episode; all
+        must drive with the same planner. With None the agent is alone on the track: the second car is not simulated,
+        can't be touched or seen, and its elements are 0.
     race : str, Path or RaceConfig
         Rules of the race: "paper", "contest", a YAML file or a configuration.
     duration : float, optional
@@ -149,18 +138,24 @@ class DriveEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         See *Rewards*.
     start_lines : int
         Number of start lines to draw from.
+    archive : str, Path or PolicyArchive
+        Policies of an opponent that moves.
     render_mode : {"rgb_array", "human"}, optional
     view : {"track", "both", "car_0", "car_1"}
         What a frame shows.
+    render_size : tuple of int
+        Width and height of a frame in pixels.
 
     Raises
     ------
     InputError
         If an argument, an action or the order of calls is impossible.
+    UnknownArgumentError
+        A TypeError, if there is no such argument.
 
     ## Vectorized environment
 
-    ``gym.make_vec("pcs_racing/Drive-v1", num_envs=256)`` gives :class:`pcs_racing.envs.drive_vector.DriveVectorEnv`:
+    ``gym.make_vec("pcs_racing/Drive-v1", num_envs=256)`` gives :class:`pcs_racing.envs.drive.DriveVectorEnv`:
     one compiled call for all races, and the same numbers as this class gives with the same seeds.
 
     ## Version History
@@ -177,12 +172,12 @@ class DriveEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     (149,)
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(MODES), "render_fps": 10}  # noqa: RUF012
+    batch_type = DriveBatch
 
     def __init__(
         self,
         track: str | Path | Track = "Tarnfjord",
-        opponent: Opponent = "lattice",
+        opponent: Any = "lattice",
         race: str | Path | RaceConfig = "paper",
         *,
         duration: float | None = None,
@@ -198,189 +193,70 @@ class DriveEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         rivalry: float = 0.0,
         crash_penalty: float = 10.0,
         start_lines: int = 100,
+        archive: str | Path | PolicyArchive = "default",
         render_mode: str | None = None,
         view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
+        **unknown: Any,
     ) -> None:
-        given = locals()
-        self._options = DriveOptions(**{field.name: given[field.name] for field in fields(DriveOptions)})
-        check_rendering(render_mode, view)
-        self.render_mode, self.view = render_mode, view
-        self._renderer: Renderer | None = None
-        self._batch = DriveBatch(1, self._options)
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / time_step))}
-        self.observation_space = spaces.Box(self._batch.low, self._batch.high, dtype=np.float32)
-        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self._row = np.zeros(1, np.int64)
-        self._running = False
-        self._started = False
-
-    @property
-    def elements(self) -> list[Element]:
-        """Name, unit, bounds and meaning of every element of the observation."""
-        return list(self._batch.elements)
-
-    @property
-    def track(self) -> Track:
-        """The circuit."""
-        return self._batch.track
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start a new episode.
-
-        Parameters
-        ----------
-        seed : int, optional
-            Begin anew with this seed; without it the generator goes on.
-        options : dict, optional
-            Ignored.
-
-        Returns
-        -------
-        observation : ndarray of float32
-        info : dict
-        """
-        super().reset(seed=checked_seed(seed))
-        self._batch.restart(self._row, [self.np_random])
-        self._running = self._started = True
-        out = np.empty((1, len(self._batch.low)), np.float32)
-        self._batch.observe(self._row, out)
-        if self.render_mode == "human":
-            self.render()
-        return out[0], self._batch.facts_of(0)
-
-    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Drive one step on.
-
-        Parameters
-        ----------
-        action : array_like, shape (2,)
-            Steering and speed in [-1, 1].
-
-        Returns
-        -------
-        observation : ndarray of float32
-        reward : float
-        terminated, truncated : bool
-        info : dict
-
-        Raises
-        ------
-        InputError
-            If the action is not two finite numbers, or no episode is running.
-        """
-        actions = self._batch.check_actions(action, (2,))
-        if not self._running:
-            raise InputError(
-                f"the episode {'has ended' if self._started else 'has not begun'}; call reset() before step()"
-            )
-        observations, reward, terminated, truncated = self._batch.step(actions)
-        ended, late = bool(terminated[0]), bool(truncated[0])
-        self._running = not (ended or late)
-        if self.render_mode == "human":
-            self.render()
-        return observations[0], float(reward[0]), ended, late, self._batch.facts_of(0)
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a frame (``"rgb_array"``), or show it (``"human"``).
-
-        Raises
-        ------
-        InputError
-            If there is no race to show yet, or the environment was made without a render mode.
-        """
-        if self.render_mode is None:
-            raise InputError("render_mode is None; make the environment with render_mode='rgb_array' or 'human'")
-        if not self._started:
-            raise InputError("there is nothing to render before reset()")
-        if self._renderer is None:
-            self._renderer = Renderer(
-                self.track, mode=self.render_mode, view=self.view, fps=float(self.metadata["render_fps"])
-            )
-        return draw_race(self._renderer, self._batch, 0)
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-
-    def get_state(self) -> DriveState:
-        """Return all that the rest of this episode, and all later ones, depend on."""
-        races, opponents = self._batch.get_state()
-        return DriveState(races, opponents, self._running, dict(self.np_random.bit_generator.state))
-
-    def set_state(self, state: DriveState) -> NDArray[np.float32]:
-        """Go on from a state that `get_state` returned, here or in an environment with equal arguments.
-
-        Returns
-        -------
-        ndarray of float32
-            The observation at that moment.
-
-        Raises
-        ------
-        InputError
-            If the state does not fit this environment.
-        """
-        if not isinstance(state, DriveState):
-            raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
-        self._batch.set_state(state.races, state.opponents)
-        self.np_random.bit_generator.state = state.generator
-        self._running, self._started = state.running, True
-        out = np.empty((1, len(self._batch.low)), np.float32)
-        self._batch.observe(self._row, out)
-        return out[0]
-
-    # Copies are made anew from the arguments: they share the track, and neither compiled code nor a window.
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        arguments = {field.name: getattr(self._options, field.name) for field in fields(DriveOptions)}
-        arguments |= {"render_mode": self.render_mode, "view": self.view}
-        return _rebuild, (type(self), arguments, self.get_state(), self._started)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "DriveEnv":
-        function, arguments = self.__reduce__()
-        return function(*arguments)
+        arguments = batch_arguments(DriveEnv, locals(), DriveOptions, unknown)
+        super().__init__(arguments, render_mode, view, render_size)
 
 
-def _rebuild(kind: type[DriveEnv], arguments: dict[str, Any], state: DriveState, started: bool) -> DriveEnv:
-    env = kind(**arguments)
-    env.set_state(state)
-    env._started = started
-    return env
+class DriveVectorEnv(BatchVectorEnv):
+    """Many :class:`DriveEnv` in one, with the same numbers for the same seeds.
 
-
-def checked_seed(seed: Any) -> int | None:
-    """Return a seed as Gymnasium wants it.
+    Parameters
+    ----------
+    num_envs : int
+        Number of races.
+    autoreset_mode : AutoresetMode or str
+        What happens after an episode has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
+    max_episode_steps : int, optional
+        Steps after which an episode is truncated, in addition to its duration.
+    threads : int, optional
+        Threads that share a step; the result does not depend on it. By default as many as there are cores, one for few
+        environments, and one where the opponent is plain Python.
+    render_mode, view, render_size, **options
+        As for :class:`DriveEnv`; `render` returns a frame for each race.
 
     Raises
     ------
     InputError
-        If it is neither None nor a whole number from 0.
+        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
+    UnknownArgumentError
+        A TypeError, if there is no such argument.
+
+    Examples
+    --------
+    >>> envs = DriveVectorEnv(16, opponent=None)
+    >>> observations, info = envs.reset(seed=1)
+    >>> observations.shape
+    (16, 41)
     """
-    if seed is None:
-        return None
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed is {seed!r}; it must be None or a whole number from 0")
-    return int(seed)
 
+    batch_type = DriveBatch
 
-def check_rendering(render_mode: str | None, view: str) -> None:
-    """Refuse a render mode or a view that there is not."""
-    if view not in VIEWS:
-        raise InputError(f"view is {view!r}; it must be one of {', '.join(VIEWS)}")
-    if render_mode is not None and render_mode not in MODES:
-        raise InputError(f"render_mode is {render_mode!r}; it must be None or one of {', '.join(MODES)}")
-
-
-def draw_race(renderer: Renderer, batch: DriveBatch, race: int) -> NDArray[np.uint8] | None:
-    """Draw one race of a batch as it stands."""
-    cars = batch.state.cars[race, :1] if batch.alone else batch.state.cars[race]
-    facts = batch.facts_of(race)
-    text = f"{facts['time']:.1f} s    {facts['progress']:.1f} m"
-    if not batch.alone:
-        text += f"    lead {facts['lead']:+.1f} m    against {facts['opponent']}"
-    plans = None if batch.alone else [np.full((1, 2), np.nan), batch.state.path[race, 1]]
-    return renderer.render(cars, plans=plans, text=text)
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
+        **options: Any,
+    ) -> None:
+        arguments = batch_arguments(DriveVectorEnv, {}, DriveOptions, options)
+        super().__init__(
+            num_envs,
+            arguments,
+            autoreset_mode=autoreset_mode,
+            max_episode_steps=max_episode_steps,
+            threads=threads,
+            render_mode=render_mode,
+            view=view,
+            render_size=render_size,
+        )

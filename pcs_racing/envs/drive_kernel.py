@@ -7,6 +7,7 @@ from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import car_hits_wall
 from pcs_racing.car.lidar_kernel import scan_into
+from pcs_racing.game.reward import step_reward
 from pcs_racing.race import state as _state
 from pcs_racing.race.kernel import CONTROL_EVERY, DT, advance_races, steering_noise
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
@@ -51,10 +52,7 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
                     draw = steering_noise(state.seed[race], 0, tick)
                     state.disturbance[race, 0] = keep * state.disturbance[race, 0] + gain * draw
                     state.command[race, 0, 0] += state.disturbance[race, 0]
-            rate, acceleration = _vehicle.target_inputs(
-                own, state.command[race, 0, 0], state.command[race, 0, 1], p, DT
-            )
-            _vehicle.step(own, rate, acceleration, p, DT)
+            _vehicle.step_to_target(own, state.command[race, 0, 0], state.command[race, 0, 1], p, DT)
             tick += 1
             state.tick[race] = tick
             if tick % CONTROL_EVERY == 0:
@@ -245,14 +243,15 @@ def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _settle(progress, crash, fault, tick, end_tick, weights, alone, before, reward, terminated, truncated, first, last):  # type: ignore[no-untyped-def]
+def _end_step(  # type: ignore[no-untyped-def]
+    progress, crash, fault, tick, end_tick, weights, alone, before, reward, terminated, truncated, first, last
+):
     """Rewards and ends after a step, from the progress before it and the state after it."""
-    per_metre, rivalry, penalty = weights
     for race in range(first, last):
         own = progress[race, 0] - before[race, 0]
         other = 0.0 if alone else progress[race, 1] - before[race, 1]
         ended = crash[race, 0] != 0 or crash[race, 1] != 0
-        reward[race] = per_metre * (own - rivalry * other) - (penalty if fault[race, 0] == 1 else 0.0)
+        reward[race] = step_reward(own, other, fault[race, 0], weights)
         terminated[race] = ended
         truncated[race] = not ended and tick[race] >= end_tick
 
@@ -270,7 +269,7 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
     limits : tuple of float
         Largest steering angle (rad) and top speed (m/s).
     weights : tuple of float
-        Reward for a metre, share of the opponent's progress that is taken off, penalty for an own crash.
+        As :func:`pcs_racing.game.reward.step_reward` takes them.
     sight : tuple
         ``ahead, alone, beams, noise`` of :func:`observe_races`.
     low, high, gain, shift, rows, out
@@ -293,7 +292,7 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
         advance_races(
             track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, first, last, scratch, work
         )
-    _settle(
+    _end_step(
         state.progress,
         state.crash,
         state.fault,

@@ -1,37 +1,27 @@
-"""The strategy level for a single agent: one car's moves, with an opponent in the other."""
+"""The environment at the level of strategy: the moves of one car for an agent, an opponent in the other."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.envs.drive import check_rendering, checked_seed
-from pcs_racing.envs.duel_batch import DuelBatch
-from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.game_batch import GameBatch
 from pcs_racing.envs.opponents import Opponent
+from pcs_racing.envs.scalar import ScalarEnv
+from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
-from pcs_racing.game.game import ObservationElement, RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.rendering import MODES, Renderer
 from pcs_racing.track.track import Track
 
-__all__ = ["DuelEnv", "DuelState", "DuelVectorEnv"]
+__all__ = ["DuelEnv", "DuelVectorEnv", "SelfPlayVectorEnv"]
 
 
-class DuelState(NamedTuple):
-    """A moment of a :class:`DuelEnv`: a value that can be kept, copied, pickled and restored."""
-
-    games: tuple[Any, ...]
-    running: bool
-    generator: dict[str, Any]
-
-
-class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
+class DuelEnv(ScalarEnv):
     """Play the game of moves in Policy Characteristic Space against an opponent.
 
     ## Description
@@ -74,12 +64,22 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
     Start line, side, both policies, the steering noise (none in "paper") and the opponent are drawn from the
     environment's generator; then the first step is driven. Should it end in a crash, the game is drawn again.
 
+    ``reset(options=...)`` takes ``policies`` (two indices of the archive; -1 draws one), ``start`` (arc length of the
+    line in m, and side: 0 puts car 0 on the left or in front), ``opponent`` and ``track``, which replace the arguments
+    from then on, and ``state``, what ``get_state()`` returned. Others are refused.
+
     ## Episode End
 
-    *Terminated* after the last move has been driven, or when a car crashes; never truncated. ``info`` holds ``move``
-    and ``opponent_move`` (names; "" before the first), ``policy`` (index in the archive), ``lead`` (m), ``crash`` and
-    ``opponent_crash`` ("", "wall" or "car"), ``fault``, ``result`` ("win", "tie", "loss", "crash" for a crash that pays
-    nobody, "" while the game goes on), ``opponent`` (its name) and ``action_mask``.
+    *Terminated* after the last move has been driven, or when a car crashes; never truncated.
+
+    ## Information
+
+    Numbers: ``time`` (s), ``progress`` and ``lead`` (m), ``crash`` and ``opponent_crash``
+    (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the own car is to blame for a crash),
+    ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that
+    pays nobody), ``opponent`` (index of the game's opponent), ``move`` and ``opponent_move`` (-1 before the first, and
+    for a driver), ``policy`` (index in the archive) and ``action_mask``. ``env.unwrapped.metadata["codes"]`` holds the
+    words of all codes; ``env.unwrapped.outcome()`` is the info in words.
 
     ## Arguments
 
@@ -87,13 +87,14 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
     ----------
     track : str, Path or Track
     archive : str, Path or PolicyArchive
-    opponent : str, Policy, object with ``predict``, callable, or list
-        "random-moves"; "never-switch" (a policy of the archive, drawn for each game and kept); "always-<move>", for
-        instance "always-aggressiveness +"; a driver such as "lane-switcher:3" or a Policy, which makes no moves; a
-        model of Stable-Baselines3 or any object with its ``predict(observation, state, episode_start, deterministic)``;
-        a function ``f(observation, generator) -> move``; or a mixture ``[(weight, opponent), ...]``, of which one is
-        drawn for each game. It sees what car 1 sees, and may make the moves that the rules offer: one that makes
-        "stay", as many agents of the zoo do, needs ``stay=True`` where the rules have no such move.
+    opponent : str, competitor, or list
+        By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each game and kept);
+        "always-<move>", for instance "always-aggressiveness +"; a driver such as "lane-switcher:3", which makes no
+        moves; or any agent of :mod:`pcs_racing_agents`, such as "cfr-argmax". As an object: an agent, a driver or a
+        policy; a model of Stable-Baselines3 or any object with its ``predict(observation, state, episode_start,
+        deterministic)``; an object with ``decide(game, state, car)``; or a function ``f(observation, generator) ->
+        move``. Of a list, in which entries may be (weight, opponent), one is drawn for each game. The opponent
+        observes what car 1 observes, and may also stay, whatever moves the rules offer.
     race : str, Path, RaceConfig or GameConfig
         Rules: "paper", "contest", a YAML file or a configuration.
     deterministic_opponent : bool
@@ -102,6 +103,8 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
     render_mode : {"rgb_array", "human"}, optional
     view : {"track", "both", "car_0", "car_1"}
         What a frame shows.
+    render_size : tuple of int
+        Width and height of a frame in pixels.
     **settings
         Fields of :class:`pcs_racing.game.config.GameConfig`: ``moves``, ``step_seconds``, ``epsilon``, ``stay``...
 
@@ -109,10 +112,12 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
     ------
     InputError
         If an argument, an action or the order of calls is impossible.
+    UnknownArgumentError
+        A TypeError, if there is no such argument.
 
     ## Vectorized environment
 
-    ``gym.make_vec("pcs_racing/Duel-v1", num_envs=256)`` gives :class:`pcs_racing.envs.duel_vector.DuelVectorEnv`: one
+    ``gym.make_vec("pcs_racing/Duel-v1", num_envs=256)`` gives :class:`pcs_racing.envs.duel.DuelVectorEnv`: one
     compiled call for all games, and the same numbers as this class gives with the same seeds.
 
     ## Version History
@@ -129,7 +134,8 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
     (31,)
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(MODES), "render_fps": 1}  # noqa: RUF012
+    batch_type = GameBatch
+    batch: GameBatch
 
     def __init__(
         self,
@@ -141,147 +147,117 @@ class DuelEnv(gym.Env[NDArray[np.float32], np.int64]):
         deterministic_opponent: bool = True,
         render_mode: str | None = None,
         view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
         **settings: Any,
     ) -> None:
-        if opponent is None:
-            raise InputError("opponent is None; name one, for instance 'random-moves'")
-        check_rendering(render_mode, view)
-        self.render_mode, self.view = render_mode, view
-        self._arguments = dict(
-            track=track,
-            archive=archive,
-            opponent=opponent,
-            race=race,
-            deterministic_opponent=deterministic_opponent,
-            **settings,
-        )
-        self._batch = DuelBatch(1, threads=1, **self._arguments)
-        self.observation_space = spaces.Box(self._batch.low, self._batch.high, dtype=np.float32)
-        self.action_space = spaces.Discrete(len(self.game.move_names))
-        self._running = False
-        self._renderer: Renderer | None = None
+        arguments = batch_arguments(DuelEnv, locals(), GameConfig, settings)
+        super().__init__(arguments, render_mode, view, render_size)
 
     @property
     def game(self) -> RaceGame:
         """The rules."""
-        return self._batch.game
-
-    @property
-    def elements(self) -> tuple[ObservationElement, ...]:
-        """Name, unit, bounds and meaning of every element of the observation."""
-        return self.game.observation_elements
+        return self.batch.game
 
     @property
     def opponents(self) -> list[Opponent]:
         """The opponents among which each episode's is drawn."""
-        return list(self._batch.opponents)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin a new game.
-
-        Parameters
-        ----------
-        seed : int, optional
-            Begin anew with this seed; without it the generator goes on.
-        options : dict, optional
-            Ignored.
-        """
-        super().reset(seed=checked_seed(seed))
-        self._batch.restart(np.zeros(1, np.int64), [self.np_random])
-        self._running = True
-        if self.render_mode == "human":
-            self.render()
-        return self._batch.seen[0, 0].copy(), self._facts()
-
-    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Make a move, and drive a step.
-
-        Parameters
-        ----------
-        action : int
-            Index of the move.
-
-        Raises
-        ------
-        InputError
-            If it is no move, or no game is going on.
-        """
-        moves = self._batch.check_actions(action, 1)
-        self._batch.started()
-        if not self._running:
-            raise InputError("the episode has ended; call reset() before step()")
-        utility, done = self._batch.step(moves, [self.np_random])
-        self._running = not bool(done[0])
-        if self.render_mode == "human":
-            self.render()
-        return self._batch.seen[0, 0].copy(), float(utility[0, 0]), bool(done[0]), False, self._facts()
+        return list(self.batch.opponents)
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Moves that may be made, shape (M,), as sb3-contrib's MaskablePPO asks for them."""
-        return self.game.action_mask(self._batch.started())[0, 0].copy()
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a frame (``"rgb_array"``), or show it (``"human"``).
-
-        Raises
-        ------
-        InputError
-            If there is no game to show yet, or the environment was made without a render mode.
-        """
-        if self.render_mode is None:
-            raise InputError("render_mode is None; make the environment with render_mode='rgb_array' or 'human'")
-        race = self._batch.started().race
-        if self._renderer is None:
-            self._renderer = Renderer(self.game.track, mode=self.render_mode, view=self.view)
-        facts = self._facts()
-        text = f"{race.tick[0] / 100:.0f} s    lead {facts['lead']:+.1f} m    {facts['move']}"
-        return self._renderer.render(race.cars[0], plans=race.path[0], text=f"{text}    against {facts['opponent']}")
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-
-    def get_state(self) -> DuelState:
-        """Return all that the rest of this game, and all later ones, depend on."""
-        return DuelState(self._batch.get_state(), self._running, dict(self.np_random.bit_generator.state))
-
-    def set_state(self, state: DuelState) -> NDArray[np.float32]:
-        """Go on from what `get_state` returned, here or in an environment with equal arguments.
-
-        Returns the observation at that moment.
-
-        Raises
-        ------
-        InputError
-            If the state does not fit this environment.
-        """
-        if not isinstance(state, DuelState):
-            raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
-        self._batch.set_state(state.games)
-        self.np_random.bit_generator.state = state.generator
-        self._running = state.running
-        return self._batch.seen[0, 0].copy()
-
-    def _facts(self) -> dict[str, Any]:
-        facts: dict[str, Any] = {}
-        for name, values in self._batch.facts().items():
-            facts[name] = values[0] if values.ndim > 1 or values.dtype == object else values[0].item()
-        return facts
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        arguments = {**self._arguments, "render_mode": self.render_mode, "view": self.view}
-        return _rebuild, (type(self), arguments, self.get_state())
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "DuelEnv":
-        function, arguments = self.__reduce__()
-        return function(*arguments)
+        return self.batch.action_masks()[0]
 
 
-def _rebuild(kind: type[DuelEnv], arguments: dict[str, Any], state: DuelState) -> DuelEnv:
-    env = kind(**arguments)
-    env.set_state(state)
-    return env
+class DuelVectorEnv(BatchVectorEnv):
+    """Many :class:`DuelEnv` in one, with the same numbers for the same seeds.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of games.
+    autoreset_mode : AutoresetMode or str
+        What happens after a game has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
+    max_episode_steps : int, optional
+        Moves after which a game is truncated.
+    threads : int, optional
+        Threads that share a step, all cores by default; the result does not depend on it.
+    track, archive, opponent, race, deterministic_opponent, render_mode, view, render_size, **settings
+        As for :class:`DuelEnv`; `render` returns a frame for each environment.
+
+    Raises
+    ------
+    InputError
+        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
+    UnknownArgumentError
+        A TypeError, if there is no such argument.
+
+    Examples
+    --------
+    >>> envs = DuelVectorEnv(4, opponent="never-switch")
+    >>> observations, info = envs.reset(seed=1)
+    >>> observations.shape
+    (4, 31)
+    """
+
+    batch_type = GameBatch
+    batch: GameBatch
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        track: Track | str | Path = "Tarnfjord",
+        archive: PolicyArchive | str | Path = "default",
+        opponent: Any = "random-moves",
+        race: GameConfig | RaceConfig | str | Path = "paper",
+        deterministic_opponent: bool = True,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
+        **settings: Any,
+    ) -> None:
+        super().__init__(
+            num_envs,
+            batch_arguments(DuelVectorEnv, locals(), GameConfig, settings),
+            autoreset_mode=autoreset_mode,
+            max_episode_steps=max_episode_steps,
+            threads=threads,
+            render_mode=render_mode,
+            view=view,
+            render_size=render_size,
+            players=self._players,
+        )
+
+    _players = 1
+
+    @property
+    def game(self) -> RaceGame:
+        """The rules."""
+        return self.batch.game
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Moves that each player may make, shape (num_envs, M), as sb3-contrib's MaskablePPO asks for them."""
+        return self.batch.action_masks()
+
+
+class SelfPlayVectorEnv(DuelVectorEnv):
+    """Games in which both cars belong to the agent: environment ``2 i`` is car 0 of game ``i``, ``2 i + 1`` its car 1.
+
+    One policy that acts in all environments plays against itself; rewards of a pair add up to zero. Seeds belong to
+    games: ``reset(seed=...)`` takes one for each game.
+
+    Parameters
+    ----------
+    num_envs : int
+        Twice the number of games.
+    **arguments
+        As for :class:`DuelVectorEnv`, without ``opponent``.
+    """
+
+    _players = 2
+
+    def __init__(self, num_envs: int = 2, *, opponent: None = None, **arguments: Any) -> None:
+        super().__init__(num_envs, opponent=opponent, **arguments)

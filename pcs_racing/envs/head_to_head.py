@@ -1,4 +1,4 @@
-"""The strategy-level environment for two agents, in PettingZoo's parallel and turn-by-turn (AEC) interfaces."""
+"""The environment at the level of strategy for two agents, in PettingZoo's parallel and turn-by-turn interfaces."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -11,27 +11,29 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.opponents import as_array
+from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.batch import check_options, check_rendering, check_seed
+from pcs_racing.envs.game_batch import GameBatch, draw_game
+from pcs_racing.envs.infos import words
+from pcs_racing.envs.scalar import REBUILDING
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
-from pcs_racing.game.game import RaceGame, make_game
-from pcs_racing.game.state import GameState, empty_game
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.game.state import GameState
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import advance
-from pcs_racing.race.rendering import MODES, VIEWS, Renderer
-from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import CAR_CRASH, WALL_CRASH
+from pcs_racing.race.rendering import Renderer
 from pcs_racing.track.track import Track
 
 __all__ = ["AGENTS", "HeadToHeadEnv", "HeadToHeadState", "env", "parallel_env"]
 
 AGENTS = ("car_0", "car_1")
-CRASHES = {WALL_CRASH: "wall", CAR_CRASH: "car"}
 FRAME_TICKS = 20  # simulation steps between two frames of a window
 WINDOW_FPS = 20.0  # so that a window shows four seconds of racing per second
 TRAIL = 10  # frames of trail behind each car
 
 Observations = dict[str, NDArray[np.float32]]
+Infos = dict[str, dict[str, Any]]
 
 
 class HeadToHeadState(NamedTuple):
@@ -39,23 +41,20 @@ class HeadToHeadState(NamedTuple):
 
     Attributes
     ----------
-    game : GameState or None
-        The one game; None before the first reset.
-    moves : tuple of int
-        Last move of each car; -1 before the first.
+    batch : tuple
+        State of the batch of one game.
     cycles : int
         Steps since the reset.
     over : bool
-        Whether the episode has ended.
-    random : dict or None
+        Whether no episode goes on.
+    generator : dict or None
         State of the generator that draws the next episode; None before the first reset.
     """
 
-    game: GameState | None
-    moves: tuple[int, int]
+    batch: tuple[Any, ...]
     cycles: int
     over: bool
-    random: Mapping[str, Any] | None
+    generator: Mapping[str, Any] | None
 
 
 class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
@@ -108,7 +107,8 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
     first step is driven. Should it end in a crash, the game is drawn again. `reset(options=...)` takes `policies`
     (two indices of the archive; -1 draws one) and `start` (arc length of the line in m, and side: 0 puts `car_0` on
     the left or in front). If both are given and the first step ends in a crash, the first call of `step` ends the
-    game. Other options are ignored.
+    game. `track` and `opponent` replace the arguments from then on; `state` continues from what `get_state()`
+    returned. Other options are refused.
 
     ## Episode End
 
@@ -117,17 +117,22 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     ## Information
 
-    `info` of each agent holds `move` (name of its last move, `""` before the first), `policy` (index in the archive),
-    `lead` (own, m), `crash` (`""`, `"wall"` or `"car"`), `fault` (whether it is to blame), `result` (`"win"`,
-    `"tie"`, `"loss"`, `"crash"` for a crash that pays nobody, `""` while the game goes on) and `action_mask`.
+    `info` of each agent holds numbers: `time` (s), `progress` and `lead` (own, m), `crash` and `opponent_crash`
+    (`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), `fault` (1 if it is to blame), `overtakes`, `result`
+    (`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that pays nobody), `opponent` (-1: the
+    other agent), `move` and `opponent_move` (-1 before the first), `policy` (index in the archive) and `action_mask`.
+    `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
 
     ## Arguments
 
     - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`.
     - `archive` (`"default"`): an archive's name, its folder, or a `PolicyArchive`.
     - `race` (`"paper"`): rules of the race: `"paper"`, `"contest"`, a YAML file, a `RaceConfig`; or a `GameConfig`.
+    - `opponent` (`None`): what drives `car_1` in place of a second agent: as for `pcs_racing/Duel-v1`. Then `car_0` is
+      the only agent.
+    - `deterministic_opponent` (`True`): whether a model takes its best move.
     - `render_mode` (`None`): `"rgb_array"`: `render()` returns a picture; `"human"`: every step is shown in a window.
-    - `render_view` (`"both"`): `"track"`, `"both"`, `"car_0"` or `"car_1"`.
+    - `view` (`"both"`): `"track"`, `"both"`, `"car_0"` or `"car_1"`.
     - `render_size` (`(960, 640)`): width and height in pixels.
     - `max_cycles` (`None`): moves after which an episode is truncated.
     - every field of `GameConfig`: `moves` (4), `step_seconds` (8.0), `epsilon` (0.5; one number, or several), `stay`
@@ -136,7 +141,7 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     ## Vectorized environment
 
-    `pcs_racing.game.game.RaceGame` plays any number of games at once, with the same rules: this environment is a batch
+    `pcs_racing.game.rules.RaceGame` plays any number of games at once, with the same rules: this environment is a batch
     of one. `gymnasium.make_vec("pcs_racing/Duel-v1", num_envs=256)` is the single-agent view of such a batch.
 
     ## Version History
@@ -159,82 +164,101 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         archive: PolicyArchive | str | Path = "default",
         race: GameConfig | RaceConfig | str | Path = "paper",
         *,
+        opponent: Any = None,
+        deterministic_opponent: bool = True,
         render_mode: str | None = None,
-        render_view: str = "both",
+        view: str = "both",
         render_size: tuple[int, int] = (960, 640),
         max_cycles: int | None = None,
         **settings: Any,
     ) -> None:
-        if render_mode is not None and render_mode not in MODES:
-            raise InputError(f"render_mode is {render_mode!r}; it must be None or one of {', '.join(MODES)}")
-        if render_view not in VIEWS:
-            raise InputError(f"render_view is {render_view!r}; it must be one of {', '.join(VIEWS)}")
+        check_rendering(render_mode, view)
         whole = isinstance(max_cycles, int | np.integer) and not isinstance(max_cycles, bool)
         if max_cycles is not None and not (whole and max_cycles >= 1):
             raise InputError(f"max_cycles is {max_cycles!r}; it must be None or a whole number from 1")
-        self.game: RaceGame = make_game(track, archive, race, **settings)
-        self.render_mode = render_mode
-        self.render_view = render_view
-        self.render_size = render_size
+        arguments = batch_arguments(HeadToHeadEnv, locals(), GameConfig, settings)
+        arguments.pop("max_cycles")
+        self._arguments = arguments
+        self._use(self._make_batch(arguments))
+        self.render_mode, self.view, self.render_size = render_mode, view, render_size
         self.max_cycles = max_cycles
-        self.possible_agents = list(AGENTS)
+        self.possible_agents = list(AGENTS[: self.batch.players])
         self.agents: list[str] = []
-        elements = self.game.observation_elements
-        low, high = (np.array([getattr(e, end) for e in elements], np.float32) for end in ("low", "high"))
-        self.observation_spaces: dict[str, spaces.Space[Any]] = {name: spaces.Box(low, high) for name in AGENTS}
-        self.action_spaces: dict[str, spaces.Space[Any]] = {
-            name: spaces.Discrete(len(self.game.move_names)) for name in AGENTS
+        box, discrete = self.batch.observation_space, self.batch.action_space
+        self.observation_spaces: dict[str, spaces.Space[Any]] = {
+            name: spaces.Box(box.low, box.high) for name in self.possible_agents
         }
-        self.state_space = spaces.Box(np.tile(low, 2), np.tile(high, 2))
-        self._random: np.random.Generator | None = None
-        self._state: GameState | None = None
+        self.action_spaces: dict[str, spaces.Space[Any]] = {
+            name: spaces.Discrete(int(discrete.n)) for name in self.possible_agents
+        }
+        self.state_space = spaces.Box(np.tile(box.low, 2), np.tile(box.high, 2))
+        self._generator: np.random.Generator | None = None
         self._before: GameState | None = None  # what the last step began with: frames are driven again from it
-        self._moves = (-1, -1)
         self._cycles = 0
         self._renderer: Renderer | None = None
+
+    def _make_batch(self, arguments: dict[str, Any]) -> GameBatch:
+        return GameBatch(1, threads=1, players=2 if arguments["opponent"] is None else 1, **arguments)
+
+    def _use(self, batch: GameBatch) -> None:
+        self.batch = batch
+        self.metadata = {**type(self).metadata, "codes": batch.codes}  # type: ignore[misc]
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and copy everything but the window."""
         return {**self.__dict__, "_renderer": None}
 
+    @property
+    def game(self) -> RaceGame:
+        """The rules."""
+        return self.batch.game
+
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Observation space of an agent; always the same object."""
-        return self.observation_spaces[_known(agent)]
+        return self.observation_spaces[self._known(agent)]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
         """Action space of an agent; always the same object."""
-        return self.action_spaces[_known(agent)]
+        return self.action_spaces[self._known(agent)]
 
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, dict[str, dict[str, Any]]]:
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Begin a new game; with a seed, the one that belongs to it.
 
         Raises
         ------
         InputError
-            If the seed or one of the options ``policies`` and ``start`` is impossible.
+            If the seed or an option is impossible or unknown.
         """
-        if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0):
-            raise InputError(f"seed is {seed!r}; it must be None or a whole number from 0")
-        random = self._random
-        if seed is not None or random is None:
-            random = np.random.default_rng(seed)
-        policies, starts = _options(options)
-        key = random.integers(2**63, size=1, dtype=np.int64)
-        self._state = self.game.reset(key, policies=policies, starts=starts)
-        self._random = random
-        self._before = None
-        self._moves = (-1, -1)
-        self._cycles = 0
-        self.agents = list(AGENTS)
+        number = check_seed(seed)
+        given = check_options(options, (*REBUILDING, "state", "options", *self.batch.reset_options))
+        given.pop("options", None)  # what the API tests of PettingZoo hand over to every environment
+        state = given.pop("state", None)
+        if state is not None:
+            if given or number is not None:
+                raise InputError("reset option 'state' was given with others or a seed; it leaves nothing to choose")
+            self.set_state(state)
+            return self._observations(), self._infos()
+        changes = {name: given.pop(name) for name in REBUILDING if name in given}
+        batch = self._make_batch({**self._arguments, **changes}) if changes else self.batch
+        if batch.players != len(self.possible_agents):
+            raise InputError("reset option 'opponent' needs an environment that was made with an opponent")
+        generator = self._generator
+        if number is not None or generator is None:
+            generator = np.random.default_rng(number)
+        batch.restart(np.zeros(1, np.int64), [generator], given)
+        if changes:
+            self.close()
+            self._arguments = {**self._arguments, **changes}
+            self._use(batch)
+        self._generator, self._before, self._cycles = generator, None, 0
+        self.agents = list(self.possible_agents)
         if self.render_mode == "human":
             self.render()
-        return self._observations(self._state), self._infos(self._state)
+        return self._observations(), self._infos()
 
     def step(
         self, actions: Mapping[str, Any]
-    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
         """Let both cars move, and drive a step.
 
         Raises
@@ -242,28 +266,31 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         InputError
             If there is no game going on, an action is missing, or it is no move.
         """
-        state = self._current()
+        before = self.batch.started()
         if not self.agents:
             raise InputError("the game is over; call reset() to begin a new one")
-        moves = tuple(self._action(actions, agent) for agent in AGENTS)
-        after = self.game.step(state, np.array([moves], np.int64))
-        self._before, self._state = state, after
-        self._moves = (moves[0], moves[1])
+        agents = self.possible_agents
+        if not isinstance(actions, Mapping) or any(agent not in actions for agent in agents):
+            raise InputError(f"actions are {actions!r}; they must hold a move for each of {', '.join(agents)}")
+        moves = [actions[agent] for agent in agents]
+        _, rewards, terminated, _ = self.batch.step(
+            self.batch.check_actions(moves, (len(agents),)), [self._generator or np.random.default_rng()]
+        )
+        self._before = before
         self._cycles += 1
-        over = bool(self.game.done(after)[0])
+        over = bool(terminated[0])
         cut = not over and self.max_cycles is not None and self._cycles >= self.max_cycles
-        utility = self.game.utility(after)[0]
         if over or cut:
             self.agents = []
         if self.render_mode == "human":
             for frame in self.frames():
                 del frame  # shown by the renderer
         return (
-            self._observations(after),
-            {agent: float(utility[car]) for car, agent in enumerate(AGENTS)},
-            dict.fromkeys(AGENTS, over),
-            dict.fromkeys(AGENTS, cut),
-            self._infos(after),
+            self._observations(),
+            {agent: float(reward) for agent, reward in zip(agents, rewards, strict=True)},
+            dict.fromkeys(agents, over),
+            dict.fromkeys(agents, cut),
+            self._infos(),
         )
 
     def state(self) -> NDArray[np.float32]:
@@ -274,19 +301,19 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         InputError
             Before the first reset.
         """
-        return self.game.observation(self._current())[0].reshape(-1)
+        self.batch.started()
+        return self.batch.seen[0].reshape(-1).copy()
+
+    def outcome(self) -> dict[str, dict[str, Any]]:
+        """Return the info of each agent at this moment in words, for people."""
+        return {agent: words(info, self.batch.codes) for agent, info in self._infos().items()}
 
     # The environment as a value
 
     def get_state(self) -> HeadToHeadState:
         """Return everything that the future of this environment depends on, as an independent value."""
-        return HeadToHeadState(
-            game=None if self._state is None else self._state.copy(),
-            moves=self._moves,
-            cycles=self._cycles,
-            over=not self.agents,
-            random=None if self._random is None else self._random.bit_generator.state,
-        )
+        generator = None if self._generator is None else self._generator.bit_generator.state
+        return HeadToHeadState(self.batch.get_state(), self._cycles, not self.agents, generator)
 
     def set_state(self, state: HeadToHeadState) -> None:
         """Continue from a moment that :meth:`get_state` of an environment with the same arguments returned.
@@ -298,39 +325,16 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         """
         if not isinstance(state, HeadToHeadState):
             raise InputError(f"state is of type {type(state).__name__}; it must be what get_state() returned")
-        if state.game is not None:
-            self._check(state.game)
-        random = None
-        if state.random is not None:
-            random = np.random.default_rng()
+        generator = None
+        if state.generator is not None:
+            generator = np.random.default_rng()
             try:
-                random.bit_generator.state = state.random
+                generator.bit_generator.state = state.generator
             except (TypeError, ValueError, KeyError) as error:
                 raise InputError(f"the state's random generator can't be restored: {error}") from None
-        self._random = random
-        self._state = None if state.game is None else state.game.copy()
-        self._before = None
-        self._moves = state.moves
-        self._cycles = state.cycles
-        self.agents = [] if state.over else list(AGENTS)
-
-    def _check(self, game: GameState) -> None:
-        setup = self.game.setup
-        steps, axes = self.game.config.moves + 1, len(self.game.characteristics)
-        model = empty_game(1, setup.memory_size, setup.theta_size, steps, axes)
-        names = (*game.race._fields, *game._fields[1:])
-        given: list[Any] = [*game.race, *game[1:]]
-        wanted: list[Any] = [*model.race, *model[1:]]
-        for name, array, like in zip(names, given, wanted, strict=True):
-            if not isinstance(array, np.ndarray) or array.shape != like.shape:
-                raise InputError(
-                    f"the state's {name} has shape {np.shape(array)}; in this environment it must be "
-                    f"{like.shape}: it belongs to another archive, planner or number of moves"
-                )
-        if not ((game.policy >= 0) & (game.policy < len(self.game.archive))).all():
-            raise InputError(
-                f"the state's policies {game.policy[0].tolist()} are not all in archive {self.game.archive.name!r}"
-            )
+        self.batch.set_state(state.batch)
+        self._generator, self._before, self._cycles = generator, None, state.cycles
+        self.agents = [] if state.over else list(self.possible_agents)
 
     # Pictures
 
@@ -338,14 +342,14 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         """Draw this moment: an array (height, width, 3) of uint8; None where a window shows it or nothing is drawn."""
         if self.render_mode is None:
             return None
-        return self._draw(self._current(), None)
+        return self._draw(self.batch.started(), None)
 
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:
         """Drive the last step again and draw five moments of each second: what `render` gives, for videos."""
         if self.render_mode is None or self._before is None:
             return
         state = self._before.copy()
-        race, theta = state.race, self._current().theta
+        race, theta = state.race, self.batch.started().theta
         trail: list[NDArray[np.float64]] = []
         for _ in range(0, self.game.config.step_ticks, FRAME_TICKS):
             before = int(race.tick[0])
@@ -363,93 +367,22 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     def _draw(self, state: GameState, trails: NDArray[np.float64] | None) -> NDArray[np.uint8] | None:
         if self._renderer is None:
-            width, height = self.render_size
             mode = self.render_mode or "rgb_array"
-            self._renderer = Renderer(self.game.track, width, height, mode, view=self.render_view, fps=WINDOW_FPS)
-        moves = " | ".join(
-            f"{agent}: {self.game.move_names[move] if move >= 0 else 'watching'}"
-            for agent, move in zip(AGENTS, self._moves, strict=True)
-        )
-        race = state.race
-        text = f"{race.tick[0] / 100:.1f} s | lead of car_0 {race.lead[0]:+.1f} m | {moves}"
-        plans = [path[:, :2] for path in race.path[0] if path.any()]
-        shown = plans if len(plans) == len(AGENTS) else None
-        return self._renderer.render(race.cars[0], plans=shown, trails=trails, text=text)
+            self._renderer = Renderer(self.game.track, *self.render_size, mode, view=self.view, fps=WINDOW_FPS)
+        return draw_game(self._renderer, self.batch, state, 0, trails)
 
-    # What the agents are told
+    # What the agents observe
 
-    def _current(self) -> GameState:
-        if self._state is None:
-            raise InputError("there is no game yet; call reset() first")
-        return self._state
+    def _observations(self) -> Observations:
+        return {agent: self.batch.seen[0, car].copy() for car, agent in enumerate(self.possible_agents)}
 
-    def _action(self, actions: Mapping[str, Any], agent: str) -> int:
-        if not isinstance(actions, Mapping) or agent not in actions:
-            raise InputError(f"actions are {actions!r}; they must hold a move for each of {', '.join(AGENTS)}")
-        action = as_array(actions[agent])
-        count = len(self.game.move_names)
-        if action.shape != () or action.dtype.kind not in "iu" or not 0 <= int(action) < count:
-            raise InputError(
-                f"action of {agent} is {actions[agent]!r}; it must be a whole number from 0 to {count - 1} "
-                f"({', '.join(self.game.move_names)})"
-            )
-        return int(action)
+    def _infos(self) -> Infos:
+        return {agent: self.batch.info(car) for car, agent in enumerate(self.possible_agents)}
 
-    def _observations(self, state: GameState) -> Observations:
-        seen = self.game.observation(state)[0]
-        return {agent: seen[car].copy() for car, agent in enumerate(AGENTS)}
-
-    def _infos(self, state: GameState) -> dict[str, dict[str, Any]]:
-        race = state.race
-        mask = self.game.action_mask(state)[0]
-        return {
-            agent: {
-                "move": self.game.move_names[self._moves[car]] if self._moves[car] >= 0 else "",
-                "policy": int(state.policy[0, car]),
-                "lead": float(race.lead[0]) * (1.0 if car == 0 else -1.0),
-                "crash": CRASHES.get(int(race.crash[0, car]), ""),
-                "fault": bool(race.fault[0, car]),
-                "result": self._result(state, car),
-                "action_mask": mask[car].astype(np.int8),
-            }
-            for car, agent in enumerate(AGENTS)
-        }
-
-    def _result(self, state: GameState, car: int) -> str:
-        if not self.game.done(state)[0]:
-            return ""
-        winner = int(self.game.winner(state)[0])
-        if winner < 0:
-            return "crash" if state.race.crashed[0] else "tie"
-        return "win" if winner == car else "loss"
-
-
-def _known(agent: str) -> str:
-    if agent not in AGENTS:
-        raise InputError(f"agent {agent!r} is unknown; the agents are {', '.join(AGENTS)}")
-    return agent
-
-
-def _options(options: dict[str, Any] | None) -> tuple[NDArray[np.int64] | None, Starts | None]:
-    """Policies and start that the options of a reset ask for."""
-    policies = starts = None
-    chosen = {} if options is None else options
-    if not isinstance(chosen, Mapping):
-        raise InputError(f"options are {options!r}; they must be None or a mapping")
-    if chosen.get("policies") is not None:
-        policies = as_array(chosen["policies"])
-        if policies.shape != (2,):
-            raise InputError(f"option policies is {chosen['policies']!r}; it must be two indices of the archive")
-        policies = policies[None]
-    if chosen.get("start") is not None:
-        try:
-            s, side = (float(value) for value in chosen["start"])
-        except (TypeError, ValueError):
-            s, side = np.nan, np.nan
-        if not np.isfinite(s) or side not in (0.0, 1.0):
-            raise InputError(f"option start is {chosen['start']!r}; it must be an arc length in m, and side 0 or 1")
-        starts = Starts(np.array([s]), np.array([int(side)], np.int64))
-    return policies, starts
+    def _known(self, agent: str) -> str:
+        if agent not in self.possible_agents:
+            raise InputError(f"agent {agent!r} is unknown; the agents are {', '.join(self.possible_agents)}")
+        return agent
 
 
 def parallel_env(**arguments: Any) -> HeadToHeadEnv:

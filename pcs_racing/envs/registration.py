@@ -9,7 +9,7 @@ PETTINGZOO_ID = "pcs_racing/head_to_head-v1"
 
 GYMNASIUM_IDS = {
     "pcs_racing/Duel-v1": ("pcs_racing.envs.duel:DuelEnv", "pcs_racing.envs.duel:DuelVectorEnv"),
-    "pcs_racing/Drive-v1": ("pcs_racing.envs.drive:DriveEnv", "pcs_racing.envs.drive_vector:DriveVectorEnv"),
+    "pcs_racing/Drive-v1": ("pcs_racing.envs.drive:DriveEnv", "pcs_racing.envs.drive:DriveVectorEnv"),
 }
 """Where the environment and its vector environment are, by name."""
 

@@ -4,16 +4,17 @@ This module is the only one that imports Stable-Baselines3: ``pip install "pcs-r
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.envs.drive_vector import DriveVectorEnv
-from pcs_racing.envs.duel_vector import DuelVectorEnv, SelfPlayVectorEnv
+from pcs_racing.envs.drive import DriveVectorEnv
+from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
+from pcs_racing.envs.vector import BatchVectorEnv
 
 try:
     from stable_baselines3.common.monitor import Monitor
@@ -61,41 +62,69 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
     """
     if kind not in KINDS:
         raise UnknownNameError(f"environment {kind!r} is unknown; there are {', '.join(KINDS)}")
-    return SB3VecEnv(KINDS[kind](num_envs, **arguments))
+    return SB3VecEnv(KINDS[kind](num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments))
 
 
 class SB3VecEnv(VecEnv):
-    """A compiled batch as Stable-Baselines3 wants it.
+    """One or several compiled batches, one after the other, as a vector environment of Stable-Baselines3.
 
-    ``infos`` hold ``terminal_observation`` and ``TimeLimit.truncated`` where an episode ended, and ``episode`` (return
-    ``r``, length ``l``, time ``t``), so no Monitor is needed.
+    ``infos`` hold, where an episode ended, its last info, ``terminal_observation``, ``TimeLimit.truncated`` and
+    ``episode`` (return ``r``, length ``l``, time ``t``), so no Monitor is needed.
 
     Parameters
     ----------
-    envs : VectorEnv
-        One that begins anew in the same step.
+    envs : BatchVectorEnv, or sequence of them
+        Such as :class:`DuelVectorEnv`, with ``autoreset_mode="SAME_STEP"``, and all with the same spaces.
+    seeds : sequence of int, optional
+        Seed of each batch at every reset, in place of what `seed` was called with.
+    reward_scale : float
+        What rewards are multiplied by.
+
+    Raises
+    ------
+    InputError
+        If there is anything else among the environments.
     """
 
-    def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
-        if not isinstance(envs, DuelVectorEnv | DriveVectorEnv):
-            raise InputError(f"envs is a {type(envs).__name__}; it must be a DuelVectorEnv or a DriveVectorEnv")
-        self.envs = envs
+    def __init__(
+        self,
+        envs: BatchVectorEnv | Sequence[BatchVectorEnv],
+        *,
+        seeds: Sequence[int] | None = None,
+        reward_scale: float = 1.0,
+    ) -> None:
+        self.groups: list[Any] = list(envs) if isinstance(envs, list | tuple) else [envs]
+        for group in self.groups:
+            if not isinstance(group, BatchVectorEnv) or group.autoreset_mode is not AutoresetMode.SAME_STEP:
+                raise InputError(
+                    f"envs hold a {type(group).__name__}; they must be environments such as DuelVectorEnv or "
+                    "DriveVectorEnv, with autoreset_mode='SAME_STEP'"
+                )
+        first = self.groups[0]
+        self._group_seeds, self._scale = seeds, reward_scale
+        self._edges = np.cumsum([0, *(group.num_envs for group in self.groups)])
         self._actions: Any = None
-        self._returns = np.zeros(envs.num_envs)
-        self._lengths = np.zeros(envs.num_envs, np.int64)
+        self._returns = np.zeros(int(self._edges[-1]))
+        self._lengths = np.zeros(len(self._returns), np.int64)
         self._began = time.time()
-        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+        super().__init__(len(self._returns), first.single_observation_space, first.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
         """Begin new episodes everywhere, with the seeds that `seed` set if they are new."""
-        players = getattr(self.envs, "players", 1)
-        observations, info = self.envs.reset(seed=self._seeds[::players])
-        self.reset_infos = self._infos(info)
+        observations = []
+        self.reset_infos = []
+        for k, group in enumerate(self.groups):
+            own: Any = self._seeds[self._edges[k] : self._edges[k + 1] : group.players]
+            if self._group_seeds is not None:
+                own = self._group_seeds[k]
+            seen, info = group.reset(seed=own)
+            observations.append(seen)
+            self.reset_infos += _infos(info, range(group.num_envs))
         self._reset_seeds()
         self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        return observations
+        return np.concatenate(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions for `step_wait`."""
@@ -103,67 +132,83 @@ class SB3VecEnv(VecEnv):
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Make the step."""
-        observations, rewards, terminated, truncated, info = self.envs.step(self._actions)
+        pieces = np.split(self._actions, self._edges[1:-1])
+        steps = [group.step(piece) for group, piece in zip(self.groups, pieces, strict=True)]
+        observations, rewards, terminated, truncated = (np.concatenate([step[i] for step in steps]) for i in range(4))
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        if done.any():
-            final = self._infos(info["final_info"], np.flatnonzero(done))
-            for i in np.flatnonzero(done):
-                infos[i] = final[i]
-                infos[i]["terminal_observation"] = info["final_obs"][i]
-                infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
+        for first, step in zip(self._edges, steps, strict=False):
+            rows = np.flatnonzero(step[2] | step[3])
+            if len(rows) == 0:
+                continue
+            for row, final in zip(rows, _infos(step[4]["final_info"], rows), strict=True):
+                i = first + row
                 elapsed = round(time.time() - self._began, 6)
-                infos[i]["episode"] = {"r": float(self._returns[i]), "l": int(self._lengths[i]), "t": elapsed}
-            self._returns[done] = 0.0
-            self._lengths[done] = 0
-        return observations, rewards.astype(np.float32), done, infos
+                infos[i] = {
+                    **final,
+                    "terminal_observation": step[4]["final_obs"][row],
+                    "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                    "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i]), "t": elapsed},
+                }
+        self._returns[done] = 0.0
+        self._lengths[done] = 0
+        return observations, (rewards * self._scale).astype(np.float32), done, infos
 
-    def _infos(self, info: dict[str, Any], rows: Sequence[int] | NDArray[Any] | None = None) -> list[dict[str, Any]]:
-        names = [name for name in info if not name.startswith("_") and not name.startswith("final_")]
-        wanted = range(self.num_envs) if rows is None else rows
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for i in wanted:
-            infos[i] = {name: info[name][i] for name in names}
-        return infos
+    def get_state(self) -> list[Any]:
+        """Return all that the rest of the episodes, and all later ones, depend on: the state of each batch."""
+        return [group.get_state() for group in self.groups]
+
+    def set_state(self, state: Sequence[Any]) -> None:
+        """Continue from what `get_state` returned."""
+        for group, own in zip(self.groups, state, strict=True):
+            group.set_state(own)
 
     def close(self) -> None:
-        """Let threads and windows go."""
-        self.envs.close()
+        """Free threads and windows."""
+        for group in self.groups:
+            group.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the batch, once for each environment asked for."""
+        """Return an attribute of the batch of each environment asked for."""
         if attr_name == "action_masks":  # for has_attr: what env_method serves
-            value: Any = self._masks
-        elif attr_name == "render_mode":
-            value = self.envs.render_mode
-        else:
-            value = getattr(self.envs, attr_name)
-        return [value for _ in self._get_indices(indices)]
+            masks = self._masks()
+            return [masks[i] for i in self._get_indices(indices)]
+        return [getattr(self._group(i), attr_name) for i in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Refuse: environments of a batch share their attributes."""
         raise InputError(f"{attr_name!r} can't be set for single environments of a batch; make another one")
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Call ``action_masks``, or a method of the batch once for each environment asked for."""
+        """Call ``action_masks``, or a method of the batch of each environment asked for."""
         if method_name == "action_masks":
-            masks = self._masks()
-            return [masks[i] for i in self._get_indices(indices)]
-        method = getattr(self.envs, method_name)
-        return [method(*method_args, **method_kwargs) for _ in self._get_indices(indices)]
-
-    def _masks(self) -> NDArray[np.bool_]:
-        if not isinstance(self.envs, DuelVectorEnv):
-            raise AttributeError("the control level has no action masks")
-        return self.envs.action_masks()
+            return self.get_attr(method_name, indices)
+        methods = [getattr(self._group(i), method_name) for i in self._get_indices(indices)]
+        return [method(*method_args, **method_kwargs) for method in methods]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Whether each environment reports what this wrapper would: episodes are monitored, nothing else is wrapped."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Return a frame of the first environment, if it renders."""
-        frames: Any = self.envs.render() if self.envs.render_mode == "rgb_array" else None
-        return list(frames) if frames is not None else [None]
+        """Return a frame of each environment, if they render."""
+        if self.groups[0].render_mode != "rgb_array":
+            return [None for _ in range(self.num_envs)]
+        return [frame for group in self.groups for frame in group.render()]
+
+    def _group(self, environment: int) -> BatchVectorEnv:
+        group: BatchVectorEnv = self.groups[int(np.searchsorted(self._edges, environment, "right")) - 1]
+        return group
+
+    def _masks(self) -> NDArray[np.bool_]:
+        if not all(isinstance(group, DuelVectorEnv) for group in self.groups):
+            raise AttributeError("the control level has no action masks")
+        return np.concatenate([group.action_masks() for group in self.groups])
+
+
+def _infos(info: dict[str, Any], rows: Iterable[int]) -> list[dict[str, Any]]:
+    """Infos of some environments, each as a dictionary of its own."""
+    names = [name for name in info if not name.startswith("_") and not name.startswith("final_")]
+    return [{name: info[name][i] for name in names} for i in rows]

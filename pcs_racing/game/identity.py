@@ -7,8 +7,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.config import GameConfig
-from pcs_racing.game.game import observation_elements
 from pcs_racing.game.moves import STAY, move_names
+from pcs_racing.game.observation import observation_elements
 
 __all__ = ["GameIdentity", "check_same_game", "game_identity"]
 

@@ -184,13 +184,13 @@ def _choose_lane(track, theta, view, memory):  # type: ignore[no-untyped-def]
     return RACE_LINE
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def _lookahead(theta, v):  # type: ignore[no-untyped-def]
     share = min(max(v / FAST, 0.0), 1.0)
     return theta[LOOKAHEAD_SLOW] + share * (theta[LOOKAHEAD_FAST] - theta[LOOKAHEAD_SLOW])
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def _speed(track, theta, view, memory, s):  # type: ignore[no-untyped-def]
     factor = theta[OTHER_LANE_FACTOR] if memory[_LANE] == OVERTAKING else 1.0
     speed = factor * theta[SPEED_SHARE] * view[_view.SPEED_HIGH] * track.line[line_index(track, s), _frenet.SPEED]

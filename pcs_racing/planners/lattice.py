@@ -10,8 +10,8 @@ policy. Of two cars side by side the one ahead has the right of way; the other o
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.compilation import kernel
-from pcs_racing.base.elementary import sine_cosine, tangent
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.elementary import rough_sine_cosine, sine_cosine, tangent
 from pcs_racing.planners import planner as _view
 from pcs_racing.planners import spiral
 from pcs_racing.planners.planner import PATH_POINTS, Parameter, Planner
@@ -89,15 +89,16 @@ PARAMETERS = (
 _M_VALID, _M_S, _M_D, _M_SLOPE, _M_LENGTH, _M_GOAL = range(6)
 MEMORY = 6
 
-# Rows of the scratch after the spirals' own block, each GOALS wide: position across the track, nearness to walls,
-# least air beside a wall, cost whatever the speed; trouble, proximity and cost at the speed under study; then all
-# costs.
-_GOAL_D, _PER_LENGTH, _WALL_COST, _MIN_AIR, _BASE, _TROUBLE, _PROXIMITY, _COST, _ALL_COSTS = (
+# Rows of the scratch after the spirals' own block, each GOALS wide: position across the track, coefficients of the path
+# there, nearness to walls, least air beside a wall, cost whatever the speed; trouble and proximity at the speed under
+# study; then all costs, and the air at all points.
+_GOAL_D, _SQUARE, _CUBE, _WALL_COST, _MIN_AIR, _BASE, _TROUBLE, _PROXIMITY, _COSTS = (
     spiral.BLOCK + GOALS * k for k in range(9)
 )
-# Predictions: own arc lengths and speeds at each speed profile and the room across the track; the opponent's arc length
-# and position across the track.
-_OWN_S = _ALL_COSTS + SPEEDS * GOALS
+_AIR = _COSTS + SPEEDS * GOALS
+# Speed scales of the profiles, arc length and speed at present; predictions, a row for each step: own arc lengths and
+# speeds at each speed profile and the room across the track; the opponent's arc length and position across the track.
+_SCALE, _NOW_S, _NOW_V, _OWN_S = (_AIR + SEGMENTS * GOALS + SPEEDS * k for k in range(4))
 _OWN_V = _OWN_S + SPEEDS * HORIZON_STEPS
 _OWN_LOW = _OWN_V + SPEEDS * HORIZON_STEPS
 _OWN_HIGH = _OWN_LOW + SPEEDS * HORIZON_STEPS
@@ -105,20 +106,20 @@ _OPP_S = _OWN_HIGH + SPEEDS * HORIZON_STEPS
 _OPP_D = _OPP_S + HORIZON_STEPS
 SCRATCH = _OPP_D + HORIZON_STEPS
 
-_PATH_BASIS = np.array([spiral.heading_basis(j / (PATH_POINTS - 1)) for j in range(1, PATH_POINTS)])
+_PATH_BASIS = np.array([spiral.heading_basis(j / (PATH_POINTS - 1)) for j in range(PATH_POINTS)])
 
 
-@kernel(inline="always")
+@inner_kernel(forceinline=True)
 def _near(v):  # type: ignore[no-untyped-def]
     """Distance of the near goals in m; the far ones are ``FAR`` times as far."""
     return 1.5 + 0.16 * v
 
 
-@kernel(inline="always")
-def _sample_at(line, ds, s):  # type: ignore[no-untyped-def]
+@inner_kernel(forceinline=True)
+def _sample_at(line, per_ds, s):  # type: ignore[no-untyped-def]
     """Index of the line's sample at an arc length above -length; a few laps more do no harm."""
     n = line.shape[0]
-    i = int(s / ds + n) - n
+    i = int(s * per_ds + n) - n
     if i < 0:
         i += n
     while i >= n:
@@ -126,19 +127,19 @@ def _sample_at(line, ds, s):  # type: ignore[no-untyped-def]
     return i
 
 
-@kernel(inline="always")
-def _speed_at(line, ds, s):  # type: ignore[no-untyped-def]
+@inner_kernel(forceinline=True)
+def _speed_at(line, per_ds, s):  # type: ignore[no-untyped-def]
     """Speed of the profile at an arc length above -length."""
-    return line[_sample_at(line, ds, s), _frenet.SPEED]
+    return line[_sample_at(line, per_ds, s), _frenet.SPEED]
 
 
-@kernel(inline="always")
-def _target_speed(line, ds, s, v, late_braking):  # type: ignore[no-untyped-def]
+@inner_kernel(forceinline=True)
+def _target_speed(line, per_ds, s, v, late_braking):  # type: ignore[no-untyped-def]
     """Speed of the profile, the braking point put off, the acceleration out of corners not."""
-    return max(_speed_at(line, ds, s), _speed_at(line, ds, s - v * late_braking))
+    return max(_speed_at(line, per_ds, s), _speed_at(line, per_ds, s - v * late_braking))
 
 
-@kernel(inline="always")
+@inner_kernel(forceinline=True)
 def _power_of_ten(x):  # type: ignore[no-untyped-def]
     """10**x for x in [-2, 1] to a relative 1e-9, cheaper than the library's power."""
     t = x * (2.302585092994046 / 16.0)
@@ -149,7 +150,7 @@ def _power_of_ten(x):  # type: ignore[no-untyped-def]
     return t * t
 
 
-@kernel(inline="always")
+@inner_kernel(forceinline=True)
 def _hermite(u, d0, slope0, d1):  # type: ignore[no-untyped-def]
     """Cubic from d0 with slope0 (per unit of u) to d1 with slope 0; constant from u = 1 on."""
     u = min(max(u, 0.0), 1.0)
@@ -157,11 +158,11 @@ def _hermite(u, d0, slope0, d1):  # type: ignore[no-untyped-def]
     return d1 + q * q * ((1.0 + 2.0 * u) * (d0 - d1) + u * slope0)
 
 
-@kernel
+@inner_kernel
 def _lay_goals(line, ds, length, view, distance, first, course, scratch):  # type: ignore[no-untyped-def]
     """Put one row of goals across the track, ``distance`` ahead, in the frame of the car's velocity."""
     s = view[_view.OWN_S] + distance
-    i = _sample_at(line, ds, s)
+    i = _sample_at(line, 1.0 / ds, s)
     kappa = line[i, _frenet.KAPPA]
     keep = 0.5 * view[_view.OWN_WIDTH] + BODY_AIR
     right = -max(line[i, _frenet.RIGHT] - keep, 0.0)
@@ -188,80 +189,124 @@ def _lay_goals(line, ds, length, view, distance, first, course, scratch):  # typ
         scratch[_GOAL_D + g] = d
 
 
-@kernel
+@inner_kernel
 def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
     """Air beside each spiral's points, from the distance field."""
-    height, width = track.distance.shape
+    distance = track.distance
+    height, width = distance.shape
     per_cell = 1.0 / track.cell
+    first_x = -track.origin_x * per_cell
+    first_y = -track.origin_y * per_cell
+    for k in range(GOALS, GOALS * (SEGMENTS + 1)):
+        # The outermost cells of the field are wall, like everything beyond them.
+        col = min(max(int(scratch[spiral.POINT_X + k] * per_cell + first_x), 0), width - 1)
+        row = min(max(int(scratch[spiral.POINT_Y + k] * per_cell + first_y), 0), height - 1)
+        scratch[_AIR - GOALS + k] = distance[row, col]
     for g in range(GOALS):
         nearest = 1e9
         total = 0.0
-        for j in range(1, SEGMENTS + 1):
-            col = int((scratch[spiral.POINT_X + j * GOALS + g] - track.origin_x) * per_cell)
-            row = int((scratch[spiral.POINT_Y + j * GOALS + g] - track.origin_y) * per_cell)
-            air = -half_width
-            if 0 <= col < width and 0 <= row < height:
-                air += track.distance[row, col]
+        for j in range(SEGMENTS):
+            air = scratch[_AIR + j * GOALS + g] - half_width
             nearest = min(nearest, air)
-            total += 0.1 / (max(air, 0.0) + 0.1)
-        scratch[_WALL_COST + g] = total / SEGMENTS
+            total += 1.0 / (max(air, 0.0) + 0.1)
+        scratch[_WALL_COST + g] = total * (0.1 / SEGMENTS)
         scratch[_MIN_AIR + g] = nearest
-        scratch[_PER_LENGTH + g] = 1.0 / scratch[spiral.LENGTH + g]
 
 
-@kernel
-def _predict(line, ds, s, v, target_scale, late_braking, keep, steps, scratch, f):  # type: ignore[no-untyped-def]
-    """Drive along the race line from (s, v) towards the scaled profile.
+@inner_kernel
+def _predict(line, per_ds, s, v, late_braking, keep, steps, scratch):  # type: ignore[no-untyped-def]
+    """Drive along the race line from (s, v) towards the profile, at every scale in the scratch.
 
     Keeps arc lengths (unwrapped), speeds, and how far right and left the track lets the car be by then.
     """
-    first = f * HORIZON_STEPS
+    for f in range(SPEEDS):
+        scratch[_NOW_S + f] = s
+        scratch[_NOW_V + f] = v
     for k in range(steps):
-        target = target_scale * _target_speed(line, ds, s, v, late_braking)
-        v += min(max(target - v, -6.0 * HORIZON_STEP), 3.5 * HORIZON_STEP)
-        s += v * HORIZON_STEP
-        i = _sample_at(line, ds, s)
-        scratch[_OWN_S + first + k] = s
-        scratch[_OWN_V + first + k] = v
-        scratch[_OWN_LOW + first + k] = min(keep - line[i, _frenet.RIGHT], 0.0)
-        scratch[_OWN_HIGH + first + k] = max(line[i, _frenet.LEFT] - keep, 0.0)
+        # The speeds do not wait for each other, but each waits for its own last step: so they take turns.
+        for f in range(SPEEDS):
+            own_s = scratch[_NOW_S + f]
+            own_v = scratch[_NOW_V + f]
+            target = scratch[_SCALE + f] * _target_speed(line, per_ds, own_s, own_v, late_braking)
+            own_v += min(max(target - own_v, -6.0 * HORIZON_STEP), 3.5 * HORIZON_STEP)
+            own_s += own_v * HORIZON_STEP
+            i = _sample_at(line, per_ds, own_s)
+            scratch[_NOW_S + f] = own_s
+            scratch[_NOW_V + f] = own_v
+            scratch[_OWN_S + k * SPEEDS + f] = own_s
+            scratch[_OWN_V + k * SPEEDS + f] = own_v
+            scratch[_OWN_LOW + k * SPEEDS + f] = min(keep - line[i, _frenet.RIGHT], 0.0)
+            scratch[_OWN_HIGH + k * SPEEDS + f] = max(line[i, _frenet.LEFT] - keep, 0.0)
 
 
-@kernel
-def _meet_opponent(scratch, f, d0, slope0, s0, long_reach, side_reach, soft_side, gives_way, followed):  # type: ignore[no-untyped-def]
+@inner_kernel
+def _predict_opponent(line, per_ds, view, s, gives_way, scratch):  # type: ignore[no-untyped-def]
+    """The opponent carries on along the track from ``s`` with its share of the profile: arc lengths and positions."""
+    v = view[_view.OPP_V]
+    carried = v / max(_speed_at(line, per_ds, view[_view.OPP_S]), 0.5)
+    # The track pushes the other car sideways where it narrows; who has the right of way leaves it air there.
+    room = 0.5 * view[_view.OPP_WIDTH] + (0.0 if gives_way else BODY_AIR)
+    for k in range(HORIZON_STEPS):
+        wanted = carried * _speed_at(line, per_ds, s)
+        s += min(max(wanted, v - 6.0 * HORIZON_STEP * (k + 1)), v + 3.0) * HORIZON_STEP
+        t = (k + 1) * HORIZON_STEP
+        d = view[_view.OPP_D]
+        if gives_way:
+            # A driver with the right of way finishes its move and then comes back to the race line.
+            d = (d + min(t, 0.25) * view[_view.OPP_D_DOT]) * max(1.0 - t / RETURN_TIME, 0.0)
+        row = _sample_at(line, per_ds, s)
+        low = min(room - line[row, _frenet.RIGHT], 0.0)
+        high = max(line[row, _frenet.LEFT] - room, 0.0)
+        scratch[_OPP_S + k] = s
+        scratch[_OPP_D + k] = min(max(d, low), high)
+
+
+@inner_kernel
+def _shape_paths(scratch, d0, slope):  # type: ignore[no-untyped-def]
+    """Coefficients of each spiral's distance from the race line, as the cubic of `_hermite` in the distance driven."""
+    for g in range(GOALS):
+        per_length = 1.0 / scratch[spiral.LENGTH + g]
+        aside = (scratch[_GOAL_D + g] - d0) * per_length
+        scratch[_SQUARE + g] = (3.0 * aside - 2.0 * slope) * per_length
+        scratch[_CUBE + g] = (slope - 2.0 * aside) * per_length * per_length
+
+
+@inner_kernel
+def _meet_opponent(scratch, f, d0, slope, s0, long_reach, side_reach, soft_side, gives_way, followed):  # type: ignore[no-untyped-def]
     """Trouble (overlap within a second) and proximity of all spirals at one speed with the predicted opponent."""
     for g in range(GOALS):
         scratch[_TROUBLE + g] = 0.0
         scratch[_PROXIMITY + g] = 0.0
     fade = 1.0
     for k in range(HORIZON_STEPS):
-        driven = scratch[_OWN_S + f * HORIZON_STEPS + k] - s0
+        driven = scratch[_OWN_S + k * SPEEDS + f] - s0
         # Who is followed does not brake to let the other car through: that ends in its back. Moving aside may help.
         at_speed = 0 if followed else f
-        gap = abs(scratch[_OWN_S + at_speed * HORIZON_STEPS + k] - scratch[_OPP_S + k])
+        gap = abs(scratch[_OWN_S + k * SPEEDS + at_speed] - scratch[_OPP_S + k])
         opp_d = scratch[_OPP_D + k]
         # A driver who must give way foresees where the track will push it sideways.
-        low = scratch[_OWN_LOW + f * HORIZON_STEPS + k] if gives_way else -100.0
-        high = scratch[_OWN_HIGH + f * HORIZON_STEPS + k] if gives_way else 100.0
+        low = scratch[_OWN_LOW + k * SPEEDS + f] if gives_way else -100.0
+        high = scratch[_OWN_HIGH + k * SPEEDS + f] if gives_way else 100.0
         long_air = max(gap - long_reach, 0.0)
+        long_square = long_air * long_air + 0.3
         hard = fade * (REJECTED if k < REJECT_STEPS and not followed else 10.0)
         if gap >= long_reach:
             hard = 0.0
+        soft = fade * 0.3
+        fade *= 0.85
         if gap > CLOSE:
-            fade *= 0.85
             continue
         for g in range(GOALS):
-            share = driven * scratch[_PER_LENGTH + g]
-            d = _hermite(share, d0, slope0 * scratch[spiral.LENGTH + g], scratch[_GOAL_D + g])
+            along = min(driven, scratch[spiral.LENGTH + g])
+            d = d0 + along * (slope + along * (scratch[_SQUARE + g] + along * scratch[_CUBE + g]))
             across = abs(min(max(d, low), high) - opp_d)
             deep = max(side_reach - across, 0.0)
             scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
             side_air = max(across - soft_side, 0.0)
-            scratch[_PROXIMITY + g] += fade * 0.3 / (long_air * long_air + side_air * side_air + 0.3)
-        fade *= 0.85
+            scratch[_PROXIMITY + g] += soft / (long_square + side_air * side_air)
 
 
-@kernel
+@inner_kernel
 def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend, opponent_d):  # type: ignore[no-untyped-def]
     """Sum up what a spiral costs whatever the speed, rejections by walls included, into the base row."""
     w_length = 2.5 * _power_of_ten(theta[LENGTH])
@@ -295,16 +340,55 @@ def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend,
         )
 
 
+@inner_kernel
+def _write_path(line, per_ds, view, scratch, g, kappa0, course, at_scale, scale, late, path):  # type: ignore[no-untyped-def]
+    """Sample the chosen spiral, with a speed at each point that its curvature allows."""
+    s0, c0 = sine_cosine(course)
+    length = scratch[spiral.LENGTH + g]
+    w = scratch[spiral.W + g]
+    end = scratch[spiral.GOAL_HEADING + g]
+    kappa1 = scratch[spiral.GOAL_KAPPA + g]
+    h = length / (PATH_POINTS - 1)
+    correction = h * h / 12.0
+    a1, a2, a3 = spiral_curvature(length, w, end, kappa0, kappa1)
+    sum_c = -0.5
+    sum_s = 0.0
+    distance = _near(max(view[_view.OWN_V], 0.5))
+    if g >= ACROSS:
+        distance *= FAR
+    grip = GRIP * scale * scale
+    for j in range(PATH_POINTS):
+        a, b0, b3, d = _PATH_BASIS[j, 0], _PATH_BASIS[j, 1], _PATH_BASIS[j, 2], _PATH_BASIS[j, 3]
+        u = j / (PATH_POINTS - 1)
+        kappa = kappa0 + u * (a1 + u * (a2 + u * a3))
+        s, c = rough_sine_cosine(a * end + length * (b0 * kappa0 + b3 * kappa1) + d * w)
+        # As sample_spirals does.
+        sum_c += c
+        sum_s += s
+        x = h * (sum_c - 0.5 * c) + correction * s * kappa
+        y = h * (sum_s - 0.5 * s) + correction * (kappa0 - c * kappa)
+        at = view[_view.OWN_S] + distance * u
+        speed = at_scale * _target_speed(line, per_ds, at, view[_view.OWN_V], late)
+        path[j, _view.PATH_X] = view[_view.OWN_X] + x * c0 - y * s0
+        path[j, _view.PATH_Y] = view[_view.OWN_Y] + x * s0 + y * c0
+        path[j, _view.PATH_SPEED] = min(speed, np.sqrt(grip / max(abs(kappa), 1e-6)))
+        path[j, _view.PATH_KAPPA] = kappa
+
+
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Choose a candidate and write its path."""
+def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[no-untyped-def]
+    """Choose a candidate and write its path.
+
+    What meeting the opponent costs is added at those speeds only where the rest, which is less, leaves a candidate
+    within ``slack`` of the best one so far.
+    """
     v = max(view[_view.OWN_V], 0.5)
     s0 = view[_view.OWN_S]
     d0 = view[_view.OWN_D]
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
     line = track.line
-    ds = track.ds
-    line_psi = line[_sample_at(line, ds, s0), _frenet.PSI]
+    per_ds = 1.0 / track.ds
+    line_psi = line[_sample_at(line, per_ds, s0), _frenet.PSI]
     slope = tangent(min(max(angle_between(course, line_psi), -1.2), 1.2))
     scale = view[_view.SPEED_LOW] + theta[PACE] * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
     # The yaw rate lags the steering; half of each is where the car is about to be.
@@ -312,13 +396,14 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     kappa0 = min(max(kappa0, -1.2), 1.2)
     late = theta[LATE_BRAKING]
 
-    near = _near(v)
-    _lay_goals(line, ds, track.length, view, near, 0, course, scratch)
-    _lay_goals(line, ds, track.length, view, FAR * near, ACROSS, course, scratch)
+    distance = _near(v)
+    for first in range(0, GOALS, ACROSS):
+        _lay_goals(line, track.ds, track.length, view, distance, first, course, scratch)
+        distance *= FAR
     solve_spirals(scratch, kappa0)
     sample_spirals(scratch, kappa0, view[_view.OWN_X], view[_view.OWN_Y], course)
     _measure_track(track, scratch, 0.5 * view[_view.OWN_WIDTH])
-    # The opponent carries on along the track with its share of the profile.
+
     gap = view[_view.GAP]
     laps = np.floor((gap + 0.5 * track.length) / track.length)
     gap -= laps * track.length  # what matters to a driver is where the other car stands, not how often it came round
@@ -328,34 +413,14 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     claim = gap + 0.5 * (abs(d0) - abs(view[_view.OPP_D]))
     gives_way = claim > 0.0 or (claim == 0.0 and d0 > view[_view.OPP_D])
     if meets:
-        opp_v = view[_view.OPP_V]
-        carried = opp_v / max(_speed_at(line, ds, view[_view.OPP_S]), 0.5)
-        s = s0 + gap
-        for k in range(HORIZON_STEPS):
-            s += (
-                min(max(carried * _speed_at(line, ds, s), opp_v - 6.0 * HORIZON_STEP * (k + 1)), opp_v + 3.0)
-                * HORIZON_STEP
-            )
-            scratch[_OPP_S + k] = s
-            t = (k + 1) * HORIZON_STEP
-            d = view[_view.OPP_D]
-            if gives_way:
-                # A driver with the right of way finishes its move and then comes back to the race line.
-                d = (d + min(t, 0.25) * view[_view.OPP_D_DOT]) * max(1.0 - t / RETURN_TIME, 0.0)
-            row = _sample_at(line, ds, s)
-            # The track pushes the other car sideways where it narrows; who has the right of way leaves it air there.
-            room = 0.5 * view[_view.OPP_WIDTH] + (0.0 if gives_way else BODY_AIR)
-            low = min(room - line[row, _frenet.RIGHT], 0.0)
-            high = max(line[row, _frenet.LEFT] - room, 0.0)
-            scratch[_OPP_D + k] = min(max(d, low), high)
+        _predict_opponent(line, per_ds, view, s0 + gap, gives_way, scratch)
         if gap > 0.0:
-            wanted = opp_v + 1.2 * (gap - 1.1)
-            follow = min(max(wanted / max(scale * _speed_at(line, ds, s0), 0.5), 0.0), 0.65)
-    keep = 0.5 * view[_view.OWN_WIDTH] + BODY_AIR
-    steps = HORIZON_STEPS if meets else ALONE_STEPS
+            wanted = view[_view.OPP_V] + 1.2 * (gap - 1.1)
+            follow = min(max(wanted / max(scale * _speed_at(line, per_ds, s0), 0.5), 0.0), 0.65)
     for f in range(SPEEDS):
-        factor = _SPEED_FACTORS[f] if f < SPEEDS - 1 else follow
-        _predict(line, ds, s0, v, scale * factor, late, keep, steps, scratch, f)
+        scratch[_SCALE + f] = scale * (_SPEED_FACTORS[f] if f < SPEEDS - 1 else follow)
+    steps = HORIZON_STEPS if meets else ALONE_STEPS
+    _predict(line, per_ds, s0, v, late, 0.5 * view[_view.OWN_WIDTH] + BODY_AIR, steps, scratch)
     long_reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.12
     body = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
     margin = theta[SIDE_MARGIN] if gives_way else 0.5 * theta[SIDE_MARGIN]
@@ -373,14 +438,11 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
             since += track.length
 
     _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend, view[_view.OPP_D])
-    best_goal = 0
-    best_speed = 0
+    _shape_paths(scratch, d0, slope)
+    best_goal = np.int64(0)  # the type is stated, or a second copy of _write_path is compiled for the constant
+    best_speed = np.int64(0)
     best = 1e30
-    if not meets:
-        for g in range(GOALS):
-            scratch[_TROUBLE + g] = 0.0
-            scratch[_PROXIMITY + g] = 0.0
-    w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + steps - 1] - s0)
+    w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + (steps - 1) * SPEEDS] - s0)
     w_braking = _power_of_ten(theta[BRAKING]) / (3.0 * HORIZON_STEP * 10.0)
     w_overtaking = _power_of_ten(theta[OVERTAKING]) / 5.0
     w_lateral = 0.1 * _power_of_ten(theta[LATERAL])
@@ -389,85 +451,53 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     # The path's speed falls with its curvature: a sharp turn aside is braking, too.
     turns_from = min(SPIN_FROM, 1.2 * GRIP * scale * scale) if followed else SPIN_FROM
     for f in range(SPEEDS):
-        driven = max(scratch[_OWN_S + f * HORIZON_STEPS + steps - 1] - s0, 0.1)
-        fast = max(v, scratch[_OWN_V + f * HORIZON_STEPS + 4])
-        speed_cost = w_progress / driven + w_braking * abs(scratch[_OWN_V + f * HORIZON_STEPS + 2] - v)
+        driven = max(scratch[_OWN_S + (steps - 1) * SPEEDS + f] - s0, 0.1)
+        fast = max(v, scratch[_OWN_V + 4 * SPEEDS + f])
+        soon = scratch[_OWN_V + 2 * SPEEDS + f]
+        speed_cost = w_progress / driven + w_braking * abs(soon - v)
         if meets:
             behind = min(max(scratch[_OPP_S + HORIZON_STEPS - 1] - s0 - driven, 0.0), 10.0)
             speed_cost += w_overtaking * behind
         at_speed = w_lateral * fast * fast
         in_time = w_rate * fast
-        soon = scratch[_OWN_V + f * HORIZON_STEPS + 2]
-        if meets:
-            _meet_opponent(scratch, f, d0, slope, s0, long_reach, body + margin, body, gives_way, followed)
+        costs = _COSTS + f * GOALS
+        hopeful = 0
         for g in range(GOALS):
-            scratch[_COST + g] = (
+            sideways = soon * soon * scratch[spiral.MAX_KAPPA + g]
+            cost = (
                 speed_cost
                 + scratch[_BASE + g]
                 + at_speed * scratch[spiral.MAX_KAPPA + g]
                 + in_time * scratch[spiral.KAPPA_RATE + g]
-                + STRAIN * max(soon * soon * scratch[spiral.MAX_KAPPA + g] - STRAIN_FROM, 0.0)
-                + 0.03 * REJECTED * max(soon * soon * scratch[spiral.MAX_KAPPA + g] - turns_from, 0.0)
-                + w_proximity * scratch[_PROXIMITY + g]
-                + scratch[_TROUBLE + g]
+                + STRAIN * max(sideways - STRAIN_FROM, 0.0)
+                + 0.03 * REJECTED * max(sideways - turns_from, 0.0)
             )
+            scratch[costs + g] = cost
+            hopeful += 1 if cost < best + slack else 0
+        if hopeful == 0:
+            continue
+        if meets:
+            _meet_opponent(scratch, f, d0, slope, s0, long_reach, body + margin, body, gives_way, followed)
+            for g in range(GOALS):
+                scratch[costs + g] += w_proximity * scratch[_PROXIMITY + g] + scratch[_TROUBLE + g]
         for g in range(GOALS):
-            cost = scratch[_COST + g]
-            scratch[_ALL_COSTS + f * GOALS + g] = cost
-            if cost < best:
-                best = cost
-                best_goal = g
-                best_speed = f
+            if scratch[costs + g] < best:
+                best = scratch[costs + g]
+                best_goal = np.int64(g)
+                best_speed = np.int64(f)
     memory[_M_VALID] = 1.0
     memory[_M_S] = s0
     memory[_M_D] = d0
     memory[_M_SLOPE] = slope
     memory[_M_LENGTH] = scratch[spiral.LENGTH + best_goal]
     memory[_M_GOAL] = scratch[_GOAL_D + best_goal]
-    factor = _SPEED_FACTORS[best_speed] if best_speed < SPEEDS - 1 else follow
-    _write_path(line, ds, view, scratch, best_goal, kappa0, course, scale, factor, late, path)
+    _write_path(line, per_ds, view, scratch, best_goal, kappa0, course, scratch[_SCALE + best_speed], scale, late, path)
 
 
 @kernel
-def _write_path(line, ds, view, scratch, g, kappa0, course, scale, factor, late, path):  # type: ignore[no-untyped-def]
-    """Sample the chosen spiral, with a speed at each point that its curvature allows."""
-    s0, c0 = sine_cosine(course)
-    length = scratch[spiral.LENGTH + g]
-    h = length / (PATH_POINTS - 1)
-    a1, a2, a3 = spiral_curvature(
-        length, scratch[spiral.W + g], scratch[spiral.GOAL_HEADING + g], kappa0, scratch[spiral.GOAL_KAPPA + g]
-    )
-    x = 0.0
-    y = 0.0
-    c = 1.0
-    s = 0.0
-    kappa = kappa0
-    distance = _near(max(view[_view.OWN_V], 0.5))
-    if g >= ACROSS:
-        distance *= FAR
-    grip = GRIP * scale * scale
-    for j in range(PATH_POINTS):
-        if j > 0:
-            a, b0, b3, d = _PATH_BASIS[j - 1, 0], _PATH_BASIS[j - 1, 1], _PATH_BASIS[j - 1, 2], _PATH_BASIS[j - 1, 3]
-            u = j / (PATH_POINTS - 1)
-            new = kappa0 + u * (a1 + u * (a2 + u * a3))
-            heading = (
-                a * scratch[spiral.GOAL_HEADING + g]
-                + length * (b0 * kappa0 + b3 * scratch[spiral.GOAL_KAPPA + g])
-                + d * scratch[spiral.W + g]
-            )
-            sn, cn = sine_cosine(heading)
-            x += 0.5 * h * (c + cn) + h * h / 12.0 * (-s * kappa + sn * new)
-            y += 0.5 * h * (s + sn) + h * h / 12.0 * (c * kappa - cn * new)
-            c = cn
-            s = sn
-            kappa = new
-        at = view[_view.OWN_S] + distance * j / (PATH_POINTS - 1)
-        speed = scale * factor * _target_speed(line, ds, at, view[_view.OWN_V], late)
-        path[j, _view.PATH_X] = view[_view.OWN_X] + x * c0 - y * s0
-        path[j, _view.PATH_Y] = view[_view.OWN_Y] + x * s0 + y * c0
-        path[j, _view.PATH_SPEED] = min(speed, np.sqrt(grip / max(abs(kappa), 1e-6)))
-        path[j, _view.PATH_KAPPA] = kappa
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Choose a candidate and write its path."""
+    _search(track, theta, view, memory, scratch, path, 0.0)
 
 
 def candidates(
@@ -483,12 +513,12 @@ def candidates(
         Weighted cost; infinite where the candidate is rejected.
     """
     scratch = np.zeros(SCRATCH)
-    plan(track, theta, view, memory.copy(), scratch, np.zeros((PATH_POINTS, 4)))
+    _search(track, theta, view, memory.copy(), scratch, np.zeros((PATH_POINTS, 4)), np.inf)
     shape = (SEGMENTS + 1, GOALS)
     x = scratch[spiral.POINT_X : spiral.POINT_X + shape[0] * GOALS].reshape(shape)
     y = scratch[spiral.POINT_Y : spiral.POINT_Y + shape[0] * GOALS].reshape(shape)
     points = np.stack([x.T, y.T], axis=-1)
-    costs = scratch[_ALL_COSTS : _ALL_COSTS + CANDIDATES].copy()
+    costs = scratch[_COSTS : _COSTS + CANDIDATES].copy()
     costs[costs >= 0.02 * REJECTED] = np.inf
     return np.tile(points, (SPEEDS, 1, 1)), costs
 

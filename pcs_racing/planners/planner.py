@@ -19,7 +19,7 @@ from numba.core import config
 from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.compilation import kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.track.frenet import TrackArrays
@@ -168,7 +168,7 @@ def hold_command(track, theta, view, memory, scratch, path, command):  # type: i
     command[1] = memory[1]
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untyped-def]
     """Steering angle of pure pursuit towards a point.
 
@@ -197,7 +197,7 @@ def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untype
     return min(max(steer, -view[STEER_MAX]), view[STEER_MAX])
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def calm_speed(v, speed):  # type: ignore[no-untyped-def]
     """Target speed that asks for no more braking than the car stays stable under, and the acceleration it stands for.
 
@@ -205,6 +205,13 @@ def calm_speed(v, speed):  # type: ignore[no-untyped-def]
     """
     speed = max(speed, v - 0.1 * BRAKING)
     return speed, min(10.0 * (speed - v), 9.5)
+
+
+@inner_kernel(forceinline=True)
+def _share_of_gap(before, after, distance):  # type: ignore[no-untyped-def]
+    """How far between two points a distance from the car is reached, in [0, 1], from the squares of their distances."""
+    before = np.sqrt(before)
+    return min(max((distance - before) / max(np.sqrt(after) - before, 1e-9), 0.0), 1.0)
 
 
 @kernel
@@ -234,16 +241,15 @@ def follow_path(track, theta, view, memory, scratch, path, command):  # type: ig
     kappa = path[last, PATH_KAPPA]
     speed = path[last, PATH_SPEED]
     speed_found = False
-    before = np.sqrt(near)
+    before = near
     for j in range(i, last):
-        after = np.sqrt((path[j + 1, PATH_X] - x) ** 2 + (path[j + 1, PATH_Y] - y) ** 2)
-        per_gap = 1.0 / max(after - before, 1e-9)
-        if not speed_found and after >= preview:
-            w = min(max((preview - before) * per_gap, 0.0), 1.0)
+        after = (path[j + 1, PATH_X] - x) ** 2 + (path[j + 1, PATH_Y] - y) ** 2
+        if not speed_found and after >= preview * preview:
+            w = _share_of_gap(before, after, preview)
             speed = path[j, PATH_SPEED] + w * (path[j + 1, PATH_SPEED] - path[j, PATH_SPEED])
             speed_found = True
-        if after >= reach:
-            w = min(max((reach - before) * per_gap, 0.0), 1.0)
+        if after >= reach * reach:
+            w = _share_of_gap(before, after, reach)
             goal_x = path[j, PATH_X] + w * (path[j + 1, PATH_X] - path[j, PATH_X])
             goal_y = path[j, PATH_Y] + w * (path[j + 1, PATH_Y] - path[j, PATH_Y])
             kappa = path[j, PATH_KAPPA]

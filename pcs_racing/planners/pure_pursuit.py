@@ -34,26 +34,26 @@ IN_THE_WAY = 0.1  # m of air beside the opponent below which it is followed
 WALL_MARGIN = 0.38  # m from the car's middle to the wall when it keeps its place beside an opponent
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def line_index(track, s):  # type: ignore[no-untyped-def]
     """Index of the last sample of the race line at or before an arc length (any real number)."""
     return int(wrap_s(track, s) / track.ds) % track.line.shape[0]
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def gap_ahead(track, view):  # type: ignore[no-untyped-def]
     """How far ahead the opponent is along the track, whatever the laps between, in [-length / 2, length / 2), m."""
     gap = view[_view.GAP]
     return gap - np.floor(gap / track.length + 0.5) * track.length
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def side_air(view):  # type: ignore[no-untyped-def]
     """Air between the two cars across the track in m; negative when one would hit the other from behind."""
     return abs(view[_view.OPP_D] - view[_view.OWN_D]) - 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def gives_way(view, gap):  # type: ignore[no-untyped-def]
     """Whether the opponent is beside the car and nearer to the race line, so that the line is its to take."""
     bodies = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH])
@@ -61,7 +61,7 @@ def gives_way(view, gap):  # type: ignore[no-untyped-def]
     return alongside and abs(view[_view.OPP_D]) < abs(view[_view.OWN_D])
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def within_walls(track, s, d):  # type: ignore[no-untyped-def]
     """Distance from the race line nearest to ``d`` that leaves ``WALL_MARGIN`` to the walls, m."""
     line = track.line[line_index(track, s)]

@@ -5,13 +5,11 @@ declares it in the entry point group ``pcs_racing.planners``, or a program calls
 imported when its name is used for the first time.
 """
 
-import difflib
-from collections.abc import Iterable
 from functools import lru_cache
 from importlib.metadata import entry_points
 from pkgutil import resolve_name
 
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.planner import Planner, Policy
 
 __all__ = ["ENTRY_POINTS", "get_planner", "parse_policy", "planner_names", "register_planner"]
@@ -77,7 +75,7 @@ def get_planner(name: str) -> Planner:
     """
     if name not in _planners:
         if name not in _declared():
-            raise UnknownNameError(f"planner {name!r} is unknown; {_choices(name, planner_names())}")
+            raise UnknownNameError(f"planner {name!r} is unknown; {choices(name, planner_names())}")
         place = _declared()[name]
         try:
             planner = resolve_name(place)
@@ -119,7 +117,7 @@ def parse_policy(text: str) -> Policy:
         if not equals:
             raise InputError(f"policy {text!r}: {setting!r} is not of the form parameter=value")
         if key not in planner.parameter_names:
-            suggestion = _choices(key, planner.parameter_names)
+            suggestion = choices(key, planner.parameter_names)
             raise UnknownNameError(f"policy {text!r}: planner {name!r} has no parameter {key!r}; {suggestion}")
         if key in values:
             raise InputError(f"policy {text!r} sets parameter {key!r} twice")
@@ -138,10 +136,3 @@ def _declared() -> dict[str, str]:
 @lru_cache(maxsize=1)
 def _entry_points() -> dict[str, str]:
     return {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
-
-
-def _choices(name: str, available: Iterable[str]) -> str:
-    """Return the end of an error message: the most similar name, and all names."""
-    names = list(available)
-    near = difflib.get_close_matches(name, names, n=1)
-    return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names)}"

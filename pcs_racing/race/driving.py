@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.compilation import announce_compilation
+from pcs_racing.base.compilation import first_call
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import VehicleParams
@@ -114,13 +114,10 @@ def _drive_compiled(
         raise InputError(
             f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64 of shape {wanted}"
         )
-    with announce_compilation(advance_races, "the planners and the race kernel", 30):
-        plan0, control0 = planners[0].pointers()
-        plan1, control1 = planners[1].pointers()
     cars = vehicle_rows(vehicles, races)
     size = max(1, *(planner.scratch_size for planner in planners))
 
-    def part(first: int, last: int) -> None:
+    def part(first: int, last: int) -> None:  # the pointers are bound below
         advance_races(
             track.arrays,
             state,
@@ -138,11 +135,16 @@ def _drive_compiled(
             np.empty(WORK_SIZE),
         )
 
+    with first_call(advance_races, "the planners and the race kernel", 20) as compiling:
+        plan0, control0 = planners[0].pointers()
+        plan1, control1 = planners[1].pointers()
+        if compiling:
+            part(0, 0)
     workers = min(threads or default_threads(), races)
     if workers <= 1:
         part(0, races)
         return
-    part(0, 0)  # compiles before the threads need it
+    part(0, 0)  # other types of arguments compile here, before several threads would
     edges = np.linspace(0, races, min(races, 4 * workers) + 1).astype(int)
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(part, edges[:-1], edges[1:]))

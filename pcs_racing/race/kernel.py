@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.compilation import kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import contact_fault, hits_wall, rectangles_overlap
 from pcs_racing.car.ittc import rectangle_ittc, walls_ittc
+from pcs_racing.car.lanes import LANES, LANES_SIZE, load_car, set_target, step_lanes, step_slow_car, store_car
 from pcs_racing.planners import planner as _planner
 from pcs_racing.race import state as _state
 from pcs_racing.track.frenet import COS, SIN, foot, locate
@@ -39,7 +40,15 @@ ITTC_EVERY = 5  # 20 Hz
 
 BLOCKING_REACH = 3.0  # m
 
-WORK_SIZE = _planner.VIEW_SIZE + 2
+GROUP = LANES // 2  # races that are driven in lockstep
+
+# What the loop scribbles on: the cars in their lanes; whether each is slow, and its steering angle before a control
+# period; the steps that each race has left; and the view of each car.
+_SLOW = LANES_SIZE
+_STEERING_BEFORE = _SLOW + LANES
+_LEFT = _STEERING_BEFORE + LANES
+_VIEWS = _LEFT + GROUP
+WORK_SIZE = _VIEWS + LANES * _planner.VIEW_SIZE
 
 
 class KernelSettings(NamedTuple):
@@ -56,7 +65,7 @@ class KernelSettings(NamedTuple):
     ittc_horizon: float
 
 
-@kernel(inline="always")
+@inner_kernel(forceinline=True)
 def _mix(key):  # type: ignore[no-untyped-def]
     """Scramble 64 bits (the finaliser of splitmix64, Steele et al. 2014)."""
     key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -82,49 +91,58 @@ def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
     return (total / 65535.0 - 2.0) * 1.7320508075688772
 
 
+@inner_kernel
+def _fill_fixed(own, opponent, settings, view):  # type: ignore[no-untyped-def]
+    """Write what stays the same during a race into a view: the two cars' parameters and the range of speeds."""
+    view[_planner.OWN_LENGTH] = own[_vehicle.LENGTH]
+    view[_planner.OWN_WIDTH] = own[_vehicle.WIDTH]
+    view[_planner.WHEELBASE] = own[_vehicle.LF] + own[_vehicle.LR]
+    view[_planner.STEER_MAX] = own[_vehicle.STEER_MAX]
+    grip = own[_vehicle.MU] * _vehicle.GRAVITY
+    view[_planner.UNDERSTEER] = (1.0 / own[_vehicle.C_SF] - 1.0 / own[_vehicle.C_SR]) / grip
+    view[_planner.UNDERSTEER_GAIN] = (
+        own[_vehicle.H]
+        / (grip * _vehicle.GRAVITY)
+        * (1.0 / (own[_vehicle.C_SF] * own[_vehicle.LR]) + 1.0 / (own[_vehicle.C_SR] * own[_vehicle.LF]))
+    )
+    view[_planner.OPP_LENGTH] = opponent[_vehicle.LENGTH]
+    view[_planner.OPP_WIDTH] = opponent[_vehicle.WIDTH]
+    view[_planner.SPEED_LOW] = settings.speed_low
+    view[_planner.SPEED_HIGH] = settings.speed_high
+
+
+@inner_kernel
+def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view):  # type: ignore[no-untyped-def]
+    """Write what changes from step to step into a view."""
+    other = 1 - car
+    view[_planner.TIME] = tick * DT
+    view[_planner.OWN_X] = cars[race, car, _vehicle.X]
+    view[_planner.OWN_Y] = cars[race, car, _vehicle.Y]
+    view[_planner.OWN_DELTA] = cars[race, car, _vehicle.DELTA]
+    view[_planner.OWN_V] = cars[race, car, _vehicle.V]
+    view[_planner.OWN_PSI] = cars[race, car, _vehicle.PSI]
+    view[_planner.OWN_PSI_DOT] = cars[race, car, _vehicle.PSI_DOT]
+    view[_planner.OWN_BETA] = cars[race, car, _vehicle.BETA]
+    view[_planner.OWN_S] = frenet[race, car, 0]
+    view[_planner.OWN_D] = frenet[race, car, 1]
+    view[_planner.OPP_X] = cars[race, other, _vehicle.X]
+    view[_planner.OPP_Y] = cars[race, other, _vehicle.Y]
+    view[_planner.OPP_V] = cars[race, other, _vehicle.V]
+    view[_planner.OPP_PSI] = cars[race, other, _vehicle.PSI]
+    view[_planner.OPP_BETA] = cars[race, other, _vehicle.BETA]
+    view[_planner.OPP_S] = frenet[race, other, 0]
+    view[_planner.OPP_D] = frenet[race, other, 1]
+    i = int(frenet[race, other, 0] / ds) % line.shape[0]
+    sine, cosine = sine_cosine(cars[race, other, _vehicle.PSI] + cars[race, other, _vehicle.BETA])
+    view[_planner.OPP_D_DOT] = cars[race, other, _vehicle.V] * (sine * line[i, COS] - cosine * line[i, SIN])
+    view[_planner.GAP] = progress[race, other] - progress[race, car]
+
+
 @kernel
 def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignore[no-untyped-def]
     """Write what the driver of ``car`` sees (:data:`pcs_racing.planners.planner.VIEW`) into ``view``."""
-    other = 1 - car
-    own = state.cars[race, car]
-    opponent = state.cars[race, other]
-    view[_planner.TIME] = state.tick[race] * DT
-    view[_planner.OWN_X] = own[_vehicle.X]
-    view[_planner.OWN_Y] = own[_vehicle.Y]
-    view[_planner.OWN_DELTA] = own[_vehicle.DELTA]
-    view[_planner.OWN_V] = own[_vehicle.V]
-    view[_planner.OWN_PSI] = own[_vehicle.PSI]
-    view[_planner.OWN_PSI_DOT] = own[_vehicle.PSI_DOT]
-    view[_planner.OWN_BETA] = own[_vehicle.BETA]
-    view[_planner.OWN_S] = state.frenet[race, car, 0]
-    view[_planner.OWN_D] = state.frenet[race, car, 1]
-    view[_planner.OPP_X] = opponent[_vehicle.X]
-    view[_planner.OPP_Y] = opponent[_vehicle.Y]
-    view[_planner.OPP_V] = opponent[_vehicle.V]
-    view[_planner.OPP_PSI] = opponent[_vehicle.PSI]
-    view[_planner.OPP_BETA] = opponent[_vehicle.BETA]
-    view[_planner.OPP_S] = state.frenet[race, other, 0]
-    view[_planner.OPP_D] = state.frenet[race, other, 1]
-    row = track.line[int(state.frenet[race, other, 0] / track.ds) % track.line.shape[0]]
-    course = opponent[_vehicle.PSI] + opponent[_vehicle.BETA]
-    sine, cosine = sine_cosine(course)
-    view[_planner.OPP_D_DOT] = opponent[_vehicle.V] * (sine * row[COS] - cosine * row[SIN])
-    view[_planner.GAP] = state.progress[race, other] - state.progress[race, car]
-    view[_planner.OWN_LENGTH] = vehicles[car, _vehicle.LENGTH]
-    view[_planner.OWN_WIDTH] = vehicles[car, _vehicle.WIDTH]
-    view[_planner.WHEELBASE] = vehicles[car, _vehicle.LF] + vehicles[car, _vehicle.LR]
-    view[_planner.STEER_MAX] = vehicles[car, _vehicle.STEER_MAX]
-    p = vehicles[car]
-    view[_planner.UNDERSTEER] = (1.0 / p[_vehicle.C_SF] - 1.0 / p[_vehicle.C_SR]) / (p[_vehicle.MU] * _vehicle.GRAVITY)
-    view[_planner.UNDERSTEER_GAIN] = (
-        p[_vehicle.H]
-        / (p[_vehicle.MU] * _vehicle.GRAVITY**2)
-        * (1.0 / (p[_vehicle.C_SF] * p[_vehicle.LR]) + 1.0 / (p[_vehicle.C_SR] * p[_vehicle.LF]))
-    )
-    view[_planner.OPP_LENGTH] = vehicles[other, _vehicle.LENGTH]
-    view[_planner.OPP_WIDTH] = vehicles[other, _vehicle.WIDTH]
-    view[_planner.SPEED_LOW] = settings.speed_low
-    view[_planner.SPEED_HIGH] = settings.speed_high
+    _fill_fixed(vehicles[car], vehicles[1 - car], settings, view)
+    _fill_moving(track.line, track.ds, state.tick[race], state.cars, state.frenet, state.progress, race, car, view)
 
 
 @kernel
@@ -147,7 +165,7 @@ def update_progress(line, ds, length, cars, frenet, progress, race):  # type: ig
         frenet[race, car, 1] = d
 
 
-@kernel
+@inner_kernel
 def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore[no-untyped-def]
     """Count a pass once the car that was behind leads by more than a car's length."""
     lead = progress[race, 0] - progress[race, 1]
@@ -158,7 +176,7 @@ def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore
         leader[race] = ahead
 
 
-@kernel
+@inner_kernel
 def _latch(cars, crash, fault, race, vehicles, wall0, wall1):  # type: ignore[no-untyped-def]
     """Keep a crash and who is to blame for it."""
     if wall0 or wall1:
@@ -183,7 +201,7 @@ def _latch(cars, crash, fault, race, vehicles, wall0, wall1):  # type: ignore[no
     fault[race, 1] = 1 if fault1 else 0
 
 
-@kernel
+@inner_kernel
 def _touch(cars, race, vehicles):  # type: ignore[no-untyped-def]
     """Whether the two cars of a race overlap."""
     return rectangles_overlap(
@@ -220,8 +238,7 @@ def collide(  # type: ignore[no-untyped-def]
     vehicles,
 ):
     """Latch crashes and their faults; returns whether there is one."""
-    wall0 = False
-    wall1 = False
+    wall0 = wall1 = crash[race, 0] != 0  # False, but no constant, for which numba would compile _latch once more
     for car in range(2):
         hit = hits_wall(
             distance,
@@ -281,8 +298,8 @@ def measure_ittc(  # type: ignore[no-untyped-def]
         sums[race, car, _state.ITTC_SAMPLES] += 1.0
 
 
-@kernel
-def _measure_driving(cars, frenet, progress, sums, race, vehicles, steering_before):  # type: ignore[no-untyped-def]
+@inner_kernel
+def _measure_driving(cars, frenet, progress, sums, race, vehicles, before0, before1):  # type: ignore[no-untyped-def]
     """Add what one control period contributes to the running sums."""
     period = CONTROL_EVERY * DT
     lead = progress[race, 0] - progress[race, 1]
@@ -292,7 +309,8 @@ def _measure_driving(cars, frenet, progress, sums, race, vehicles, steering_befo
         sums[race, 0 if lead > 0.0 else 1, _state.BLOCKING] += period
     for car in range(2):
         sideways = cars[race, car, _vehicle.V] * cars[race, car, _vehicle.PSI_DOT]
-        sums[race, car, _state.STEERING] += abs(cars[race, car, _vehicle.DELTA] - steering_before[car])
+        before = before0 if car == 0 else before1
+        sums[race, car, _state.STEERING] += abs(cars[race, car, _vehicle.DELTA] - before)
         sums[race, car, _state.LATERAL] += sideways * sideways * period
         sums[race, car, _state.TIME] += period
 
@@ -303,7 +321,8 @@ def advance_races(  # type: ignore[no-untyped-def]
 ):
     """Advance races ``first`` to ``last - 1`` of a batch by ``ticks`` steps each, in place.
 
-    A race that crashed or reached ``settings.end_tick`` stands still.
+    A race that crashed or reached ``settings.end_tick`` stands still. Races are driven in groups whose cars share the
+    processor's vectors; no race depends on the others in its group.
 
     Parameters
     ----------
@@ -326,90 +345,110 @@ def advance_races(  # type: ignore[no-untyped-def]
     work : ndarray, shape (WORK_SIZE,)
         Scribbled on.
     """
-    # Arrays are taken out of their tuples and cut once per race: in the loop each access would count references up
-    # and down.
+    # Arrays are taken out of their tuples once: handing whole tuples to functions costs more than many of these do.
     distance, origin_x, origin_y, cell = track.distance, track.origin_x, track.origin_y, track.cell
     walls, seen_start, seen = track.walls, track.seen_start, track.seen
     seen_distance, seen_middle, seen_stretch = track.seen_distance, track.seen_middle, track.seen_stretch
     line, ds, length = track.line, track.ds, track.length
     cars, frenet, progress, sums = state.cars, state.frenet, state.progress, state.sums
     crash, fault, leader, overtakes = state.crash, state.fault, state.leader, state.overtakes
-    view = work[: _planner.VIEW_SIZE]
-    steering_before = work[_planner.VIEW_SIZE : WORK_SIZE]
+    commands, disturbances, paths, memories = state.command, state.disturbance, state.path, state.memory
     noise_gain = settings.noise_sd * np.sqrt(1.0 - settings.noise_keep * settings.noise_keep)
-    for race in range(first, last):
-        tick = state.tick[race]
-        end = min(tick + ticks, settings.end_tick)
-        crashed = crash[race, 0] != 0 or crash[race, 1] != 0
-        params = vehicles[race]
-        params0, params1 = vehicles[race, 0], vehicles[race, 1]
-        own0, own1 = cars[race, 0], cars[race, 1]
-        command0, command1 = state.command[race, 0], state.command[race, 1]
-        path0, path1 = state.path[race, 0], state.path[race, 1]
-        memory0, memory1 = state.memory[race, 0], state.memory[race, 1]
-        theta0, theta1 = theta[race, 0], theta[race, 1]
-        disturbance = state.disturbance[race]
-        while tick < end and not crashed:
-            if tick % CONTROL_EVERY == 0:
-                fill_view(track, state, race, 0, params, settings, view)
-                if tick % PLAN_EVERY == 0:
-                    plan0(track, theta0, view, memory0, scratch, path0)
-                control0(track, theta0, view, memory0, scratch, path0, command0)
-                fill_view(track, state, race, 1, params, settings, view)
-                if tick % PLAN_EVERY == 0:
-                    plan1(track, theta1, view, memory1, scratch, path1)
-                control1(track, theta1, view, memory1, scratch, path1, command1)
-                if settings.noise_sd > 0.0:
+    for start in range(first, last, GROUP):
+        stop = min(start + GROUP, last)
+        for race in range(start, stop):
+            crashed = crash[race, 0] != 0 or crash[race, 1] != 0
+            work[_LEFT + race - start] = 0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])
+            for car in range(2):
+                lane = 2 * (race - start) + car
+                load_car(work, lane, cars[race, car], vehicles[race, car])
+                view = work[_VIEWS + lane * _planner.VIEW_SIZE : _VIEWS + (lane + 1) * _planner.VIEW_SIZE]
+                _fill_fixed(vehicles[race, car], vehicles[race, 1 - car], settings, view)
+        driving = True
+        while driving:
+            driving = False
+            for race in range(start, stop):
+                if work[_LEFT + race - start] <= 0.0:
+                    continue
+                driving = True
+                tick = state.tick[race]
+                if tick % CONTROL_EVERY == 0:
                     for car in range(2):
-                        draw = steering_noise(state.seed[race], car, tick)
-                        disturbance[car] = settings.noise_keep * disturbance[car] + noise_gain * draw
-                    command0[0] += disturbance[0]
-                    command1[0] += disturbance[1]
-                steering_before[0] = own0[_vehicle.DELTA]
-                steering_before[1] = own1[_vehicle.DELTA]
-            rate, acceleration = _vehicle.target_inputs(own0, command0[0], command0[1], params0, DT)
-            _vehicle.step(own0, rate, acceleration, params0, DT)
-            rate, acceleration = _vehicle.target_inputs(own1, command1[0], command1[1], params1, DT)
-            _vehicle.step(own1, rate, acceleration, params1, DT)
-            tick += 1
-            state.tick[race] = tick
-            if tick % CONTROL_EVERY == 0:
-                update_progress(line, ds, length, cars, frenet, progress, race)
-                _measure_driving(cars, frenet, progress, sums, race, params, steering_before)
-                crashed = collide(
-                    distance,
-                    origin_x,
-                    origin_y,
-                    cell,
-                    walls,
-                    seen_start,
-                    seen,
-                    seen_distance,
-                    seen_middle,
-                    seen_stretch,
-                    cars,
-                    frenet,
-                    crash,
-                    fault,
-                    race,
-                    params,
-                )
-                _count_overtakes(progress, leader, overtakes, race, params[0, _vehicle.LENGTH])
-            if tick % ITTC_EVERY == 0 and settings.ittc_horizon > 0.0:
-                measure_ittc(
-                    walls,
-                    seen_start,
-                    seen,
-                    seen_distance,
-                    seen_middle,
-                    seen_stretch,
-                    cars,
-                    frenet,
-                    sums,
-                    race,
-                    params,
-                    settings.ittc_horizon,
-                )
+                        lane = 2 * (race - start) + car
+                        view = work[_VIEWS + lane * _planner.VIEW_SIZE : _VIEWS + (lane + 1) * _planner.VIEW_SIZE]
+                        path, memory, command = paths[race, car], memories[race, car], commands[race, car]
+                        _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view)
+                        if car == 0:
+                            if tick % PLAN_EVERY == 0:
+                                plan0(track, theta[race, 0], view, memory, scratch, path)
+                            control0(track, theta[race, 0], view, memory, scratch, path, command)
+                        else:
+                            if tick % PLAN_EVERY == 0:
+                                plan1(track, theta[race, 1], view, memory, scratch, path)
+                            control1(track, theta[race, 1], view, memory, scratch, path, command)
+                        if settings.noise_sd > 0.0:
+                            draw = steering_noise(state.seed[race], car, tick)
+                            disturbances[race, car] = settings.noise_keep * disturbances[race, car] + noise_gain * draw
+                            command[0] += disturbances[race, car]
+                        set_target(work, lane, command[0], command[1])
+                        work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
+                for car in range(2):
+                    lane = 2 * (race - start) + car
+                    slow = step_slow_car(work, lane, cars[race, car], vehicles[race, car], DT)
+                    work[_SLOW + lane] = 1.0 if slow else 0.0
+            step_lanes(work, DT)
+            for race in range(start, stop):
+                if work[_LEFT + race - start] <= 0.0:
+                    continue
+                work[_LEFT + race - start] -= 1.0
+                params = vehicles[race]
+                for car in range(2):
+                    lane = 2 * (race - start) + car
+                    if work[_SLOW + lane] != 0.0:
+                        load_car(work, lane, cars[race, car], params[car])
+                    else:
+                        store_car(work, lane, cars[race, car])
+                tick = state.tick[race] + 1
+                state.tick[race] = tick
+                if tick % CONTROL_EVERY == 0:
+                    before = _STEERING_BEFORE + 2 * (race - start)
+                    update_progress(line, ds, length, cars, frenet, progress, race)
+                    _measure_driving(cars, frenet, progress, sums, race, params, work[before], work[before + 1])
+                    if collide(
+                        distance,
+                        origin_x,
+                        origin_y,
+                        cell,
+                        walls,
+                        seen_start,
+                        seen,
+                        seen_distance,
+                        seen_middle,
+                        seen_stretch,
+                        cars,
+                        frenet,
+                        crash,
+                        fault,
+                        race,
+                        params,
+                    ):
+                        work[_LEFT + race - start] = 0.0
+                    _count_overtakes(progress, leader, overtakes, race, params[0, _vehicle.LENGTH])
+                if tick % ITTC_EVERY == 0 and settings.ittc_horizon > 0.0:
+                    measure_ittc(
+                        walls,
+                        seen_start,
+                        seen,
+                        seen_distance,
+                        seen_middle,
+                        seen_stretch,
+                        cars,
+                        frenet,
+                        sums,
+                        race,
+                        params,
+                        settings.ittc_horizon,
+                    )
 
 
 @kernel

@@ -18,8 +18,8 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive, save_archive
 from pcs_racing.game.characteristics import Characteristic, Segment
 from pcs_racing.game.config import GameConfig
-from pcs_racing.game.game import RaceGame
 from pcs_racing.game.moves import no_op_share
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner
 from pcs_racing.race.config import PAPER, load_race_config
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.compilation import kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 
 __all__ = [
     "COS",
@@ -100,7 +100,7 @@ class TrackArrays(NamedTuple):
 # branch in a function that holds the track's seven arrays costs it their reference counts, five times the arithmetic.
 
 
-@kernel
+@inner_kernel
 def _wrap(length, s):  # type: ignore[no-untyped-def]
     if 0.0 <= s < length:
         return s
@@ -109,20 +109,20 @@ def _wrap(length, s):  # type: ignore[no-untyped-def]
     return s if 0.0 <= s < length else 0.0
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def wrap_s(track, s):  # type: ignore[no-untyped-def]
     """Wrap an arc length into [0, length)."""
     return _wrap(track.length, s)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def angle_between(a, b):  # type: ignore[no-untyped-def]
     """Return the difference a - b of two angles, wrapped into [-pi, pi)."""
     d = a - b
     return d - 2.0 * np.pi * np.floor((d + np.pi) / (2.0 * np.pi))
 
 
-@kernel(inline="always")
+@inner_kernel(forceinline=True)
 def _cubic(line, ds, i):  # type: ignore[no-untyped-def]
     """Return the coefficients of the line between sample ``i`` and the next one, for u in [0, 1].
 
@@ -255,7 +255,7 @@ def to_cartesian(track, s, d):  # type: ignore[no-untyped-def]
     return offset(track.line, track.ds, track.length, s, d)
 
 
-@kernel
+@inner_kernel
 def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
     """Whether the straight way between two points stays off the walls; in cells from the corner of the grid."""
     rows, cols = distance.shape
@@ -270,7 +270,7 @@ def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
     return True
 
 
-@kernel
+@inner_kernel
 def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # type: ignore[no-untyped-def]
     """Compute `locate`; the point is (x, y) in m and (u, v) in cells, ``coarse`` cells to one of the look-up."""
     rows, cols = lookup.shape

@@ -6,15 +6,14 @@ such a model may stand, too. An agent is a value: a function from what is seen t
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.opponents import Predictor
-from pcs_racing.game.game import RaceGame
-from pcs_racing.game.state import GameState
+from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing_agents.agents.drawing import draw
@@ -68,6 +67,10 @@ class Agent:
         setting = self.setting
         return fingerprint(self.strategy, int(self.seed), setting.archive.content_hash, setting.config)
 
+    def check_fits(self, game: RaceGame) -> None:
+        """Check that a game is played with the archive, moves and observations that this agent is made for."""
+        self.setting.check_fits(game, self.name)
+
     def probabilities(self, observation: ArrayLike) -> NDArray[np.float64]:
         """Return the chances of the moves, shape (B, M), for observations of shape (B, D).
 
@@ -119,18 +122,8 @@ class Agent:
         return (actions.reshape(()) if seen.ndim == 1 else actions), None
 
 
-@runtime_checkable
-class Decider(Protocol):
-    """Who looks at the whole state of a game instead of an observation, such as a search with the simulator."""
-
-    name: str
-
-    def decide(self, game: RaceGame, state: GameState, car: int) -> ArrayLike:
-        """Return the moves of one car in a batch of B games, shape (B,); every game must be decided by itself."""
-
-
 @dataclass(frozen=True, eq=False)
-class Driver:
+class Driver(PolicySet):
     """Policies from outside the archive, each a variant of one driver; it makes no moves.
 
     Attributes
@@ -143,8 +136,6 @@ class Driver:
         What documentation and reports say.
     """
 
-    name: str
-    policies: tuple[Policy, ...]
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -187,10 +178,6 @@ class Driver:
 def _driver(name: str, planner: Planner | str, rows: list[tuple[Any, str]], facts: dict[str, str]) -> Driver:
     family = get_planner(planner) if isinstance(planner, str) else planner
     return Driver(name, tuple(Policy(family, theta, policy) for theta, policy in rows), facts)
-
-
-Competitor = Agent | Driver | Predictor | Decider
-"""Who may race; all but drivers move between the policies of the archive."""
 
 
 @dataclass(frozen=True, eq=False)

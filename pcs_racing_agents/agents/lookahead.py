@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.game import RaceGame, take_games
-from pcs_racing.game.state import GameState
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.races import advance
 from pcs_racing_agents.solvers import solve_matrix_games
 

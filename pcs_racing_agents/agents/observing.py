@@ -2,8 +2,8 @@
 
 An observation holds a block of numbers for every step, and then the share of the moves that have been made. A block is
 the own coordinates, the opponent's, the lead, and whether the step is over
-(:func:`pcs_racing.game.game.observation_table`). All functions take observations of shape (B, D) and the number G of
-the game's axes.
+(:func:`pcs_racing.game.observation.observation_table`). All functions take observations of shape (B, D) and the number
+G of the game's axes.
 """
 
 import numpy as np

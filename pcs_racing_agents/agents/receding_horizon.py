@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import LEAD_SCALE, RaceGame, take_games
-from pcs_racing.game.state import GameState
+from pcs_racing.game.observation import LEAD_SCALE
+from pcs_racing.game.reward import reward
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.game.state import GameState, take_games
 from pcs_racing_agents.agents.drawing import draw, hash_rows
 from pcs_racing_agents.agents.from_network import NetworkSource, fitting_network
 from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, root_games, search_game
@@ -196,7 +198,7 @@ class RecedingHorizon:
     def _value(self, search: RaceGame, state: GameState, car: int) -> Floats:
         """What the ends of a search are worth to a car, shape (N,)."""
         done = search.done(state)
-        worth = search.worth(state.race, state.step)
+        worth = reward(search.config, state.race, state.step)
         lead = state.race.lead / LEAD_SCALE
         if search.config.utility == "win":
             # The opponent is a guess: of two races with the same result, the one with more lead is won more surely.

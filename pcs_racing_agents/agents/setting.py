@@ -11,9 +11,9 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.game import RaceGame
 from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
 from pcs_racing.game.moves import move_names, move_table
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 
 __all__ = ["Setting", "make_setting"]

@@ -10,8 +10,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli import (
     agents,
+    compilation,
     explain,
     export,
+    headroom,
     policies,
     ppo,
     race,
@@ -90,6 +92,7 @@ def _parser() -> argparse.ArgumentParser:
         agents,
         policies,
         synthesize,
+        headroom,
         tree,
         solve,
         export,
@@ -98,6 +101,7 @@ def _parser() -> argparse.ArgumentParser:
         study,
         explain,
         view,
+        compilation,
     ):
         group.add(commands)
     return parser

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.game import LEAD_SCALE, RaceGame
+from pcs_racing.game.observation import LEAD_SCALE
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts

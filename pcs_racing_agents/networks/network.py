@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.dense import DenseLayers, dense_rows
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
 from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
+from pcs_racing.game.rules import RaceGame
 
 __all__ = ["RegretNetwork"]
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcs_racing.base.checks import check_whole
-from pcs_racing.base.compilation import announce_compilation
+from pcs_racing.base.compilation import first_call
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.solvers.cfr_kernels import Layout, State, initial_state, iterate, node_order, tree_layout
 from pcs_racing_agents.solvers.evaluation import Profile
@@ -123,7 +123,7 @@ def cfr(
         _copy_in(tree, layout, state.sums, layout.regret_at, resume.strategy_sums)
         _copy_in(tree, layout, state.opponent_reach, layout.row_at, resume.opponent_reach)
     last = done + int(iterations) + 1
-    with announce_compilation(iterate, "counterfactual regret minimisation", 5):
+    with first_call(iterate, "counterfactual regret minimisation", 5):
         for begin in range(done + 1, last, CHUNK):
             end = min(begin + CHUNK, last)
             iterate(layout, state, begin, end, rules.alternating, rules.alpha, rules.beta, rules.gamma)

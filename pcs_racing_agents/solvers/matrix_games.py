@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.compilation import announce_compilation, compiled, kernel
+from pcs_racing.base.compilation import compiled, first_call, kernel
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.game_tree import Floats
 from pcs_racing_agents.solvers.rational_games import solve_rationally
@@ -76,7 +76,7 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     games = games.reshape(-1, *games.shape[-2:])
     count, a, c = games.shape
     solution = MatrixSolution(np.empty(count), np.empty((count, a)), np.empty((count, c)), np.empty(count))
-    with announce_compilation(solve_games, "the solver of matrix games", 5):
+    with first_call(solve_games, "the solver of matrix games", 5):
         solve_games(games, *solution)
     span = games.max(axis=(1, 2)) - games.min(axis=(1, 2))
     for g in np.flatnonzero(~(solution.gaps <= GOOD_GAP * span)):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.files import write_atomically
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import save_fit

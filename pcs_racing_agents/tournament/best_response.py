@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame, take_games
+from pcs_racing.game.competitor import ask_moves
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.game.state import take_games
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver
-from pcs_racing_agents.tournament.matches import game_between, moves_of
+from pcs_racing_agents.tournament.matches import game_between
 
 __all__ = ["ResponseUtility", "best_response_utility"]
 
@@ -78,7 +80,7 @@ def best_response_utility(
     levels: list[tuple[Indices, Indices]] = []  # of each game: what was seen before its last move, and that move
     parents: list[Indices] = []
     for _ in range(arena.config.moves):
-        own = moves_of(agent, arena, state, car)
+        own = ask_moves(agent, arena, state, car)
         games = np.repeat(np.arange(state.games), options)
         responses = np.tile(np.arange(options), state.games)
         actions = np.zeros((len(games), 2), np.int64)
@@ -88,7 +90,7 @@ def best_response_utility(
         state = arena.step(take_games(state, games), actions)
         history = (seen[games] * len(arena.move_names) + actions[:, car]) * options + responses
         seen = np.unique(history, return_inverse=True)[1].astype(np.int64)
-    worth = arena.utility(state)[:, car].astype(np.float64)
+    worth = arena.reward(state)[:, car].astype(np.float64)
     return ResponseUtility(best=_smallest(worth, levels, parents), random=float(worth.mean()))
 
 

@@ -15,14 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.competitor import competitor_name
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import best_fixed, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.jobs import Job, Progress
-from pcs_racing_agents.tournament.matches import Matches, name_of
+from pcs_racing_agents.tournament.matches import Matches
 from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
@@ -72,7 +73,7 @@ class TrainingRaces:
         """What a fit says of how it was found."""
         return {
             "tracks": ", ".join(track.name for track in self.tracks),
-            "opponents": ", ".join(map(name_of, self.opponents)),
+            "opponents": ", ".join(map(competitor_name, self.opponents)),
             "races": self.races * len(self.tracks) * len(self.opponents),
             "candidates": tried,
             "seed": self.seed,

@@ -16,7 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["CyclicPlane", "Headroom", "cyclic_part", "cyclic_planes", "headroom", "ratings", "transitive_share"]
+__all__ = [
+    "CyclicPlane",
+    "Headroom",
+    "cyclic_part",
+    "cyclic_planes",
+    "headroom",
+    "jackknife_error",
+    "ratings",
+    "transitive_share",
+]
 
 Floats = NDArray[np.float64]
 
@@ -37,8 +46,8 @@ class Headroom:
         The same, minus the best fixed policy of the judging races themselves: a bound from below.
     opponents_error : float
         Standard error over opponents: how far ``value`` would move with other opponents of the same kind.
-    pool_error : float
-        Standard error over draws of the pool: the jackknife that leaves one policy out, as reply and as opponent.
+    without : ndarray, shape (N,)
+        ``value`` of the pool without each of its policies, as a reply and as an opponent.
     gains : ndarray, shape (N,)
         What knowing each opponent is worth; their mean is ``value``.
     best_fixed : int
@@ -48,9 +57,14 @@ class Headroom:
     value: float
     low: float
     opponents_error: float
-    pool_error: float
+    without: Floats
     gains: Floats
     best_fixed: int
+
+    @property
+    def pool_error(self) -> float:
+        """Standard error over draws of the pool: the jackknife over ``without``."""
+        return jackknife_error(self.without)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +103,21 @@ def headroom(payoffs: ArrayLike) -> Headroom:
     folds = _checked(payoffs)
     value, low, gains = _cross_fitted(folds)
     count = folds.shape[1]
-    jackknife = np.array([_cross_fitted(np.delete(np.delete(folds, k, 1), k, 2))[0] for k in range(count)])
+    without = np.array([_cross_fitted(np.delete(np.delete(folds, k, 1), k, 2))[0] for k in range(count)])
     return Headroom(
         value=value,
         low=low,
         opponents_error=float(gains.std(ddof=1) / np.sqrt(count)),
-        pool_error=float(np.sqrt((count - 1) / count * np.square(jackknife - jackknife.mean()).sum())),
+        without=without,
         gains=gains,
         best_fixed=int(folds.mean(axis=(0, 2)).argmax()),
     )
+
+
+def jackknife_error(without: Floats) -> float:
+    """Return the standard error of an estimate from its values without each of the N observations."""
+    count = len(without)
+    return float(np.sqrt((count - 1) / count * np.square(without - without.mean()).sum()))
 
 
 def ratings(payoffs: ArrayLike) -> Floats:

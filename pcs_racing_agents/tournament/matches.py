@@ -12,20 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame, take_games
-from pcs_racing.game.state import GameState
+from pcs_racing.game.competitor import ask_moves, check_competitor, competitor_name
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.kernel import DT
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.agents.agent import Agent, Competitor, Decider, Driver, as_competitor
+from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 
 __all__ = [
     "Matches",
-    "check_competitor",
     "game_between",
     "join_matches",
-    "moves_of",
-    "name_of",
     "play_games",
     "variant_count",
 ]
@@ -113,31 +110,6 @@ def game_between(game: RaceGame, ego: Competitor, opponent: Competitor) -> RaceG
     return arena
 
 
-def check_competitor(game: RaceGame, competitor: Competitor) -> None:
-    """Check that a competitor can take part in a game, as far as can be seen beforehand.
-
-    Raises
-    ------
-    InputError
-        If an agent is made for another archive or other rules, or a model sees or moves otherwise.
-    """
-    if isinstance(competitor, Agent):
-        competitor.setting.check_fits(game, competitor.name)
-    model = getattr(competitor, "model", competitor)
-    size, moves = len(game.observation_elements), len(game.move_names)
-    shape = getattr(getattr(model, "observation_space", None), "shape", None)
-    if shape is not None and tuple(shape) != (size,):
-        raise InputError(
-            f"agent {name_of(competitor)!r} sees observations of shape {tuple(shape)}; this game shows ({size},)"
-        )
-    count = getattr(getattr(model, "action_space", None), "n", None)
-    if count is not None and int(count) > moves:
-        raise InputError(
-            f"agent {name_of(competitor)!r} has {int(count)} moves; this game has {moves} "
-            f"({', '.join(game.move_names)})"
-        )
-
-
 def play_games(
     game: RaceGame,
     ego: Competitor | Policy,
@@ -187,8 +159,8 @@ def play_games(
         wrong = np.flatnonzero((chosen[:, car] < 0) | (chosen[:, car] >= count))
         if len(wrong):
             raise InputError(
-                f"game {wrong[0]}: the {CARS[car]}'s variant is {chosen[wrong[0], car]}; {name_of(who)!r} has variants "
-                f"0 to {count - 1}"
+                f"game {wrong[0]}: the {CARS[car]}'s variant is {chosen[wrong[0], car]}; {competitor_name(who)!r} has "
+                f"variants 0 to {count - 1}"
             )
     parts = []
     for first in range(0, max(len(starts), 1), BATCH):
@@ -214,7 +186,7 @@ def _play(
     policy = np.full((len(chosen), 2, steps + 1), -1, np.int64)
     moves = np.full((len(chosen), 2, steps), -1, np.int64)
     policy[:, :, 0] = first
-    memories: list[Any] = [None, None]
+    memories: list[list[Any]] = [[None] * len(chosen), [None] * len(chosen)]
     for step in range(steps):
         going = np.flatnonzero(~arena.done(state))
         if len(going) == 0:
@@ -223,15 +195,15 @@ def _play(
         actions = np.zeros((len(chosen), 2), np.int64)
         for car, who in enumerate(cars):
             if acts[car]:
-                actions[:, car], memories[car] = _ask(who, arena, state, seen[:, car], car, memories[car])
+                actions[:, car] = ask_moves(who, arena, state, car, observation=seen[:, car], memories=memories[car])
                 moves[going, car, step] = actions[going, car]
-        state = arena.step(state, actions)
+        state = arena.apply(state, actions)
         policy[going, :, step + 1] = state.policy[going]
     race = state.race
     return Matches(
         lead=race.lead,
         winner=arena.winner(state),
-        utility=arena.utility(state)[:, 0],
+        utility=arena.reward(state)[:, 0],
         crash=race.crash,
         fault=race.fault,
         overtakes=race.overtakes,
@@ -241,60 +213,3 @@ def _play(
         noise=race.seed,
         seen=arena.observation(state),
     )
-
-
-def moves_of(who: Competitor, game: RaceGame, state: GameState, car: int) -> NDArray[np.int64]:
-    """Ask for the moves of one car in a batch of B games, shape (B,); 0 in games that are over, and for drivers.
-
-    Parameters
-    ----------
-    who : Competitor
-        A model that wants to remember is asked as at the beginning of a game.
-    game : RaceGame
-    state : GameState
-    car : int
-
-    Raises
-    ------
-    InputError
-        If the answer is not one move for each game.
-    """
-    return _ask(who, game, state, game.observation(state)[:, car], car, None)[0]
-
-
-def _ask(
-    who: Competitor, game: RaceGame, state: GameState, seen: NDArray[np.float32], car: int, memory: Any
-) -> tuple[NDArray[np.int64], Any]:
-    """Moves of one car in all games, and what it wants to be handed the next time."""
-    going = ~game.done(state)
-    actions = np.zeros(state.games, np.int64)
-    if isinstance(who, Driver):
-        return actions, memory
-    answer: Any
-    if isinstance(who, Decider):
-        rows = np.flatnonzero(going)
-        answer = np.asarray(who.decide(game, take_games(state, rows), car))
-    else:
-        # Games that are over are asked about, too: whoever remembers keeps one memory for each game of the batch.
-        rows = np.arange(state.games)
-        answer, memory = who.predict(seen, memory, np.full(state.games, memory is None), True)
-        answer = np.asarray(answer)
-    if answer.shape != rows.shape or answer.dtype.kind not in "iu":
-        raise InputError(
-            f"agent {name_of(who)!r} returned moves of shape {answer.shape} and type {answer.dtype} for {len(rows)} "
-            "games; they must be whole numbers, one for each"
-        )
-    wrong = np.flatnonzero((answer < 0) | (answer >= len(game.move_names)))
-    if len(wrong):
-        raise InputError(
-            f"agent {name_of(who)!r} made move {answer[wrong[0]]} in game {rows[wrong[0]]}; there are moves 0 to "
-            f"{len(game.move_names) - 1} ({', '.join(game.move_names)})"
-        )
-    actions[rows] = answer
-    actions[~going] = 0
-    return actions, memory
-
-
-def name_of(who: Any) -> str:
-    """Return the name of a competitor; of a model without one that of its class."""
-    return str(getattr(who, "name", type(who).__name__))

@@ -18,14 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.moves import move_names
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
 from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
-from pcs_racing_agents.tournament.matches import Matches, game_between, name_of, play_games, variant_count
+from pcs_racing_agents.tournament.matches import Matches, game_between, play_games, variant_count
 from pcs_racing_agents.tournament.schedule import Schedule
 
 __all__ = ["Pairing", "cross_pairing", "schedule_pairing"]
@@ -67,7 +68,7 @@ class Pairing:
     @property
     def names(self) -> tuple[str, str]:
         """Names of ego and opponent."""
-        return name_of(self.ego), name_of(self.opponent)
+        return competitor_name(self.ego), competitor_name(self.opponent)
 
     def take(self, rows: ArrayLike) -> "Pairing":
         """Return some of the races, by their numbers."""

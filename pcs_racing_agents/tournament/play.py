@@ -10,8 +10,9 @@ from typing import Any
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.track.track import Track
@@ -20,7 +21,7 @@ from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.jobs.jobs import Job, Progress
 from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races
-from pcs_racing_agents.tournament.matches import game_between, name_of
+from pcs_racing_agents.tournament.matches import game_between
 from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import Schedule, draw_schedule
@@ -68,7 +69,7 @@ class TournamentPlan:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the competitors, in the order of the table."""
-        return tuple(map(name_of, self.competitors))
+        return tuple(map(competitor_name, self.competitors))
 
     @cached_property
     def pairings(self) -> tuple[Pairing, ...]:
@@ -146,7 +147,7 @@ def plan_tournament(
         given = [as_competitor(_made(one, setting, seed), name) for name, one in entrants.items()]
     else:
         given = [as_competitor(_made(one, setting, seed)) for one in entrants]
-    _check_distinct("competitors", [name_of(one) for one in given], 2)
+    _check_distinct("competitors", [competitor_name(one) for one in given], 2)
     rules = setting.config.race_rules
     schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
     plan = TournamentPlan(tuple(given), tuple(circuits), setting, schedules, races_per_pair, seed)

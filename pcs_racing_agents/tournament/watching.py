@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.competitor import competitor_name
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.recording import record_drive
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
-from pcs_racing_agents.tournament.matches import Matches, game_between, name_of, play_games
+from pcs_racing_agents.tournament.matches import Matches, game_between, play_games
 
 __all__ = ["Recording", "record_match"]
 
@@ -80,7 +81,7 @@ def record_match(
         start,
         match.noise[0],
         theta,
-        names=(name_of(cars[0]), name_of(cars[1])),
+        names=(competitor_name(cars[0]), competitor_name(cars[1])),
         step_ticks=arena.config.step_ticks,
         candidates=candidates,
     )

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame, take_games
-from pcs_racing.game.state import GameState
+from pcs_racing.game.reward import reward
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.trees.driving import drive_children
 from pcs_racing_agents.trees.far import finish
@@ -117,7 +118,7 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
     moves, axes = game.config.moves, len(game.characteristics)
     races = root.race  # those of the level that go on
     row = np.where(races.crashed, -1, 0).reshape(1, 1)  # of each pair of paths in ``races``, -1 where it is over
-    worth = np.where(races.crashed, game.worth(races, 0), 0.0).reshape(1, 1)
+    worth = np.where(races.crashed, reward(game.config, races, 0), 0.0).reshape(1, 1)
     leads = [root.leads[:, 0].reshape(1, 1)]
     estimates = [root.estimates[:, :, 0].reshape(1, 1, 2, axes).astype(np.float32)]
     over = [row < 0]
@@ -134,12 +135,12 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
             ends, count = finish(game, races, rows, policies, share=share)
             crashed[at] = ends.crash.any(axis=1)
             # The end after a crash or after all moves: in both cases k moves were made.
-            worth[at] = game.worth(ends.as_races(), k)
+            worth[at] = reward(game.config, ends.as_races(), k)
             driven += count
             break
         below, measured = drive_children(game, races, rows, policies)
         crashed[at] = below.crashed
-        worth[at] = np.where(below.crashed, game.worth(below, k), 0.0)
+        worth[at] = np.where(below.crashed, reward(game.config, below, k), 0.0)
         leads.append(_scatter(below.lead, at, parents.shape))
         estimates.append(_scatter(measured.astype(np.float32), at, parents.shape))
         over.append(crashed)

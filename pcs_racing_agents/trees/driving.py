@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.kernel import PLAN_EVERY
 from pcs_racing.race.races import advance
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take

@@ -15,7 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.game.game import RaceGame, encode_observation
+from pcs_racing.game.observation import encode_observation
+from pcs_racing.game.reward import reward
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.trees.build import check_game
 from pcs_racing_agents.trees.driving import drive_children
 from pcs_racing_agents.trees.far import finish
@@ -300,7 +302,7 @@ def _play(
     root = game.reset(keys, policies=pairs)
     races = root.race.copy()
     row = np.where(races.crashed, -1, np.arange(len(pairs)))  # of each path's race, -1 where it is over
-    worth = np.where(races.crashed, game.worth(races, 0), 0.0)
+    worth = np.where(races.crashed, reward(game.config, races, 0), 0.0)
     second = pairs[:, 1]  # car 1's policy
     at = [np.zeros((len(pairs), 1), np.int64)]  # path of each history, counted over all roots
     own, leads, estimates, over = [], [root.leads[:, 0]], [root.estimates[:, :, 0]], [row < 0]
@@ -320,10 +322,10 @@ def _play(
         rows, worth = row[above], worth[above]
         if k == moves:
             ends, _ = finish(game, races, rows[live], policies[live], share=False)
-            worth[live] = game.worth(ends.as_races(), k)
+            worth[live] = reward(game.config, ends.as_races(), k)
             break
         races, measured = drive_children(game, races, rows[live], policies[live])
-        worth[live] = np.where(races.crashed, game.worth(races, k), 0.0)
+        worth[live] = np.where(races.crashed, reward(game.config, races, k), 0.0)
         row = np.full(len(above), -1)
         row[live] = np.where(races.crashed, -1, np.arange(len(live)))
         own.append(game.points[policies[:, 0]])

@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.jobs.jobs import Progress, chunk_file, open_job, read_chunk
 from pcs_racing_agents.trees.ego import MOST_ROOTS, EgoTrees, check_ego, join_ego, play_ego
 from pcs_racing_agents.trees.storage import MAKE_AGAIN, game_settings, read_settings

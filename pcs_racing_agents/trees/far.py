@@ -13,7 +13,7 @@ other car at any distance, so steps in which it is measured are driven one by on
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.state import RaceState
 from pcs_racing_agents.trees.driving import Ends, drive_to_the_end
 

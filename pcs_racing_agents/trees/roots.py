@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.start_grid import Starts
 
 __all__ = ["Root", "choose_pairs", "default_seeds", "draw_root"]

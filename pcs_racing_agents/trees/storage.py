@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.game import RaceGame
 from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.jobs.folders import read_job
 from pcs_racing_agents.jobs.jobs import Progress, TaskGroup, chunk_file, open_job, read_chunk, run_groups
 from pcs_racing_agents.trees.build import build_tree, check_game

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import encode_observation
+from pcs_racing.game.observation import encode_observation
 from pcs_racing_agents.trees.paths import PolicyPaths, check_size, own_histories, policy_paths
 
 if TYPE_CHECKING:

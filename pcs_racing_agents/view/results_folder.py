@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import load_track
 from pcs_racing_agents.agents.agent import competitor_hash

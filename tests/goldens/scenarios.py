@@ -88,7 +88,7 @@ def drive(name: str) -> Values:
         "contest": {"race": "contest", "opponent": "lane-switcher:3", "beams": 16},
         "alone": {"opponent": None, "normalize": True},
     }.items():
-        env = gymnasium.make_vec(name, num_envs=3, track=TRACK, threads=1, **options)
+        env = gymnasium.make_vec(name, num_envs=3, track=TRACK, threads=1, autoreset_mode="SAME_STEP", **options)
         first, _ = env.reset(seed=5)
         seen, rewards, over = [first], [], []
         for action in actions(20, 3):
@@ -117,6 +117,7 @@ def duel(name: str) -> Values:
             opponent="random-moves",
             step_seconds=0.6,
             threads=1,
+            autoreset_mode="SAME_STEP",
         )
         first, _ = env.reset(seed=7)
         seen, rewards, over = [first], [], []

@@ -20,8 +20,8 @@ from pcs_racing import (
     parse_policy,
     run_races,
 )
-from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.drive_vector import DriveVectorEnv
+from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing.envs.infos import Crash
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH
 
 
@@ -57,9 +57,9 @@ def test_a_car_that_is_not_steered_around_the_bend_hits_the_wall(stadium, rival,
     while not over:
         *_, over, late, info = env.step(np.array(action, np.float32))
         assert not late
-    assert info["crash"] == "wall"
-    assert info["opponent_crash"] == "none"
-    assert info["at_fault"]
+    assert info["crash"] == Crash.WALL
+    assert info["opponent_crash"] == Crash.NONE
+    assert info["fault"]
 
 
 def test_a_lap_alone(stadium):

@@ -45,16 +45,9 @@ def test_the_environment_never_imports_the_agents():
         assert not agents, f"{file} imports {agents}"
 
 
-BEHIND_FUNCTIONS = (
-    "pcs_racing_agents/learning/ppo/vector_env.py",
-)  # a class of Stable-Baselines3; imported when it trains
-
-
 def test_optional_libraries_are_imported_inside_functions():
     for package in ("pcs_racing", "pcs_racing_agents"):
         for file in sorted((REPOSITORY / package).rglob("*.py")):
-            if file.relative_to(REPOSITORY).as_posix() in BEHIND_FUNCTIONS:
-                continue
             for node in ast.parse(file.read_text(encoding="utf-8")).body:
                 names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
                 names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []

@@ -21,8 +21,8 @@ import yaml
 
 from pcs_racing import InputError, load_archive, load_race_config, load_state, load_track, parse_policy, read_replay
 from pcs_racing.base.settings import read_settings
-from pcs_racing.envs.drive_vector import DriveVectorEnv
-from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.drive import DriveVectorEnv
+from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT
 from pcs_racing.game.state import load_game
 from pcs_racing.track.map_files import parse_csv, parse_grid, parse_ros_yaml

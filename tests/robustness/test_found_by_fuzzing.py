@@ -9,8 +9,8 @@ import yaml
 from PIL import Image
 
 from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track, make_game
-from pcs_racing.envs.drive import checked_seed
-from pcs_racing.envs.drive_batch import DriveOptions
+from pcs_racing.envs.batch import check_seed
+from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.identity import GameIdentity
@@ -64,9 +64,9 @@ def test_long_values_make_short_messages():
         lambda: Fit("best-fixed", 1, ("a", "b", "c", 0.5, 4)),
         lambda: load_fit(-1),
         lambda: load_fit({"a": 1}),
-        lambda: checked_seed(-126),
-        lambda: checked_seed([1]),
-        lambda: checked_seed(True),
+        lambda: check_seed(-126),
+        lambda: check_seed([1]),
+        lambda: check_seed(True),
     ],
 )
 def test_values_of_other_types(make):
@@ -211,10 +211,10 @@ def test_tracks_that_are_no_name(track):
 
 def test_lists_of_different_lengths_for_two_players():
     env = HeadToHeadEnv("Pipkin", moves=1, step_seconds=0.1)
-    with pytest.raises(InputError, match="option policies"):
+    with pytest.raises(InputError, match="policies have shape"):
         env.reset(seed=0, options={"policies": [[0], [1, 2]]})
     env.reset(seed=0)
-    with pytest.raises(InputError, match="action of car_0"):
+    with pytest.raises(InputError, match="moves are"):
         env.step({"car_0": [[0], [1, 2]], "car_1": 0})
 
 

@@ -9,17 +9,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.drive_batch import DriveBatch, DriveOptions
+from pcs_racing.envs.batch import BatchStep
+from pcs_racing.envs.drive_batch import DriveBatch
+from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.planners.network import INPUTS, TOP_SPEED, WEIGHT_LIMIT, network_inputs, network_planner
 from pcs_racing.planners.planner import VIEW_SIZE, Planner, Policy
 from pcs_racing.planners.registry import parse_policy
@@ -27,24 +29,16 @@ from pcs_racing.planners.trained import save_driver
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceSetup, run_races
-from pcs_racing.race.state import RaceState, take
+from pcs_racing.race.state import take
 from pcs_racing.track.track import Track, load_track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score, score_races
 from pcs_racing_agents.learning.ppo.settings import DriveSettings
-from pcs_racing_agents.learning.ppo.tasks import GroupStep, split_envs
+from pcs_racing_agents.learning.ppo.tasks import split_envs
 
-__all__ = ["ACTION_LIMIT", "DriveTask", "Drives", "DrivesState", "make_drive_task"]
+__all__ = ["ACTION_LIMIT", "DriveTask", "Drives", "LearnerBatch", "make_drive_task"]
 
 ACTION_LIMIT = 10.0  # tanh of it is 1 but for 4e-9
 EVALUATION_SEED = 1_000_003  # root of the races of evaluations
-
-
-class DrivesState(NamedTuple):
-    """A moment of :class:`Drives`."""
-
-    races: RaceState
-    opponents: NDArray[np.int64]
-    generators: list[dict[str, Any]]
 
 
 @kernel
@@ -57,7 +51,44 @@ def _observe(track, state, vehicles, settings, rows, view, inputs, out):  # type
             out[race, k] = inputs[k]
 
 
-class Drives:
+class LearnerBatch(DriveBatch):
+    """Races of which the learner observes what a network planner observes, and acts before the planner's ``tanh``.
+
+    Parameters
+    ----------
+    episodes : int
+    leading : float
+        Reward for a second in front, m.
+    **arguments
+        Of :class:`pcs_racing.envs.drive_batch.DriveBatch`.
+    """
+
+    def __init__(self, episodes: int, *, leading: float, **arguments: Any) -> None:
+        super().__init__(episodes, **arguments)
+        self.observation_space = spaces.Box(-np.inf, np.inf, (len(INPUTS),), np.float32)
+        self.action_space = spaces.Box(-ACTION_LIMIT, ACTION_LIMIT, (2,), np.float32)
+        self._leading = leading * self.options.time_step
+        self._view_buffers = np.empty(VIEW_SIZE), np.empty(len(INPUTS))
+
+    def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        """Return steering and speed in [-1, 1] for what a network's last layer puts out."""
+        return np.tanh(super().check_actions(actions, shape))
+
+    def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
+        """Drive every race one step on."""
+        _, rewards, terminated, truncated = super().step(actions, generators)
+        rewards += self._leading * (self.state.lead > 0.0)
+        observations = np.empty((self.episodes, len(INPUTS)), np.float32)
+        self.observe(self._rows, observations)
+        return BatchStep(observations, rewards, terminated, truncated)
+
+    def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
+        """Write the inputs of the network in some races into their rows of ``out``."""
+        settings = self.setup.settings
+        _observe(self.track.arrays, self.state, self.vehicles, settings, rows, *self._view_buffers, out)
+
+
+class Drives(BatchVectorEnv):
     """Races on one circuit against policies of one planner; car 0 belongs to the learner.
 
     Race ``i`` has its own generator and begins anew in the step in which it ends.
@@ -74,10 +105,13 @@ class Drives:
     rivalry : float
         Share of the opponent's progress that is taken off the own one.
     leading : float
-        What a second in front is worth, m.
+        Reward for a second in front, m.
     crash_penalty : float
         What a crash by own fault costs, m.
     """
+
+    batch_type = LearnerBatch
+    batch: LearnerBatch
 
     def __init__(
         self,
@@ -91,60 +125,18 @@ class Drives:
         leading: float = 0.0,
         crash_penalty: float = 10.0,
     ) -> None:
-        options = DriveOptions(
-            track=track,
-            opponent=list(opponents),
-            race=config,
-            time_step=0.01 * hold,
-            top_speed=TOP_SPEED,
-            look_ahead=(0.0,),
-            rivalry=rivalry,
-            crash_penalty=crash_penalty,
-        )
-        self.batch = DriveBatch(races, options, threads=1)
-        self.observation_space: spaces.Box[Any] = spaces.Box(-np.inf, np.inf, (len(INPUTS),), np.float32)
-        self.action_space: spaces.Space[Any] = spaces.Box(-ACTION_LIMIT, ACTION_LIMIT, (2,), np.float32)
-        self._leading = leading * options.time_step
-        self._rngs: list[np.random.Generator] = []
-        self._rows = np.arange(races)
-        self._buffers = np.empty(VIEW_SIZE), np.empty(len(INPUTS))
-
-    def __len__(self) -> int:
-        return self.batch.races
-
-    def reset(self, seed: int) -> NDArray[np.float32]:
-        """Begin every race, race ``i`` with seed ``seed + i``."""
-        self._rngs = [seeding.np_random(seed + i)[0] for i in range(len(self))]
-        self.batch.restart(self._rows, self._rngs)
-        return self._observe(self._rows, np.empty((len(self), len(INPUTS)), np.float32))
-
-    def step(self, actions: NDArray[Any]) -> GroupStep:
-        """Drive every race one step on; ``actions`` has shape (n, 2)."""
-        _, rewards, terminated, truncated = self.batch.step(np.tanh(actions.astype(np.float64)))
-        rewards += self._leading * (self.batch.state.lead > 0.0)
-        seen = self._observe(self._rows, np.empty((len(self), len(INPUTS)), np.float32))
-        last = seen
-        over = np.flatnonzero(terminated | truncated)
-        if len(over):
-            last = seen.copy()
-            self.batch.restart(over, [self._rngs[i] for i in over])
-            self._observe(over, seen)
-        return GroupStep(seen, rewards, terminated, truncated, last)
-
-    def _observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> NDArray[np.float32]:
-        batch = self.batch
-        _observe(batch.track.arrays, batch.state, batch.vehicles, batch.setup.settings, rows, *self._buffers, out)
-        return out
-
-    def get_state(self) -> DrivesState:
-        """Return all that the rest of the races, and all later ones, depend on."""
-        return DrivesState(*self.batch.get_state(), [dict(rng.bit_generator.state) for rng in self._rngs])
-
-    def set_state(self, state: DrivesState) -> None:
-        """Go on from what `get_state` returned, here or in equal races."""
-        self.batch.set_state(state.races, state.opponents)
-        for rng, given in zip(self._rngs, state.generators, strict=True):
-            rng.bit_generator.state = given
+        arguments = {
+            "track": track,
+            "opponent": list(opponents),
+            "race": config,
+            "time_step": 0.01 * hold,
+            "top_speed": TOP_SPEED,
+            "look_ahead": (0.0,),
+            "rivalry": rivalry,
+            "leading": leading,
+            "crash_penalty": crash_penalty,
+        }
+        super().__init__(races, arguments, autoreset_mode=AutoresetMode.SAME_STEP, threads=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,83 +1,34 @@
 """The task of strategy: games of moves against a mixture of opponents, to learn from and to be evaluated in."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing.envs.duel_batch import DuelBatch
-from pcs_racing.envs.duel_vector import DuelVectorEnv
+from pcs_racing.envs.duel import DuelVectorEnv
+from pcs_racing.envs.game_batch import GameBatch
 from pcs_racing.envs.opponents import parse_opponents
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.game import RaceGame, make_game
 from pcs_racing.game.identity import game_identity
-from pcs_racing.planners.planner import Policy
+from pcs_racing.game.rules import RaceGame, make_game
 from pcs_racing.track.track import Track, load_track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score, score_races
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
-from pcs_racing_agents.learning.ppo.tasks import GroupStep, group_seeds, split_envs
+from pcs_racing_agents.learning.ppo.tasks import group_seeds, split_envs
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import save_network
 
-__all__ = ["DuelTask", "Duels", "make_duel_task", "play_duels"]
+__all__ = ["DuelTask", "make_duel_task", "play_duels"]
 
 Floats = NDArray[np.float32]
-
-
-class Duels:
-    """Games on one circuit against a mixture of opponents, as a group of environments.
-
-    Parameters
-    ----------
-    games : int
-    track : Track
-    archive : PolicyArchive
-    rules : GameConfig
-    opponents : sequence of (weight, name)
-    """
-
-    def __init__(
-        self,
-        games: int,
-        track: Track,
-        archive: PolicyArchive,
-        rules: GameConfig,
-        opponents: Sequence[tuple[float, str]],
-    ) -> None:
-        self.envs = DuelVectorEnv(games, track=track, archive=archive, race=rules, opponent=list(opponents), threads=1)
-        self.observation_space: spaces.Box[Any] = self.envs.single_observation_space  # type: ignore[assignment]
-        self.action_space: spaces.Space[Any] = self.envs.single_action_space
-
-    def __len__(self) -> int:
-        return self.envs.num_envs
-
-    def reset(self, seed: int) -> Floats:
-        """Begin a new game everywhere, game ``i`` with a generator of seed ``seed + i``."""
-        return self.envs.reset(seed=seed)[0]
-
-    def step(self, actions: NDArray[Any]) -> GroupStep:
-        """Let both cars of every game move; the reward is what a game that ends is worth."""
-        seen, rewards, terminated, truncated, info = self.envs.step(actions.astype(np.int64))
-        last = np.zeros_like(seen)
-        for i in np.flatnonzero(terminated):
-            last[i] = info["final_obs"][i]
-        return GroupStep(seen, rewards, terminated, truncated, last)
-
-    def get_state(self) -> Any:
-        """Return all that the rest of the games, and all later ones, depend on."""
-        return self.envs.get_state()
-
-    def set_state(self, state: Any) -> None:
-        """Go on from what `get_state` returned."""
-        self.envs.set_state(state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +44,7 @@ class DuelTask:
         On the first circuit; archive, moves and observations are the same on all.
     mixtures : tuple of tuple of (weight, name)
         The opponents, those apart that drive with different planners.
-    batches : mapping of Matchup to DuelBatch
+    batches : mapping of Matchup to GameBatch
         Games to be evaluated in.
     given : mapping
         Rules that were given beside the settings, as plain values by name.
@@ -104,7 +55,7 @@ class DuelTask:
     tracks: tuple[Track, ...]
     game: RaceGame
     mixtures: tuple[tuple[tuple[int, str], ...], ...]
-    batches: Mapping[Matchup, DuelBatch] = field(repr=False)
+    batches: Mapping[Matchup, GameBatch] = field(repr=False)
     given: Mapping[str, Any] = field(default_factory=dict)
 
     activation = "relu"
@@ -117,11 +68,19 @@ class DuelTask:
         tracks = {track.name: track.content_hash for track in self.tracks}
         return {"archive_sha256": self.archive.content_hash, "tracks_sha256": tracks, **self.given}
 
-    def env_groups(self) -> list[Duels]:
+    def env_groups(self) -> list[DuelVectorEnv]:
         """Make the environments to learn from."""
         shares = split_envs(self.settings.envs, [sum(weight for weight, _ in mixture) for mixture in self.mixtures])
         return [
-            Duels(share, track, self.archive, self.game.config, mixture)
+            DuelVectorEnv(
+                share,
+                track=track,
+                archive=self.archive,
+                race=self.game.config,
+                opponent=list(mixture),
+                autoreset_mode=AutoresetMode.SAME_STEP,
+                threads=1,
+            )
             for track in self.tracks
             for share, mixture in zip(shares, self.mixtures, strict=True)
         ]
@@ -184,12 +143,11 @@ def make_duel_task(
     games = [make_game(track, archive, rules) for track in tracks]
     by_planner: dict[str, list[tuple[int, str]]] = {}
     for name, weight in settings.opponents.items():
-        driver = parse_opponents(name, games[0].move_names)[0].driver
-        planner = driver.planner.name if isinstance(driver, Policy) else archive.planner
-        by_planner.setdefault(planner, []).append((weight, name))
+        planner = parse_opponents(name, games[0])[0].planner or archive.family()
+        by_planner.setdefault(planner.name, []).append((weight, name))
     each = max(2, settings.evaluation_races // len(settings.opponents))
     batches = {
-        Matchup(track.name, games[0].config.race.name, name): DuelBatch(
+        Matchup(track.name, games[0].config.race.name, name): GameBatch(
             each, track=track, archive=archive, race=rules, opponent=name, threads=1
         )
         for track in tracks
@@ -199,22 +157,21 @@ def make_duel_task(
     return DuelTask(settings, archive, tracks, games[0], mixtures, batches, given)
 
 
-def play_duels(batch: DuelBatch, network: RegretNetwork, seed: int) -> Score:
+def play_duels(batch: GameBatch, network: RegretNetwork, seed: int) -> Score:
     """Let a network play a game everywhere in a batch, always its most likely move; returns the score.
 
     Parameters
     ----------
-    batch : DuelBatch
+    batch : GameBatch
         Overwritten.
     network : RegretNetwork
     seed : int
         Root of starts, policies and noise: the same seed gives every network the same games.
     """
-    rngs = [seeding.np_random(seed + i)[0] for i in range(batch.games)]
-    batch.restart(np.arange(batch.games), rngs)
-    worth = np.zeros(batch.games)
+    rngs = [seeding.np_random(seed + i)[0] for i in range(batch.episodes)]
+    batch.restart(np.arange(batch.episodes), rngs)
+    worth = np.zeros(batch.episodes)
     for _ in range(batch.game.config.moves):
-        utility, _ = batch.step(network.choose(batch.seen[:, 0])[:, None], rngs)
-        worth = utility[:, 0]
+        worth = batch.step(network.choose(batch.seen[:, 0])[:, None], rngs).rewards
     state = batch.started()
     return score_races(worth, batch.game.winner(state), state.race)

@@ -14,9 +14,10 @@ import numpy as np
 
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
+from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.planners.network import INPUTS
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, PPOSettings
-from pcs_racing_agents.learning.ppo.tasks import EnvGroup
+from pcs_racing_agents.learning.ppo.tasks import group_seeds
 from pcs_racing_agents.networks.torch_layers import layers_from_torch, torch_alone
 
 if TYPE_CHECKING:
@@ -91,14 +92,14 @@ def own_randomness() -> Iterator[None]:
 
 
 def make_learner(
-    settings: PPOSettings, groups: Sequence[EnvGroup], seed: int, activation: str, limit: float
+    settings: PPOSettings, groups: Sequence[BatchVectorEnv], seed: int, activation: str, limit: float
 ) -> Learner:
     """Make a learner that has learned nothing yet.
 
     Parameters
     ----------
     settings : PPOSettings
-    groups : sequence of EnvGroup
+    groups : sequence of BatchVectorEnv
         What it is to drive in.
     seed : int
     activation : {"relu", "tanh"}
@@ -110,10 +111,11 @@ def make_learner(
     from stable_baselines3.common.logger import Logger
     from torch import nn
 
-    from pcs_racing_agents.learning.ppo.vector_env import GroupedVecEnv
+    from pcs_racing.envs.sb3 import SB3VecEnv
 
     rate = LinearRate(settings)
-    envs = GroupedVecEnv(groups, seed, settings.reward_scale)
+    seeds = group_seeds(seed, len(groups), 0)
+    envs = SB3VecEnv(list(groups), seeds=seeds, reward_scale=settings.reward_scale)
     policy: dict[str, Any] = {
         "net_arch": {"pi": list(settings.hidden), "vf": list(settings.value_hidden)},
         "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[activation],

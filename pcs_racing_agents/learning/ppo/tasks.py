@@ -6,59 +6,15 @@ A group holds races side by side that share a circuit, rules and a mixture of op
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
-from gymnasium import spaces
-from numpy.typing import NDArray
 
 from pcs_racing.base.dense import DenseLayers
+from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score
 
-__all__ = ["EnvGroup", "GroupStep", "LearningTask", "group_seeds", "split_envs"]
-
-
-class GroupStep(NamedTuple):
-    """Result of a step of n environments.
-
-    Attributes
-    ----------
-    observations : ndarray of float32, shape (n, D)
-        Where an episode ended, the first one of the next.
-    rewards : ndarray of float64, shape (n,)
-    terminated, truncated : ndarray of bool, shape (n,)
-        At most one of the two is true.
-    last : ndarray of float32, shape (n, D)
-        Last observations of episodes that ended; the other rows mean nothing.
-    """
-
-    observations: NDArray[np.float32]
-    rewards: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    last: NDArray[np.float32]
-
-
-class EnvGroup(Protocol):
-    """Environments that begin anew in the step in which they end, each drawing from its own generator."""
-
-    observation_space: spaces.Box[Any]
-    action_space: spaces.Space[Any]
-
-    def __len__(self) -> int:
-        """Number of environments."""
-
-    def reset(self, seed: int) -> NDArray[np.float32]:
-        """Begin everywhere; environment ``i`` draws from a generator with seed ``seed + i``."""
-
-    def step(self, actions: NDArray[Any]) -> GroupStep:
-        """Make a step."""
-
-    def get_state(self) -> Any:
-        """Return all that the rest of the episodes, and all later ones, depend on: nested tuples of arrays."""
-
-    def set_state(self, state: Any) -> None:
-        """Go on from what `get_state` returned, here or in an equal group."""
+__all__ = ["LearningTask", "group_seeds", "split_envs"]
 
 
 class LearningTask(Protocol):
@@ -86,7 +42,7 @@ class LearningTask(Protocol):
     def identity(self) -> dict[str, Any]:
         """What the results depend on beside the settings."""
 
-    def env_groups(self) -> Sequence[EnvGroup]:
+    def env_groups(self) -> Sequence[BatchVectorEnv]:
         """Make the environments to learn in."""
 
     def evaluate(self, layers: DenseLayers) -> dict[Matchup, Score]:

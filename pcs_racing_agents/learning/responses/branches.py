@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.game import RaceGame
+from pcs_racing.game.competitor import ask_moves
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing_agents.agents.agent import Competitor, Driver
-from pcs_racing_agents.tournament.matches import moves_of
 
 __all__ = ["WORTH", "Branches", "branch_games", "outcome"]
 
@@ -63,7 +63,7 @@ def outcome(game: RaceGame, state: GameState, worth: str = "win") -> NDArray[np.
     if worth not in WORTH:
         raise InputError(f"worth is {worth!r}; it must be one of {', '.join(WORTH)}")
     if worth == "utility":
-        return game.utility(state)[:, 0]
+        return game.reward(state)[:, 0]
     winner = game.winner(state)
     tie = np.where(state.race.crashed, 0.0, 0.5)
     return np.where(winner == 0, 1.0, np.where(winner == 1, 0.0, tie))
@@ -116,7 +116,7 @@ def branch_games(
         moves = np.zeros(state.games, np.int64)
         for i, behaviour in enumerate(behaviours):
             rows = np.flatnonzero(turn == i)
-            moves[rows] = moves_of(behaviour, game, take_games(state, rows), 0)
+            moves[rows] = ask_moves(behaviour, game, take_games(state, rows), 0)
         state = game.step(state, np.stack([moves, _reply(opponent, game, state)], axis=1))
     going = np.flatnonzero(~game.done(state))
     count = len(game.move_names) if count is None else count
@@ -127,7 +127,7 @@ def branch_games(
     state = take_games(state, np.repeat(np.arange(len(going)), count))
     state = game.step(state, np.stack([tried, np.repeat(reply, count)], axis=1))
     while not game.done(state).all():
-        moves = moves_of(continuation, game, state, 0)
+        moves = ask_moves(continuation, game, state, 0)
         state = game.step(state, np.stack([moves, _reply(opponent, game, state)], axis=1))
     shape = len(going), count
     return Branches(
@@ -145,4 +145,4 @@ def _reply(opponent: Competitor, game: RaceGame, state: GameState) -> NDArray[np
     """Moves of car 1; those of a driver do nothing."""
     if isinstance(opponent, Driver):
         return np.zeros(state.games, np.int64)
-    return moves_of(opponent, game, state, 1)
+    return ask_moves(opponent, game, state, 1)

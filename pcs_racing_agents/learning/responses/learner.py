@@ -18,8 +18,8 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.base.settings import Settings, choice, load_settings, number, setting, whole, wholes
-from pcs_racing.game.game import RaceGame
 from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import ConstantStrategy
 from pcs_racing_agents.agents.from_network import NetworkStrategy

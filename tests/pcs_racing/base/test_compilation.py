@@ -8,9 +8,10 @@ from types import SimpleNamespace
 
 import pytest
 from numba.core.caching import IndexDataCacheFile
+from repository import REPOSITORY
 
 from pcs_racing.base import code_cache
-from pcs_racing.base.compilation import announce_compilation, compiled
+from pcs_racing.base.compilation import compiled, first_call
 
 
 @compiled
@@ -29,21 +30,55 @@ def dispatcher(cache: Path, signatures: tuple = ()) -> SimpleNamespace:
 
 
 def test_the_first_compilation_says_what_it_does(tmp_path, capsys):
+    answers = []
     for _ in range(2):
-        with announce_compilation(dispatcher(tmp_path / "empty"), "the test itself", 7):
-            pass
+        with first_call(dispatcher(tmp_path / "empty"), "the test itself", 7) as compiling:
+            answers.append(compiling)
+    assert answers == [True, False]
     assert capsys.readouterr().err == (
         "pcs-racing: compiling the test itself (about 7 s, once; it is cached on disk)\n"
     )
 
 
 def test_what_is_compiled_already_is_not_announced(tmp_path, capsys):
-    with announce_compilation(dispatcher(tmp_path, signatures=("f8",)), "what is in memory", 7):
-        pass
+    with first_call(dispatcher(tmp_path, signatures=("f8",)), "what is in memory", 7) as compiling:
+        assert not compiling
     (tmp_path / "test_compilation.divide-13.py311.nbi").touch()
-    with announce_compilation(dispatcher(tmp_path), "what is on disk", 7):
-        pass
+    with first_call(dispatcher(tmp_path), "what is on disk", 7) as compiling:
+        assert not compiling
     assert capsys.readouterr().err == ""
+
+
+WORKER = """
+import sys, time
+from pathlib import Path
+from types import SimpleNamespace
+from pcs_racing.base.compilation import first_call
+
+def f(): pass
+
+cache = Path(sys.argv[1])
+dispatcher = SimpleNamespace(signatures=(), py_func=f, stats=SimpleNamespace(cache_path=str(cache)))
+with first_call(dispatcher, "the test", 1):
+    if not list(cache.glob("*.nbi")):
+        time.sleep(1.0)  # compiles
+        (cache / f"{Path(__file__).stem}.f-1.py311.nbi").touch()
+        (cache / f"compiled-by-{sys.argv[2]}").touch()
+"""
+
+
+def test_one_process_compiles_and_the_others_wait(tmp_path):
+    script, cache = tmp_path / "worker.py", tmp_path / "cache"
+    script.write_text(WORKER)
+    command = [sys.executable, str(script), str(cache)]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    workers = [
+        subprocess.Popen([*command, str(i)], stderr=subprocess.PIPE, text=True, env=environment) for i in range(3)
+    ]
+    said = [worker.communicate(timeout=120)[1] for worker in workers]
+    assert [worker.returncode for worker in workers] == [0, 0, 0]
+    assert len(list(cache.glob("compiled-by-*"))) == 1
+    assert sum("compiling the test" in text for text in said) == 1
 
 
 MODULES = ("base", "top", "other")

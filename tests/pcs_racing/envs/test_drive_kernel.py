@@ -7,8 +7,9 @@ from pcs_racing import Lidar, Parameter, Planner, Starts, load_race_config
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.drive_batch import DriveBatch, DriveOptions
+from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_kernel import advance_alone, restart
+from pcs_racing.envs.infos import Crash
 from pcs_racing.race.kernel import place_cars, steering_noise
 from pcs_racing.race.races import RaceSetup, start_races
 from pcs_racing.race.state import NO_CRASH, WALL_CRASH, take
@@ -36,12 +37,12 @@ def make(track, opponent=None, race=RACE, **options):
 
 def put(env, poses, speeds=(0.0, 0.0)):
     """Let the cars of a running environment stand at (s, d); both have driven s so far."""
-    races, track = env._batch.state, env.track
+    races, track = env.batch.state, env.track
     for car, (s, d) in enumerate(poses):
         x, y, psi = track.to_cartesian([s, d])
         races.cars[0, car] = x, y, 0.0, speeds[car], np.mod(psi, 2.0 * np.pi), 0.0, 0.0
         races.progress[0, car] = s
-    place_cars(track.arrays, races, env._batch.vehicles)
+    place_cars(track.arrays, races, env.batch.vehicles)
     return races
 
 
@@ -55,7 +56,7 @@ def wrapped(angle):
 
 def expected_observation(env, command):
     """By the names of the elements."""
-    state, track = env._batch.state, env.track
+    state, track = env.batch.state, env.track
     (own, other), line, ds = state.cars[0], track.line, track.arrays.ds
     (s, d), (other_s, other_d) = (track.to_frenet(car[:2]) for car in (own, other))
     seen = {
@@ -90,7 +91,7 @@ def expected_observation(env, command):
         "opponent vy": speed @ leftward,
         "lead": state.progress[0, 0] - state.progress[0, 1],
     }
-    return seen | {name: 0.0 if env._batch.alone else value for name, value in rival.items()}
+    return seen | {name: 0.0 if env.batch.alone else value for name, value in rival.items()}
 
 
 @pytest.mark.parametrize("opponent", [HOLD.policy({"steer": 0.05, "speed": 3.0}), None], ids=["rival", "alone"])
@@ -125,7 +126,7 @@ def test_normalised_observations_run_from_minus_one_to_one_between_the_bounds(co
 def test_what_lies_beyond_the_bounds_is_shown_at_the_bound(coarse_oval):
     env = make(coarse_oval, HOLD.policy())
     env.reset(seed=3)
-    env._batch.state.progress[0] = 5000.0, 0.0
+    env.batch.state.progress[0] = 5000.0, 0.0
     seen, *_ = env.step(action(0.0, 1.0))
     assert dict(zip([element.name for element in env.elements], seen, strict=True))["lead"] == 1000.0
 
@@ -137,7 +138,7 @@ def test_actions_are_shares_of_the_largest_steering_angle_and_of_the_top_speed(c
     env = make(coarse_oval)
     env.reset(seed=0)
     env.step(np.array(given))
-    np.testing.assert_allclose(env._batch.state.memory[0, 0, :2], [steer * F1TENTH.steer_max, speed])
+    np.testing.assert_allclose(env.batch.state.memory[0, 0, :2], [steer * F1TENTH.steer_max, speed])
 
 
 # Rewards and ends
@@ -167,7 +168,7 @@ def test_alone_the_opponents_progress_does_not_count(coarse_oval):
 
 def crash(env, command, steps=20):
     """Reward of the last step beyond its progress, the two kinds of end, and the last info."""
-    races = env._batch.state
+    races = env.batch.state
     for _ in range(steps):
         before = races.progress[0, 0]
         _, reward, ended, late, info = env.step(action(*command))
@@ -182,10 +183,10 @@ def test_the_penalty_is_paid_for_the_own_crash_and_for_no_other(coarse_oval):
     aside = HOLD.policy({"steer": 0.3, "speed": 5.0})
     apart, behind = ((3.0, 0.0), (9.0, 0.0)), ((6.0, 0.0), (3.0, 0.0))
     for opponent, places, speeds, command, costs, facts in (
-        (still, apart, (5.0, 0.0), (0.3, 5.0), 7.0, ("wall", "none", True)),  # into the wall
-        (aside, apart, (0.0, 5.0), (0.0, 0.0), 0.0, ("none", "wall", False)),  # the other one into the wall
-        (still, apart, (6.0, 0.0), (0.0, 6.0), 7.0, ("car", "car", True)),  # into the other one
-        (fast, behind, (0.0, 6.0), (0.0, 0.0), 0.0, ("car", "car", False)),  # hit by the other one
+        (still, apart, (5.0, 0.0), (0.3, 5.0), 7.0, (Crash.WALL, Crash.NONE, True)),  # into the wall
+        (aside, apart, (0.0, 5.0), (0.0, 0.0), 0.0, (Crash.NONE, Crash.WALL, False)),  # the other one into the wall
+        (still, apart, (6.0, 0.0), (0.0, 6.0), 7.0, (Crash.CAR, Crash.CAR, True)),  # into the other one
+        (fast, behind, (0.0, 6.0), (0.0, 0.0), 0.0, (Crash.CAR, Crash.CAR, False)),  # hit by the other one
     ):
         env = make(coarse_oval, opponent, crash_penalty=7.0)
         env.reset(seed=0)
@@ -193,7 +194,7 @@ def test_the_penalty_is_paid_for_the_own_crash_and_for_no_other(coarse_oval):
         paid, ended, late, info = crash(env, command)
         assert paid == pytest.approx(-costs, abs=1e-9)
         assert (ended, late) == (True, False)
-        assert (info["crash"], info["opponent_crash"], info["at_fault"]) == facts
+        assert (info["crash"], info["opponent_crash"], bool(info["fault"])) == facts
 
 
 def test_an_episode_that_reaches_its_time_is_truncated_without_a_penalty(coarse_oval):
@@ -216,14 +217,14 @@ def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_o
     for env in (alone, rival):
         env.reset(seed=4)
         put(env, ((47.0, 0.1), (24.0, 0.0)), (3.0, 0.0))
-        env._batch.state.seed[:] = 8
-    settings = alone._batch._settings
+        env.batch.state.seed[:] = 8
+    settings = alone.batch._settings
     done = False
     for k in range(60):
         command = action(0.02, 4.0) if k < 8 else action(0.35, 5.0)
         one, two = (env.step(command)[1:4] for env in (alone, rival))
         assert one == pytest.approx(two)
-        mine, theirs = alone._batch.state, rival._batch.state
+        mine, theirs = alone.batch.state, rival.batch.state
         for name in ("tick", "cars", "frenet", "progress", "command", "disturbance", "crash", "fault"):
             first, second = (getattr(state, name)[0] for state in (mine, theirs))
             both = first.ndim > 0
@@ -238,7 +239,7 @@ def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_o
     assert mine.progress[0, 0] > coarse_oval.length
     # After the crash nothing moves any more.
     before = mine.copy()
-    advance_alone(alone.track.arrays, mine, alone._batch.vehicles, settings, 10, 0, 1)
+    advance_alone(alone.track.arrays, mine, alone.batch.vehicles, settings, 10, 0, 1)
     for name, was, now in zip(before._fields, before, mine, strict=True):
         np.testing.assert_array_equal(now, was, err_msg=name)
 
@@ -287,13 +288,13 @@ def test_a_restarted_race_stands_where_its_place_on_the_grid_is_and_remembers_no
 
 def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_oval):
     opponents = [HOLD.policy({"speed": speed}) for speed in (1.0, 2.0)]
-    batch = DriveBatch(64, DriveOptions(coarse_oval, opponents, RACE, start_lines=3), threads=1)
+    batch = DriveBatch(64, track=coarse_oval, opponent=opponents, race=RACE, start_lines=3, threads=1)
     rows = np.arange(64)
     batch.restart(rows, [np.random.default_rng(k) for k in rows])
     places = {tuple(np.round(cars[:, :2].ravel(), 3)) for cars in batch.state.cars}
     assert len(places) == 2 * 3 == batch.grid.races
-    assert sorted(set(batch.chosen)) == [0, 1]
-    np.testing.assert_array_equal(batch.theta[:, 1, 1], np.where(batch.chosen == 0, 1.0, 2.0))
+    assert sorted(set(batch.drawn)) == [0, 1]
+    np.testing.assert_array_equal(batch.theta[:, 1, 1], np.where(batch.drawn == 0, 1.0, 2.0))
     assert len(set(batch.state.seed)) == 64
 
 
@@ -320,7 +321,7 @@ def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval
             if k == 0:
                 env.reset(seed=0)
                 put(env, ((3.0, 0.0), (9.0, 0.0)))
-                env._batch.state.seed[:] = 2
+                env.batch.state.seed[:] = 2
             scans.append(env.step(action(0.0, 0.0))[0][-30:].astype(float))
         draws.append(scans[1] - scans[0])
     draws = np.array(draws)
@@ -328,7 +329,7 @@ def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval
     assert abs(draws.mean()) < 0.006
     assert abs(np.corrcoef(draws[:, :-1].ravel(), draws[:, 1:].ravel())[0, 1]) < 0.12
     assert abs(np.corrcoef(draws[:-1].ravel(), draws[1:].ravel())[0, 1]) < 0.12
-    races = noisy._batch.state
+    races = noisy.batch.state
     steering = [steering_noise(races.seed[0], 0, tick) for tick in range(2, 62, 2)]
     assert abs(np.corrcoef(draws[:, 0], steering)[0, 1]) < 0.5  # other numbers than those of the steering
     assert np.ptp(draws, axis=0).min() > 0.05
@@ -346,7 +347,7 @@ def test_noisy_ranges_stay_within_the_lidars_reach(coarse_oval):
 
 
 def test_the_info_of_many_races_is_that_of_each_one(coarse_oval):
-    batch = DriveBatch(5, DriveOptions(coarse_oval, HOLD.policy(), RACE), threads=1)
+    batch = DriveBatch(5, track=coarse_oval, opponent=HOLD.policy(), race=RACE, threads=1)
     batch.restart(np.arange(5), [np.random.default_rng(k) for k in range(5)])
     state = batch.state
     state.tick[:] = [10, 20, 30, 40, 50]
@@ -354,15 +355,16 @@ def test_the_info_of_many_races_is_that_of_each_one(coarse_oval):
     state.crash[:] = [[0, 0], [1, 0], [0, 1], [2, 2], [2, 2]]
     state.fault[:] = [[0, 0], [1, 0], [0, 1], [1, 0], [0, 1]]
     state.overtakes[:] = [[0, 1], [2, 0], [1, 1], [0, 0], [3, 4]]
-    facts = batch.facts(slice(None))
+    facts = batch.infos()
     assert facts["time"].tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
     assert facts["progress"].tolist() == [0.0, 4.0, 16.0, 36.0, 64.0]
     assert facts["lead"].tolist() == [-1.0, -5.0, -9.0, -13.0, -17.0]
-    assert facts["crash"].tolist() == ["none", "wall", "none", "car", "car"]
-    assert facts["opponent_crash"].tolist() == ["none", "none", "wall", "car", "car"]
-    assert facts["at_fault"].tolist() == [False, True, False, True, False]
+    assert facts["crash"].tolist() == [0, 1, 0, 2, 2]
+    assert facts["opponent_crash"].tolist() == [0, 0, 1, 2, 2]
+    assert facts["fault"].tolist() == [0, 1, 0, 1, 0]
     assert facts["overtakes"].tolist() == [0, 2, 1, 0, 3]
-    assert facts["opponent"].tolist() == ["hold"] * 5
+    assert facts["opponent"].tolist() == [0] * 5
+    assert batch.codes["opponent"][0] == "hold"
     for race in range(5):
-        one = batch.facts_of(race)
+        one = batch.info(race)
         assert one == {name: values[race] for name, values in facts.items()}

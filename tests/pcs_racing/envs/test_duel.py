@@ -9,10 +9,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from pcs_racing import InputError, UnknownNameError, get_planner
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
-from pcs_racing.envs.duel_vector import SelfPlayVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.registration import register_environments
-from pcs_racing.game.game import make_game
+from pcs_racing.game.rules import make_game
 
 SHORT = {"step_seconds": 1.0, "moves": 3}
 MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
@@ -66,7 +65,7 @@ def test_it_is_made_by_name():
     assert isinstance(gym.make("pcs_racing/Duel-v1", **SHORT).unwrapped, DuelEnv)
     envs = gym.make_vec("pcs_racing/Duel-v1", num_envs=3, **SHORT)
     assert isinstance(envs, DuelVectorEnv)
-    assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.SAME_STEP
+    assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
 
 
 def test_it_is_the_view_of_car_0():
@@ -81,10 +80,10 @@ def test_it_is_the_view_of_car_0():
         observation, reward, terminated, _, info = env.step(move)
         state = game.step(state, np.array([[move, 0]]))
         np.testing.assert_array_equal(observation, game.observation(state)[0, 0])
-        assert reward == game.utility(state)[0, 0]
+        assert reward == game.reward(state)[0, 0]
         assert terminated == game.done(state)[0]
         assert info["policy"] == state.policy[0, 0]
-        assert (info["move"], info["opponent_move"]) == (game.move_names[move], "aggressiveness +")
+        assert (info["move"], info["opponent_move"]) == (move, 0)
         if terminated:
             break
 
@@ -107,7 +106,7 @@ def test_the_table_of_its_page_is_its_space():
 @pytest.mark.parametrize("opponent", ["random-moves", MIXTURE, by_lead, Counting(), "lane-switcher:3"])
 def test_vector_and_scalar_environment_agree_to_the_last_bit(opponent):
     count = 6
-    envs = DuelVectorEnv(count, opponent=opponent, race="contest", **SHORT)
+    envs = DuelVectorEnv(count, opponent=opponent, race="contest", autoreset_mode="SAME_STEP", **SHORT)
     single = [DuelEnv(opponent=opponent, race="contest", **SHORT) for _ in range(count)]
     batch, info = envs.reset(seed=21)
     np.testing.assert_array_equal(batch, [env.reset(seed=21 + i)[0] for i, env in enumerate(single)])
@@ -133,21 +132,22 @@ def test_vector_and_scalar_environment_agree_to_the_last_bit(opponent):
 
 
 def test_opponents_do_what_they_are_called():
-    for name, expected in (("always-restraint -", {"restraint -"}), ("never-switch", {""})):
-        infos = [row[2] for row in episode(DuelEnv(opponent=name, **SHORT), 4)[1:]]
-        assert {info["opponent_move"] for info in infos} == expected
-        assert {info["opponent"] for info in infos} == {name}
+    for name, expected in (("always-restraint -", 3), ("never-switch", -1)):
+        env = DuelEnv(opponent=name, **SHORT)
+        infos = [row[2] for row in episode(env, 4)[1:]]
+        assert {info["opponent_move"] for info in infos} == {expected}
+        assert env.outcome()["opponent"] == name
     moves = {row[2]["opponent_move"] for seed in range(12) for row in episode(DuelEnv(**SHORT), seed)[1:]}
     assert len(moves) == 4
     careful = Careful()
-    assert episode(DuelEnv(opponent=careful, **SHORT), 4)[1][2]["opponent_move"] == "restraint +"
+    assert episode(DuelEnv(opponent=careful, **SHORT), 4)[1][2]["opponent_move"] == 2
     assert set(careful.asked) == {((1, 25), True)}
 
 
 def test_a_mixture_is_drawn_by_weight():
     envs = DuelVectorEnv(60, opponent=[(1, "random-moves"), (3, "never-switch")], step_seconds=0.2, moves=1)
-    names = list(envs.reset(seed=0)[1]["opponent"])
-    assert 34 < names.count("never-switch") < 56
+    drawn = envs.reset(seed=0)[1]["opponent"].tolist()
+    assert 34 < drawn.count(1) < 56
 
 
 def test_whole_episodes_repeat():
@@ -178,7 +178,7 @@ def test_a_moment_can_be_kept_copied_and_pickled(kind):
 
 
 def test_in_self_play_the_rows_of_a_pair_are_the_two_cars():
-    envs = SelfPlayVectorEnv(6, **SHORT)
+    envs = SelfPlayVectorEnv(6, autoreset_mode="SAME_STEP", **SHORT)
     seen, info = envs.reset(seed=2)
     assert seen.shape == (6, 25)
     np.testing.assert_allclose(info["lead"][::2], -info["lead"][1::2])
@@ -186,7 +186,7 @@ def test_in_self_play_the_rows_of_a_pair_are_the_two_cars():
         seen, rewards, terminated, _, info = envs.step(np.array([0, 1, 2, 3, 0, 1]))
         np.testing.assert_array_equal(rewards[::2], -rewards[1::2])
         np.testing.assert_array_equal(terminated[::2], terminated[1::2])
-    assert info["final_info"]["move"][1] == "aggressiveness -"
+    assert info["final_info"]["move"][1] == 1
     assert envs.action_masks().shape == (6, 4)
 
 
@@ -201,11 +201,11 @@ def test_masks_rule_out_moves_that_lead_to_the_same_place():
     ("arguments", "message"),
     [
         ({"opponent": None}, "opponent is None"),
-        ({"opponent": 5}, "opponent 5 is no opponent"),
+        ({"opponent": 5}, "5 is not a competitor"),
         ({"opponent": []}, "empty"),
-        ({"opponent": ["random-moves"]}, "pair"),
+        ({"opponent": [(1, 2, "random-moves")]}, "opponent 0 of the mixture"),
         ({"opponent": [(-1.0, "random-moves")]}, "weight of opponent 0 is -1.0"),
-        ({"opponent": [(1, "lane-switcher:3"), (1, "random-moves")]}, "share a planner"),
+        ({"opponent": [(1, "lane-switcher:3"), (1, "random-moves")]}, "drive with planners"),
         ({"epsilon": -1.0}, "epsilon is -1.0"),
         ({"render_mode": "ansi"}, "render_mode is 'ansi'"),
     ],
@@ -220,8 +220,6 @@ def test_unknown_names_are_named():
     for arguments in ({"opponent": "nobody"}, {"opponent": "always-left"}, {"track": "nowhere"}, {"archive": "none"}):
         with pytest.raises(UnknownNameError, match=r"nobody|always-left|nowhere|none"):
             DuelEnv(**arguments)
-    with pytest.raises(InputError, match="colour"):
-        DuelEnv(colour="red")
     with pytest.raises(InputError, match="num_envs is 3"):
         SelfPlayVectorEnv(3)
 
@@ -232,17 +230,17 @@ def test_impossible_actions_are_refused():
         env.step(0)
     env.reset(seed=0)
     for action in (4, -1, 0.5, np.nan, None, "left", [0, 1]):
-        with pytest.raises(InputError, match="action"):
+        with pytest.raises(InputError, match="move"):
             env.step(action)
     envs = DuelVectorEnv(3, **SHORT)
     with pytest.raises(InputError, match="not begun"):
         envs.step(np.zeros(3, int))
     envs.reset(seed=0)
-    with pytest.raises(InputError, match="environment 1 is 9"):
+    with pytest.raises(InputError, match="environment 1: move 9"):
         envs.step(np.array([0, 9, 0]))
     wrong = DuelEnv(opponent=wrong_move, **SHORT)
     wrong.reset(seed=0)
-    with pytest.raises(InputError, match="environment 0: opponent 'wrong' chose 7"):
+    with pytest.raises(InputError, match="competitor 'wrong': game 0: move 7"):
         wrong.step(0)
 
 
@@ -265,26 +263,26 @@ class Chooses:
         return self.answer
 
 
-def test_an_opponent_that_stays_needs_rules_with_that_move():
-    """4 is "stay" where it is a move: the rules "paper" do not offer it."""
-    stays = Chooses((np.array([4]), None))
-    env = DuelEnv(opponent=stays, **SHORT)
+@pytest.mark.parametrize("rules", [{}, {"stay": True}])
+def test_an_opponent_may_stay_whatever_moves_the_rules_offer(rules):
+    """4 is "stay", which the rules "paper" do not offer to the agent."""
+    env = DuelEnv(opponent=Chooses((np.array([4]), None)), **rules, **SHORT)
     env.reset(seed=0)
-    with pytest.raises(InputError, match=r"opponent 'Chooses' chose 4; .* 0 to 3 .*'stay'.*stay=True"):
-        env.step(0)
-    env = DuelEnv(opponent=stays, stay=True, **SHORT)
-    env.reset(seed=0)
-    assert env.step(0)[4]["opponent_move"] == "stay"
+    before = env.batch.state.policy[0, 1]
+    env.step(0)
+    assert env.outcome()["opponent_move"] == "stay"
+    assert env.batch.state.policy[0, 1] == before
+    assert env.action_space.n == (5 if rules else 4)
+    if not rules:
+        with pytest.raises(InputError, match="move 4 is not one of the moves from 0 to 3"):
+            env.step(4)
 
 
 def test_a_model_of_a_game_with_more_moves_is_refused_when_the_environment_is_made():
     for kind in (DuelEnv, DuelVectorEnv):
-        with pytest.raises(InputError, match=r"'Chooses' chooses among 5 moves, and here are 4 .*stay=True"):
-            kind(opponent=Chooses((np.array([0]), None), moves=5), **SHORT)
-    with pytest.raises(InputError, match="among 8 moves") as caught:
-        DuelEnv(opponent=Chooses((np.array([0]), None), moves=8), **SHORT)
-    assert "stay=True" not in str(caught.value)
-    DuelEnv(opponent=Chooses((np.array([0]), None), moves=5), stay=True, **SHORT)
+        with pytest.raises(InputError, match="'Chooses' has 8 moves; this game has 5"):
+            kind(opponent=Chooses((np.array([0]), None), moves=8), **SHORT)
+    DuelEnv(opponent=Chooses((np.array([0]), None), moves=5), **SHORT)  # the fifth is to stay
     DuelEnv(opponent=Chooses((np.array([0]), None), moves=4), stay=True, **SHORT)  # it never stays
 
 
@@ -299,16 +297,17 @@ def test_what_a_model_answers_is_checked(answer):
 def test_what_a_function_answers_is_checked():
     env = DuelEnv(opponent=lambda observation, generator: [[0], [1, 2]], **SHORT)
     env.reset(seed=0)
-    with pytest.raises(InputError, match="chose"):
+    with pytest.raises(InputError, match="moves are"):
         env.step(0)
 
 
-def test_after_the_end_comes_a_reset_and_unknown_options_are_ignored():
+def test_after_the_end_comes_a_reset():
     env = DuelEnv(**SHORT)
     episode(env, 1)
     with pytest.raises(InputError, match="has ended"):
         env.step(0)
-    env.reset(options={"weather": "rain"})
+    env.reset()
+    env.step(0)
 
 
 def test_a_frame_shows_the_game():
@@ -354,7 +353,7 @@ def test_states_of_something_else_are_refused():
     more.reset(seed=0)
     for wrong, message in (
         ("yesterday", "state is a str; it must be what get_state returned"),
-        (other.get_state(), "the state's games have 2 moves, these 3"),
+        (other.get_state(), "belongs to another archive, planner or number of moves"),
         (more.get_state(), "the state is not one of 2 games"),
     ):
         with pytest.raises(InputError, match=message):
@@ -365,5 +364,5 @@ def test_states_of_something_else_are_refused():
 
 
 def test_in_self_play_there_is_no_other_opponent():
-    with pytest.raises(InputError, match="opponent is 'random-moves'; in self-play both cars belong to the agent"):
+    with pytest.raises(InputError, match="opponent is 'random-moves'; both cars belong to players here"):
         SelfPlayVectorEnv(2, opponent="random-moves", **SHORT)

@@ -16,7 +16,8 @@ import pcs_racing
 from pcs_racing import GameConfig, InputError, PolicyArchive, UnknownNameError, load_archive, load_track, make_game
 from pcs_racing.envs import head_to_head, registration
 from pcs_racing.envs.head_to_head import AGENTS, HeadToHeadEnv, HeadToHeadState
-from pcs_racing.game.game import observation_table
+from pcs_racing.envs.infos import Crash, Result
+from pcs_racing.game.observation import observation_table
 
 with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
     warnings.simplefilter("ignore")
@@ -174,14 +175,14 @@ def compare_a_game(env, state):
         state = game.step(state, [moves])
         for car, agent in enumerate(AGENTS):
             np.testing.assert_array_equal(observations[agent], game.observation(state)[0, car])
-            assert rewards[agent] == game.utility(state)[0, car]
+            assert rewards[agent] == game.reward(state)[0, car]
             assert terminated[agent] == game.done(state)[0]
             assert not truncated[agent]
-            assert infos[agent]["move"] == game.move_names[moves[car]]
+            assert infos[agent]["move"] == moves[car]
             assert infos[agent]["policy"] == state.policy[0, car]
             assert infos[agent]["lead"] == (state.race.lead[0] if car == 0 else -state.race.lead[0])
     assert env.agents == []
-    assert {infos[agent]["result"] for agent in AGENTS} in ({"win", "loss"}, {"tie"}, {"crash"})
+    assert {infos[agent]["result"] for agent in AGENTS} in ({Result.WIN, Result.LOSS}, {Result.TIE}, {Result.CRASH})
 
 
 def test_rewards_add_up_to_zero(env):
@@ -202,11 +203,11 @@ def test_a_crash_ends_the_game_and_says_whose_fault_it_was():
         pytest.fail("no crash in 60 games")
     assert last[2] == {"car_0": True, "car_1": True}
     for agent, other in (AGENTS, AGENTS[::-1]):
-        assert infos[agent]["crash"] in ("", "wall", "car")
+        assert infos[agent]["crash"] in list(Crash)
         if infos[agent]["fault"] and not infos[other]["fault"]:
-            assert infos[agent]["result"] == "loss"
+            assert infos[agent]["result"] == Result.LOSS
             assert last[1][agent] == -1.0
-            assert infos[other]["result"] == "win"
+            assert infos[other]["result"] == Result.WIN
 
 
 @pytest.mark.parametrize("race", ["paper", "contest"])
@@ -230,9 +231,9 @@ def test_max_cycles_truncates():
 
 def test_reset_options(env):
     policies = [2, 7]
-    _, infos = env.reset(seed=0, options={"policies": policies, "start": (20.0, 1), "weather": "rain"})
+    _, infos = env.reset(seed=0, options={"policies": policies, "start": (20.0, 1)})
     assert [infos[agent]["policy"] for agent in AGENTS] == policies
-    state = env.get_state().game
+    state = env.batch.state
     begin = (state.race.frenet[0, 0, 0] - state.race.progress[0, 0]) % env.game.track.length
     assert begin == pytest.approx(20.0, abs=0.05)
     _, infos = env.reset(seed=0, options={"policies": (2, -1)})
@@ -251,8 +252,8 @@ def test_three_characteristics_and_several_step_sizes():
     parallel_api_test(env, num_cycles=10)
     env.reset(seed=0)
     infos = env.step({"car_0": 12, "car_1": 4})[4]
-    assert infos["car_0"]["move"] == "stay"
-    assert infos["car_1"]["move"] == "smoothness + 0.2"
+    assert infos["car_0"]["move"] == 12
+    assert env.outcome()["car_1"]["move"] == "smoothness + 0.2"
 
 
 # The environment as a value
@@ -290,13 +291,17 @@ def test_a_moment_can_be_restored(env):
         fresh.step({"car_0": 0, "car_1": 0})
 
 
+def other_game(state, game):
+    return state._replace(batch=(game, *state.batch[1:]))
+
+
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
         (lambda state: "yesterday", "of type str; it must be what get_state"),
-        (lambda state: state._replace(game=HeadToHeadEnv(moves=2, **FAST).game.reset(1)), "own has shape .1, 2, 3, 2."),
-        (lambda state: state._replace(game=state.game._replace(policy=np.array([[0, 99]]))), r"policies \[0, 99\]"),
-        (lambda state: state._replace(random={"bit_generator": "dice"}), "random generator can't be restored"),
+        (lambda state: other_game(state, HeadToHeadEnv(moves=2, **FAST).game.reset(1)), "own has shape .1, 2, 3, 2."),
+        (lambda state: other_game(state, state.batch[0]._replace(policy=np.array([[0, 99]]))), r"policies \[0, 99\]"),
+        (lambda state: state._replace(generator={"bit_generator": "dice"}), "random generator can't be restored"),
     ],
 )
 def test_an_impossible_moment_is_one_clear_error_and_changes_nothing(env, harm, message):
@@ -347,9 +352,9 @@ def test_frames_of_the_last_step(monkeypatch):
     assert len(frames) == 5  # a second
     assert all(frame.shape == (80, 120, 3) and frame.dtype == np.uint8 for frame in frames)
     assert not np.array_equal(frames[0], before)
-    state = env.get_state().game.race
+    state = env.batch.state.race
     list(env.frames())
-    np.testing.assert_array_equal(env.get_state().game.race.cars, state.cars)  # looking changes nothing
+    np.testing.assert_array_equal(env.batch.state.race.cars, state.cars)  # looking changes nothing
     env.close()
     assert HeadToHeadEnv(**FAST).render() is None
 
@@ -360,13 +365,13 @@ def test_frames_of_the_last_step(monkeypatch):
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        ({"car_0": 0, "car_1": 4}, "action of car_1 is 4; it must be a whole number from 0 to 3 .aggressiveness"),
-        ({"car_0": -1, "car_1": 0}, "action of car_0 is -1"),
-        ({"car_0": 0.0, "car_1": 0}, r"action of car_0 is 0\.0"),
-        ({"car_0": float("nan"), "car_1": 0}, "action of car_0 is nan"),
-        ({"car_0": True, "car_1": 0}, "action of car_0 is True"),
-        ({"car_0": [0], "car_1": 0}, r"action of car_0 is \[0\]"),
-        ({"car_0": None, "car_1": 0}, "action of car_0 is None"),
+        ({"car_0": 0, "car_1": 4}, "environment 1: move 4 is not one of the moves from 0 to 3 .aggressiveness"),
+        ({"car_0": -1, "car_1": 0}, "environment 0: move -1"),
+        ({"car_0": 0.0, "car_1": 0}, "type float64"),
+        ({"car_0": float("nan"), "car_1": 0}, "type float64"),
+        ({"car_0": True, "car_1": 0}, "type bool"),
+        ({"car_0": [0], "car_1": 0}, "whole numbers"),
+        ({"car_0": None, "car_1": 0}, "type object"),
         ({"car_0": 0}, "must hold a move for each of car_0, car_1"),
         ([0, 1], "must hold a move for each of car_0, car_1"),
     ],
@@ -381,9 +386,9 @@ def test_an_impossible_action_is_one_clear_error(env, actions, message):
 
 
 def test_steps_at_the_wrong_time_are_one_clear_error(env):
-    with pytest.raises(InputError, match="no game yet; call reset"):
+    with pytest.raises(InputError, match="not begun; call reset"):
         env.step({"car_0": 0, "car_1": 0})
-    with pytest.raises(InputError, match="no game yet; call reset"):
+    with pytest.raises(InputError, match="not begun; call reset"):
         env.state()
     episode(env, 0)
     with pytest.raises(InputError, match="the game is over; call reset"):
@@ -398,10 +403,10 @@ def test_steps_at_the_wrong_time_are_one_clear_error(env):
         ({"race": "rally"}, "race settings 'rally' are unknown"),
         ({"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
         ({"render_mode": "ascii"}, "render_mode is 'ascii'"),
-        ({"render_view": "moon"}, "render_view is 'moon'"),
+        ({"view": "moon"}, "view is 'moon'"),
         ({"max_cycles": 0}, "max_cycles is 0"),
         ({"epsilon": float("nan")}, "epsilon is nan"),
-        ({"speeed": 1}, "unknown game setting 'speeed'"),
+        ({"speeed": 1}, "unexpected keyword argument 'speeed'; there are"),
     ],
 )
 def test_an_impossible_argument_is_one_clear_error(arguments, message):
@@ -415,11 +420,11 @@ def test_an_impossible_argument_is_one_clear_error(arguments, message):
         ({"seed": -1}, "seed is -1"),
         ({"seed": 0.5}, r"seed is 0\.5"),
         ({"options": [1]}, "options are"),
-        ({"options": {"policies": [1]}}, "must be two indices of the archive"),
+        ({"options": {"policies": [1]}}, "policies have shape"),
         ({"options": {"policies": [0, 99]}}, "game 0, car 1: policy 99 is not in archive"),
-        ({"options": {"start": (np.nan, 0)}}, "option start is"),
-        ({"options": {"start": (20.0, 2)}}, "option start is"),
-        ({"options": {"start": "here"}}, "option start is"),
+        ({"options": {"start": (np.nan, 0)}}, "option 'start' is"),
+        ({"options": {"start": (20.0, 2)}}, "option 'start' is"),
+        ({"options": {"start": "here"}}, "option 'start' is"),
         ({"options": {"start": (1e9, 0)}}, "the start line 1000000000.0 m is not on track"),
     ],
 )

@@ -7,7 +7,7 @@ from pcs_racing import InputError, UnknownNameError
 
 sb3 = pytest.importorskip("stable_baselines3")
 
-from pcs_racing.envs.duel import DuelEnv  # noqa: E402
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv  # noqa: E402
 from pcs_racing.envs.sb3 import SB3VecEnv, make_sb3_vec_env  # noqa: E402
 
 SHORT = {"step_seconds": 0.5, "moves": 2}
@@ -64,9 +64,9 @@ def test_a_trained_model_can_be_the_opponent():
     model = sb3.PPO("MlpPolicy", make_sb3_vec_env("duel", 2, **SHORT), seed=0, device="cpu")
     env = DuelEnv(opponent=model, **SHORT)
     _, info = env.reset(seed=0)
-    assert info["opponent"] == "PPO"
+    assert env.outcome()["opponent"] == "PPO"
     *_, info = env.step(0)
-    assert info["opponent_move"] in env.game.move_names
+    assert 0 <= info["opponent_move"] < env.action_space.n
 
 
 def test_evaluation_needs_no_monitor():
@@ -108,15 +108,42 @@ def test_unknown_kinds_and_attributes_are_named():
 def test_methods_of_the_batch_and_its_frame():
     env = make_sb3_vec_env("drive", 2, opponent=None, render_mode="rgb_array")
     env.reset()
-    (frame, *others) = env.get_images()
-    assert frame.shape == (640, 960, 3)
-    assert not others  # only the first race is drawn
-    assert env.env_method("get_state", indices=[0])[0].opponents.shape == (2,)
+    assert [frame.shape for frame in env.get_images()] == [(640, 960, 3)] * 2
+    assert env.env_method("get_state", indices=[0])[0].over.shape == (2,)
     with pytest.raises(AttributeError, match="the control level has no action masks"):
         env.env_method("action_masks")
-    assert make_sb3_vec_env("drive", 2, opponent=None).get_images() == [None]
+    assert make_sb3_vec_env("drive", 2, opponent=None).get_images() == [None, None]
 
 
 def test_other_environments_are_refused():
-    with pytest.raises(InputError, match="envs is a DuelEnv; it must be a DuelVectorEnv or a DriveVectorEnv"):
-        SB3VecEnv(DuelEnv(**SHORT))
+    for wrong in (DuelEnv(**SHORT), DuelVectorEnv(2, **SHORT)):
+        with pytest.raises(InputError, match=f"envs hold a {type(wrong).__name__}; .* autoreset_mode='SAME_STEP'"):
+            SB3VecEnv(wrong)
+
+
+def test_several_batches_are_one_environment():
+    """As each alone with its seed, one after the other, rewards scaled."""
+
+    def parts():
+        modes = {"autoreset_mode": "SAME_STEP", **SHORT}
+        return [DuelVectorEnv(2, **modes), DuelVectorEnv(3, opponent="never-switch", **modes)]
+
+    joined, alone = SB3VecEnv(parts(), seeds=[7, 40], reward_scale=0.5), parts()
+    seen = joined.reset()
+    firsts = [part.reset(seed=seed)[0] for part, seed in zip(alone, (7, 40), strict=True)]
+    np.testing.assert_array_equal(seen, np.concatenate(firsts))
+    actions = np.array([0, 1, 2, 3, 0])
+    for step in range(3):
+        kept = joined.get_state() if step == 1 else None
+        seen, rewards, done, infos = joined.step(actions)
+        steps = [part.step(own) for part, own in zip(alone, (actions[:2], actions[2:]), strict=True)]
+        np.testing.assert_array_equal(seen, np.concatenate([one[0] for one in steps]))
+        np.testing.assert_array_equal(rewards, 0.5 * np.concatenate([one[1] for one in steps]).astype(np.float32))
+        np.testing.assert_array_equal(done, np.concatenate([one[2] for one in steps]))
+        assert [bool(info) for info in infos] == done.tolist()
+        if kept is not None:
+            again, ended = joined.get_state(), seen
+            joined.set_state(kept)
+            np.testing.assert_array_equal(joined.step(actions)[0], ended)
+            joined.set_state(again)
+    assert joined.has_attr("action_masks")

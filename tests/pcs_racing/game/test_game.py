@@ -23,9 +23,10 @@ from pcs_racing import (
 )
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
-from pcs_racing.game.game import join_games, load_game, observation_elements, observation_table, save_game, take_games
 from pcs_racing.game.moves import move
-from pcs_racing.game.state import GameState
+from pcs_racing.game.observation import observation_elements, observation_table
+from pcs_racing.game.reward import reward
+from pcs_racing.game.state import GameState, join_games, load_game, save_game, take_games
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
@@ -113,7 +114,7 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
         np.testing.assert_array_equal(array, getattr(end.race, name), err_msg=name)
     np.testing.assert_array_equal(end.policy[0], policy)
     assert game.done(end).all()
-    np.testing.assert_array_equal(game.utility(end)[0], [race.lead[0], -race.lead[0]])
+    np.testing.assert_array_equal(game.reward(end)[0], [race.lead[0], -race.lead[0]])
 
 
 def test_a_game_does_not_depend_on_its_batch(game):
@@ -180,7 +181,7 @@ def test_a_step_can_be_driven_without_a_game_state(game):
         np.testing.assert_array_equal(getattr(races, name), array, err_msg=name)
     np.testing.assert_array_equal(seen, after.estimates[:, :, 1])
     end = play(game, after, [(0, 0)] * 3)
-    np.testing.assert_array_equal(game.worth(end.race, end.step), game.utility(end)[:, 0])
+    np.testing.assert_array_equal(reward(game.config, end.race, end.step), game.reward(end)[:, 0])
 
 
 def test_players_see_their_own_coordinates_and_estimates_of_the_other(game):
@@ -281,11 +282,11 @@ def test_the_contest_brings_its_moves_and_its_utility():
 def test_what_a_crash_is_worth(track, settings, fault, expected):
     game = make_game(track, step_seconds=2.0, **settings)
     state = play(game, game.reset(1), [(0, 0), (0, 0)])
-    np.testing.assert_array_equal(game.utility(state), 0.0)  # not over yet
+    np.testing.assert_array_equal(game.reward(state), 0.0)  # not over yet
     end = crash(state, fault)
     assert game.done(end).all()
     first = state.race.lead[0] if expected == "lead" else expected
-    np.testing.assert_array_equal(game.utility(end), [[first, -first]])
+    np.testing.assert_array_equal(game.reward(end), [[first, -first]])
 
 
 def test_who_leads_at_the_end_wins(track):
@@ -293,7 +294,7 @@ def test_who_leads_at_the_end_wins(track):
     end = game.step(game.reset(games=6, seed=2), np.zeros((6, 2), np.int64))
     over = game.done(end) & ~end.race.crashed
     np.testing.assert_array_equal(game.winner(end)[over], np.where(end.race.lead > 0, 0, 1)[over])
-    np.testing.assert_array_equal(game.utility(end)[over, 0], np.sign(end.race.lead)[over])
+    np.testing.assert_array_equal(game.reward(end)[over, 0], np.sign(end.race.lead)[over])
     assert (game.winner(game.reset(games=2)) == -1).all()
 
 
@@ -457,8 +458,8 @@ def test_an_impossible_reset_is_one_clear_error(game, arguments, message):
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        ([[0, 4]], "game 0, car 1: action 4 is no move; it must lie in 0 to 3 .aggressiveness"),
-        ([[-1, 0]], "game 0, car 0: action -1"),
+        ([[0, 4]], "game 0, car 1: move 4 is not one of the moves from 0 to 3 .aggressiveness"),
+        ([[-1, 0]], "game 0, car 0: move -1"),
         ([[0.0, 1.0]], "type float64"),
         ([[np.nan, 1.0]], "type float64"),
         ([0, 1], r"shape \(2,\)"),

@@ -80,7 +80,7 @@ def test_spirals_end_at_their_goals(goals, kappa0):
     assert not rows(block, BROKEN).any()
     x, y, heading = integrate(block, kappa0)
     end = np.stack([x[:, -1], y[:, -1], heading[:, -1]], axis=1)
-    np.testing.assert_allclose(end[:, :2], goals[:, :2], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(end[:, :2], goals[:, :2], rtol=0, atol=5e-3)
     np.testing.assert_allclose(end[:, 2], goals[:, 2], rtol=0, atol=1e-6)
 
 
@@ -101,7 +101,8 @@ def test_spirals_of_real_races_end_at_their_goals(views):
     errors, broken = np.concatenate(errors), np.concatenate(broken)
     assert len(errors) > 5000
     assert broken.mean() < 0.002
-    assert errors[~broken].max() < 1e-3
+    assert errors[~broken].max() < 1e-2
+    assert np.median(errors[~broken]) < 1e-4
 
 
 def start_curvature(view: np.ndarray) -> float:

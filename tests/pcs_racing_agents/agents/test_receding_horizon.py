@@ -8,7 +8,7 @@ from zoo_games import untrained
 
 from pcs_racing import GameConfig, InputError, RaceGame, UnknownNameError, get_planner
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.game import join_games, take_games
+from pcs_racing.game.state import join_games, take_games
 from pcs_racing.race.config import CONTEST
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Decider, make_setting, parse_agent
@@ -92,7 +92,7 @@ def test_the_best_reply_to_a_static_opponent(game, setting):
     state = some_games(game, games=12, moves=3)
     games, _ = agent.root_games(game, state, 1)
     guess = guess_games(game, game, state, 1, state.race.seed)
-    paid = [game.utility(game.step(guess, np.tile([STAY, move], (12, 1))))[:, 1] for move in range(5)]
+    paid = [game.reward(game.step(guess, np.tile([STAY, move], (12, 1))))[:, 1] for move in range(5)]
     going = ~game.done(state)
     np.testing.assert_array_equal(games[going, :, 0], np.stack(paid, axis=1)[going])
     chosen = agent.decide(game, state, 1)
@@ -184,7 +184,7 @@ def test_of_races_won_alike_the_clearer_one(game, archive):
     values = agent.root_games(winning, state, 0)[0][:, :, 0]
     guess = guess_games(winning, winning, state, 0, state.race.seed)
     ends = [winning.step(guess, np.tile([move, STAY], (6, 1))) for move in range(5)]
-    won = np.stack([winning.utility(end)[:, 0] for end in ends], axis=1)
+    won = np.stack([winning.reward(end)[:, 0] for end in ends], axis=1)
     lead = np.stack([end.race.lead for end in ends], axis=1)
     np.testing.assert_array_equal(np.round(values), won)
     chosen = agent.decide(winning, state, 0)

@@ -69,7 +69,7 @@ def test_an_agent_is_an_opponent_of_the_environments(setting, oval):
         "pcs_racing/Duel-v1", track=oval, archive=setting.archive, step_seconds=0.8, stay=True, opponent=opponent
     )
     duel.reset(seed=1)
-    assert duel.step(4)[-1]["opponent_move"] == "restraint +"
+    assert duel.step(4)[-1]["opponent_move"] == 2
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError
-from pcs_racing.game.game import encode_observation
 from pcs_racing.game.moves import move_names
+from pcs_racing.game.observation import encode_observation
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.explain.situations import (
     LEADS,

@@ -46,7 +46,7 @@ def test_agents_that_stay_are_judged(game, start):
     state = arena.reset(np.zeros(16, np.uint64), policies=POLICIES, starts=start.take(np.zeros(16, int)))
     for replies in np.indices((4, 4)).reshape(2, -1):
         state = arena.step(state, np.stack([np.full(16, 4), replies], axis=1))
-    worth = arena.utility(state)[:, 0]
+    worth = arena.reward(state)[:, 0]
     assert found.best == pytest.approx(worth.min())
     assert found.random == pytest.approx(worth.mean())
 

@@ -5,12 +5,13 @@ import pytest
 
 from pcs_racing import InputError, RaceGame, Starts, get_planner, make_game
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.competitor import ask_moves
 from pcs_racing.race.config import CONTEST
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.tournament.matches import Matches, moves_of, play_games
+from pcs_racing_agents.tournament.matches import Matches, play_games
 
 GAMES = 12
 
@@ -60,7 +61,7 @@ def test_a_match_is_the_game_that_the_moves_make(contest, cars, given):
         state = contest.step(state, np.maximum(played.moves[:, :, step], 0))
     np.testing.assert_array_equal(played.lead, state.race.lead)
     np.testing.assert_array_equal(played.winner, contest.winner(state))
-    np.testing.assert_array_equal(played.utility, contest.utility(state)[:, 0])
+    np.testing.assert_array_equal(played.utility, contest.reward(state)[:, 0])
     np.testing.assert_array_equal(played.seen, contest.observation(state))
     assert (played.moves[:, 1][played.moves[:, 1] >= 0] == 4).all()
     assert len(set(played.moves[:, 0].ravel().tolist())) > 3
@@ -166,9 +167,9 @@ def test_models_with_a_memory_and_deciders(contest, cars, given):
 
 def test_moves_of_one_car(contest, cars):
     state = contest.reset(games=5, seed=1)
-    moves = moves_of(cars["random-moves"], contest, state, 1)
+    moves = ask_moves(cars["random-moves"], contest, state, 1)
     np.testing.assert_array_equal(moves, cars["random-moves"].predict(contest.observation(state)[:, 1])[0])
-    assert (moves_of(cars["pure-pursuit"], contest, state, 1) == 0).all()
+    assert (ask_moves(cars["pure-pursuit"], contest, state, 1) == 0).all()
 
 
 class Wrong:
@@ -184,11 +185,11 @@ class Wrong:
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
-        (lambda n: np.full(n, 5), r"agent 'wrong' made move 5 in game 0; there are moves 0 to 4"),
-        (lambda n: np.full(n, -1), r"made move -1"),
-        (lambda n: np.zeros(n), r"type float64 for 12 games"),
-        (lambda n: np.zeros(n + 1, int), r"moves of shape \(13,\)"),
-        (lambda n: 0, r"moves of shape \(\)"),
+        (lambda n: np.full(n, 5), r"competitor 'wrong': game 0: move 5 is not one of the moves from 0 to 4"),
+        (lambda n: np.full(n, -1), r"move -1"),
+        (lambda n: np.zeros(n), r"shape \(12,\) and type float64"),
+        (lambda n: np.zeros(n + 1, int), "predict returned .* 12 moves, and a state"),
+        (lambda n: 0, "predict returned .* 12 moves, and a state"),
     ],
 )
 def test_wrong_moves_are_refused(contest, cars, given, answer, message):
@@ -209,7 +210,7 @@ class Narrow:
 def test_what_does_not_fit_is_refused_before_the_first_race(contest, game, cars, given, monkeypatch):
     monkeypatch.setattr(RaceGame, "reset", lambda *_, **__: pytest.fail("a race was driven"))
     stay, lattice = cars["never-switch"], get_planner("lattice").policy()
-    with pytest.raises(InputError, match=r"agent 'Narrow' sees observations of shape \(7,\); this game shows \(31,\)"):
+    with pytest.raises(InputError, match=r"competitor 'Narrow' takes observations of shape \(7,\)"):
         play_games(contest, Narrow(), stay, **given)
     for change, message in [
         ({"policies": np.full((GAMES, 2), 12)}, "game 0: the ego's variant is 12; 'never-switch' has variants 0 to 11"),

@@ -43,7 +43,7 @@ def test_every_history_is_what_the_game_plays(noisy, opponent):
             crashes += int(state.race.crashed.sum())
             reply = np.full(25, 4 if trees.replies[r, k] < 0 else trees.replies[r, k])
             state = noisy.step(state, np.stack([every[:, k], reply], axis=1))
-        np.testing.assert_array_equal(trees.payoffs[r], noisy.utility(state)[:, 0].astype(np.float32))
+        np.testing.assert_array_equal(trees.payoffs[r], noisy.reward(state)[:, 0].astype(np.float32))
         crashes += int(state.race.crashed.sum())
     assert crashes > 0, "choose other seeds: this test needs crashes"
 

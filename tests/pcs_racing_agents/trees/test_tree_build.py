@@ -21,9 +21,9 @@ def test_the_leaves_are_the_races_of_all_sequences_of_moves(paper, played, numbe
     tree = build_tree(paper, (2, 7), (float(paper.start_lines[1]), 1), [5])
     every = np.array(list(product(range(4), repeat=4))).reshape(-1, 2, 2)
     ends = played(paper, tree, 0, every)
-    np.testing.assert_array_equal(tree.payoffs[0], paper.utility(ends)[:, 0].astype(np.float32))
+    np.testing.assert_array_equal(tree.payoffs[0], paper.reward(ends)[:, 0].astype(np.float32))
     table = tree.payoffs[0].reshape(4, 4, 4, 4)
-    assert table[2, 1, 0, 3] == paper.utility(ends)[number(np.array([[[2, 1], [0, 3]]]), 4)[0], 0].astype(np.float32)
+    assert table[2, 1, 0, 3] == paper.reward(ends)[number(np.array([[[2, 1], [0, 3]]]), 4)[0], 0].astype(np.float32)
     assert tree.statistics.crashed == ends.race.crashed.mean()
 
 
@@ -43,7 +43,7 @@ def test_what_is_seen_on_the_way_is_what_the_game_shows(name, policies, line, si
             over = state.race.crashed
             crashes[k] += int(over.sum())
             if k == moves:
-                np.testing.assert_array_equal(tree.payoffs[seed][nodes], game.utility(state)[:, 0].astype(np.float32))
+                np.testing.assert_array_equal(tree.payoffs[seed][nodes], game.reward(state)[:, 0].astype(np.float32))
                 continue
             np.testing.assert_array_equal(tree.over[k][seed, nodes], over)
             np.testing.assert_array_equal(tree.observations(k)[seed, nodes], game.observation(state))

@@ -44,9 +44,9 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     with own_randomness():
         learner = make_learner(settings, [drives(track, hold=hold)], 5, "tanh", 10.0)
     part = learner.model.env.groups[0]
-    seen = part.reset(9)
+    seen, _ = part.reset(seed=9)
     batch = part.batch
-    seeds, opponents = batch.state.seed.copy(), batch.chosen.copy()
+    seeds, rivals = batch.state.seed.copy(), batch.theta[:, 1].copy()
     places = [int(np.flatnonzero((batch.grid.cars == car).all(axis=(1, 2)))[0]) for car in batch.state.cars]
 
     from pcs_racing.race.races import advance
@@ -61,15 +61,14 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
         state = take(batch.grid, places)._replace(seed=seeds.copy(), memory=np.zeros((6, 2, setup.memory_size)))
         both = np.zeros((6, 2, setup.theta_size))
         both[:, 0, : len(theta)] = theta
-        both[:, 1, : batch.parameters.shape[1]] = batch.parameters[opponents]
-        seen = part.reset(9)
+        both[:, 1, : rivals.shape[1]] = rivals
+        seen, _ = part.reset(seed=9)
         for _ in range(100 // hold):
-            step = part.step(learner.model.predict(seen, deterministic=True)[0])
-            seen = step.observations
+            seen, _, terminated, truncated, _ = part.step(learner.model.predict(seen, deterministic=True)[0])
             advance(setup, state, both, hold)
-            going = ~(step.terminated | step.truncated | state.crashed)
+            going = ~(terminated | truncated | state.crashed)
             np.testing.assert_allclose(batch.state.cars[going], state.cars[going], atol=2e-4)
-            np.testing.assert_array_equal(step.terminated, state.crashed)
+            np.testing.assert_array_equal(terminated, state.crashed)
             if not going.all():
                 break
         assert going.sum() >= 4
@@ -80,31 +79,31 @@ def test_races_go_on_from_their_state(track):
     rng = np.random.default_rng(0)
     actions = rng.normal(0.0, 1.0, (60, 6, 2)).astype(np.float32)
     part, other = drives(track), drives(track)
-    part.reset(3)
-    other.reset(4)
+    part.reset(seed=3)
+    other.reset(seed=4)
     for action in actions[:30]:
         part.step(action)
     other.set_state(part.get_state())
     for action in actions[30:]:
-        for one, two in zip(part.step(action), other.step(action), strict=True):
+        for one, two in zip(part.step(action)[:4], other.step(action)[:4], strict=True):
             np.testing.assert_array_equal(one, two)
 
 
 def test_rewards_are_progress_less_a_share_of_the_opponents(track):
     part = drives(track, hold=10, rivalry=0.5, leading=3.0, crash_penalty=7.0)
-    part.reset(0)
+    part.reset(seed=0)
     actions = np.tile(np.array([0.0, 0.5], np.float32), (6, 1))
     crashes = 0
     for _ in range(25):
         before, tick = part.batch.state.progress.copy(), part.batch.state.tick.copy()
-        step = part.step(actions)
-        going = ~(step.terminated | step.truncated)
+        _, rewards, terminated, truncated, _ = part.step(actions)
+        going = ~(terminated | truncated)
         driven = part.batch.state.progress - before
         np.testing.assert_allclose(
-            step.rewards[going], driven[going] @ [1.0, -0.5] + 0.3 * (part.batch.state.lead[going] > 0.0), atol=1e-12
+            rewards[going], driven[going] @ [1.0, -0.5] + 0.3 * (part.batch.state.lead[going] > 0.0), atol=1e-12
         )
-        crashes += int(step.terminated.sum())
-        assert (step.rewards[step.terminated] < -4.0).all()  # straight on into a wall: by own fault
+        crashes += int(terminated.sum())
+        assert (rewards[terminated] < -4.0).all()  # straight on into a wall: by own fault
         assert (part.batch.state.tick[~going] == 0).all()
         assert (part.batch.state.tick[going] == tick[going] + 10).all()
     assert crashes > 0
@@ -112,16 +111,14 @@ def test_rewards_are_progress_less_a_share_of_the_opponents(track):
 
 def test_a_last_observation_is_the_old_races(track):
     part = drives(track)
-    part.reset(0)
-    step = part.step(np.zeros((6, 2), np.float32))
-    for _ in range(99):
-        step = part.step(np.zeros((6, 2), np.float32))
-        if (step.terminated | step.truncated).any():
+    part.reset(seed=0)
+    for _ in range(100):
+        seen, _, terminated, truncated, info = part.step(np.zeros((6, 2), np.float32))
+        ended = terminated | truncated
+        if ended.any():
             break
-    ended = step.terminated | step.truncated
     assert ended.any()
-    assert np.abs(step.last[ended] - step.observations[ended]).max() > 0.05
-    np.testing.assert_array_equal(step.last[~ended], step.observations[~ended])
+    assert np.abs(np.stack(info["final_obs"][ended]) - seen[ended]).max() > 0.05
 
 
 def test_slow_opponents_are_only_met_in_learning(drive_settings):

@@ -35,7 +35,7 @@ def test_a_branch_is_what_comes_of_playing_its_moves(game, setting):
         for made in (len(game.move_names) - 1, move):
             reply, _ = rival.predict(game.observation(state)[:, 1])
             state = game.step(state, np.stack([np.full(4, made), reply], axis=1))
-        np.testing.assert_array_equal(found.outcomes[:, move], game.utility(state)[found.game, 0])
+        np.testing.assert_array_equal(found.outcomes[:, move], game.reward(state)[found.game, 0])
 
 
 def test_branches_do_not_depend_on_the_batch(game, setting):

@@ -1,10 +1,11 @@
-"""What a duel tells about its games, and how opponents are drawn and asked; quick as plain Python, too."""
+"""What a batch of games says about them, and how opponents are drawn and asked; quick as plain Python, too."""
 
 import numpy as np
 import pytest
 
 from pcs_racing import InputError, PolicyArchive, get_planner
-from pcs_racing.envs.duel_batch import DuelBatch
+from pcs_racing.envs.game_batch import GameBatch
+from pcs_racing.envs.infos import Crash, Result, words
 
 MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -", "stay")
 
@@ -23,12 +24,13 @@ def archive() -> PolicyArchive:
 
 def make(track, archive, opponent="random-moves", games=6, **settings):
     settings = {"race": "contest", "step_seconds": 0.1, "moves": 2} | settings
-    return DuelBatch(games, track=track, archive=archive, opponent=opponent, threads=1, **settings)
+    players = 2 if opponent is None else 1
+    return GameBatch(games, track=track, archive=archive, opponent=opponent, threads=1, players=players, **settings)
 
 
 def begin(batch, seed=0):
-    rngs = [np.random.default_rng([seed, k]) for k in range(batch.games)]
-    batch.restart(np.arange(batch.games), rngs)
+    rngs = [np.random.default_rng([seed, k]) for k in range(batch.episodes)]
+    batch.restart(np.arange(batch.episodes), rngs)
     return rngs
 
 
@@ -42,21 +44,26 @@ def test_the_info_says_how_each_game_ended_for_either_car(coarse_oval, archive):
     state.race.crash[:] = [[0, 0], [0, 0], [0, 0], [1, 0], [2, 2], [0, 0]]
     state.race.fault[:] = [[0, 0], [0, 0], [0, 0], [1, 0], [1, 1], [0, 0]]
     batch.moves[:] = [[0, 1], [2, 3], [4, 0], [1, 2], [3, 4], [-1, -1]]
-    own, other = batch.facts(0), batch.facts(1)
-    assert own["result"].tolist() == ["win", "loss", "tie", "loss", "crash", ""]
-    assert other["result"].tolist() == ["loss", "win", "tie", "win", "crash", ""]
-    assert own["move"].tolist() == [MOVES[0], MOVES[2], MOVES[4], MOVES[1], MOVES[3], ""]
-    assert own["opponent_move"].tolist() == [MOVES[1], MOVES[3], MOVES[0], MOVES[2], MOVES[4], ""]
+    infos = batch.infos()
+    own, other = ({name: values[car::2] for name, values in infos.items()} for car in range(2))
+    win, tie, loss, crash, running = Result.WIN, Result.TIE, Result.LOSS, Result.CRASH, Result.RUNNING
+    assert own["result"].tolist() == [win, loss, tie, loss, crash, running]
+    assert other["result"].tolist() == [loss, win, tie, win, crash, running]
+    assert own["move"].tolist() == [0, 2, 4, 1, 3, -1]
+    assert own["opponent_move"].tolist() == [1, 3, 0, 2, 4, -1]
     assert own["lead"].tolist() == pytest.approx([2.0, -2.0, -0.001, 8.0, 8.0, 8.0])
-    assert own["crash"].tolist() == ["", "", "", "wall", "car", ""]
-    assert own["fault"].tolist() == [False, False, False, True, True, False]
-    assert other["fault"].tolist() == [False, False, False, False, True, False]
+    assert own["crash"].tolist() == [0, 0, 0, Crash.WALL, Crash.CAR, 0]
+    assert own["fault"].tolist() == [0, 0, 0, 1, 1, 0]
+    assert other["fault"].tolist() == [0, 0, 0, 0, 1, 0]
     assert own["policy"].tolist() == state.policy[:, 0].tolist()
     for one, two in (("move", "opponent_move"), ("crash", "opponent_crash")):
         assert own[one].tolist() == other[two].tolist()
         assert own[two].tolist() == other[one].tolist()
     np.testing.assert_allclose(other["lead"], -own["lead"])
-    assert own["opponent"].tolist() == ["self-play"] * 6
+    assert own["opponent"].tolist() == [-1] * 6
+    said = words(batch.info(6), batch.codes)  # of car 0 in game 3
+    assert (said["result"], said["crash"], said["opponent_crash"]) == ("loss", "wall", "none")
+    assert (said["move"], said["opponent_move"], said["opponent"]) == (MOVES[1], MOVES[2], "none")
     assert own["action_mask"].shape == (6, 5)
     assert (own["action_mask"] == 1).all()
 
@@ -66,13 +73,15 @@ def test_a_step_moves_both_cars_and_pays_them(coarse_oval, archive):
     rngs = begin(batch)
     before, seen = batch.state.copy(), batch.seen
     np.testing.assert_array_equal(seen, batch.game.observation(before))
-    utility, done = batch.step(np.array([[0], [1], [2], [3], [4], [0]]), rngs)
+    observations, rewards, terminated, truncated = batch.step(np.array([[0], [1], [2], [3], [4], [0]]), rngs)
     expected = batch.game.step(before, np.array([[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [0, 2]]))
     np.testing.assert_array_equal(batch.state.policy, expected.policy)
     np.testing.assert_array_equal(batch.moves, [[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [0, 2]])
-    np.testing.assert_array_equal(utility, batch.game.utility(expected))
+    np.testing.assert_array_equal(rewards, batch.game.reward(expected)[:, 0])
+    np.testing.assert_array_equal(observations, batch.seen[:, 0])
     np.testing.assert_array_equal(batch.seen, batch.game.observation(expected))
-    assert done.all()
+    assert terminated.all()
+    assert not truncated.any()
 
 
 def test_in_self_play_both_moves_come_from_outside(coarse_oval, archive):
@@ -89,17 +98,18 @@ def test_opponents_are_drawn_by_their_weights_for_every_game_anew(coarse_oval, a
     names = ["always-aggressiveness +", "always-stay", "random-moves"]
     batch = make(coarse_oval, archive, [(w, name) for w, name in zip((1, 2, 5.0), names, strict=True)], games=240)
     rngs = begin(batch)
-    counts = np.bincount(batch.chosen, minlength=3)
+    counts = np.bincount(batch.drawn, minlength=3)
     np.testing.assert_allclose(counts / 240, [1 / 8, 2 / 8, 5 / 8], atol=0.1)
-    assert batch.facts()["opponent"].tolist() == [names[k] for k in batch.chosen]
+    assert batch.infos()["opponent"].tolist() == batch.drawn.tolist()
+    assert [batch.codes["opponent"][k] for k in range(3)] == names
     batch.step(np.full((240, 1), 4), rngs)
     replies = batch.moves[:, 1]
-    assert (replies[batch.chosen == 0] == 0).all()
-    assert (replies[batch.chosen == 1] == 4).all()
-    assert set(replies[batch.chosen == 2]) == {0, 1, 2, 3, 4}
-    first, keys = batch.chosen.copy(), batch.state.race.seed.copy()
+    assert (replies[batch.drawn == 0] == 0).all()
+    assert (replies[batch.drawn == 1] == 4).all()
+    assert set(replies[batch.drawn == 2]) == {0, 1, 2, 3, 4}
+    first, keys = batch.drawn.copy(), batch.state.race.seed.copy()
     begin(batch, seed=1)
-    assert (batch.chosen != first).any()
+    assert (batch.drawn != first).any()
     assert not np.isin(batch.state.race.seed, keys).any()
     assert (batch.moves == -1).all()
 
@@ -130,7 +140,7 @@ def test_one_that_never_switches_drives_a_policy_of_the_archive_and_makes_no_mov
     assert (batch.state.policy[:, 1] == -1).all()
     batch.step(np.full((60, 1), 1), rngs)
     np.testing.assert_array_equal(batch.state.theta[:, 1], theta)
-    assert set(batch.facts()["opponent_move"]) == {""}
+    assert set(batch.infos()["opponent_move"]) == {-1}
 
 
 class Remembers:
@@ -147,7 +157,7 @@ class Remembers:
 
 def test_one_that_remembers_is_handed_what_it_gave_in_its_own_game(coarse_oval, archive):
     model = Remembers()
-    batch = DuelBatch(
+    batch = GameBatch(
         2,
         track=coarse_oval,
         archive=archive,
@@ -194,23 +204,24 @@ def test_random_moves_are_only_those_that_may_be_made(coarse_oval, archive):
     assert not masks.all()
     batch.step(np.full((80, 1), 4), rngs)
     assert masks[np.arange(80), batch.moves[:, 1]].all()
-    np.testing.assert_array_equal(batch.facts(1)["action_mask"], batch.game.action_mask(batch.state)[:, 1])
+    np.testing.assert_array_equal(batch.action_masks(), batch.game.action_mask(batch.state)[:, 0])
 
 
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        ([0, 1, 2, 3, 4, 5], "action of environment 5 is 5; it must be from 0 to 4"),
-        ([0, -1, 2, 3, 4, 0], "action of environment 1 is -1"),
-        ([0, 1, 2], r"have shape \(3,\) and type int64; they must be 6 whole numbers from 0 to 4"),
+        ([0, 1, 2, 3, 4, 5], "environment 5: move 5 is not one of the moves from 0 to 4"),
+        ([0, -1, 2, 3, 4, 0], "environment 1: move -1"),
+        ([0, 1, 2], r"of shape \(3,\) and type int64; they must be whole numbers of shape \(6,\)"),
         ([0.0] * 6, "type float64"),
     ],
 )
 def test_impossible_moves_are_named(coarse_oval, archive, actions, message):
     batch = make(coarse_oval, archive)
     with pytest.raises(InputError, match=message):
-        batch.check_actions(np.array(actions), 1)
-    assert batch.check_actions([4, 0, 1, 2, 3, 4], 1).tolist() == [[4], [0], [1], [2], [3], [4]]
-    assert batch.check_actions(np.arange(12).reshape(6, 2) % 5, 2).shape == (6, 2)
+        batch.check_actions(np.array(actions), (6,))
+    assert batch.check_actions([4, 0, 1, 2, 3, 4], (6,)).tolist() == [[4], [0], [1], [2], [3], [4]]
+    both = make(coarse_oval, archive, opponent=None)
+    assert both.check_actions(np.arange(12) % 5, (12,)).tolist()[:2] == [[0, 1], [2, 3]]
     with pytest.raises(InputError, match="not begun"):
         batch.started()

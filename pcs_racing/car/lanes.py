@@ -1,0 +1,98 @@
+"""Several cars that are driven in lockstep, one in each lane of the processor's vectors.
+
+A *lanes* array is flat: rows of ``LANES`` numbers, one for each car. As the length of a row is fixed when the code is
+compiled, loops over the lanes use vector instructions; a lane that holds no car costs nothing more. Each lane computes
+what :func:`pcs_racing.car.vehicle.step` does, to the bit.
+"""
+
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.vehicle import Handling, handling, runge_kutta, step_to_target, target_inputs
+
+__all__ = ["LANES", "LANES_SIZE", "load_car", "set_target", "step_lanes", "step_slow_car", "store_car"]
+
+LANES = 8
+
+# Rows: the state, the target, and the handling.
+_STATE = 0
+_STEER = LANES * _vehicle.STATE_SIZE
+_SPEED = _STEER + LANES
+_HANDLING = _SPEED + LANES
+LANES_SIZE = _HANDLING + LANES * len(Handling._fields)
+
+
+@kernel
+def load_car(lanes, lane, state, p):  # type: ignore[no-untyped-def]
+    """Put a car with a row of parameters into a lane."""
+    for k in range(_vehicle.STATE_SIZE):
+        lanes[_STATE + LANES * k + lane] = state[k]
+    car = handling(p)
+    for k in range(len(car)):
+        lanes[_HANDLING + LANES * k + lane] = car[k]
+
+
+@inner_kernel(forceinline=True)
+def store_car(lanes, lane, state):  # type: ignore[no-untyped-def]
+    """Read the state of the car in a lane."""
+    for k in range(_vehicle.STATE_SIZE):
+        state[k] = lanes[_STATE + LANES * k + lane]
+
+
+@inner_kernel(forceinline=True)
+def set_target(lanes, lane, steer, speed):  # type: ignore[no-untyped-def]
+    """Give the car in a lane a target steering angle (rad) and speed (m/s)."""
+    lanes[_STEER + lane] = steer
+    lanes[_SPEED + lane] = speed
+
+
+@inner_kernel(forceinline=True)
+def step_slow_car(lanes, lane, state, p, dt):  # type: ignore[no-untyped-def]
+    """Advance ``state`` alone if the car in the lane is too slow for `step_lanes`; returns whether it was."""
+    if lanes[LANES * _vehicle.V + lane] >= _vehicle.KINEMATIC_BELOW + p[_vehicle.A_MAX] * dt:
+        return False
+    store_car(lanes, lane, state)
+    step_to_target(state, lanes[_STEER + lane], lanes[_SPEED + lane], p, dt)
+    return True
+
+
+@kernel
+def step_lanes(lanes, dt):  # type: ignore[no-untyped-def]
+    """Advance the cars in all lanes by one step of ``dt`` seconds towards their targets.
+
+    Cars that are so slow that they may roll without slip within the step come out wrong (`step_slow_car`).
+    """
+    for i in range(LANES):
+        car = Handling(
+            lanes[_HANDLING + i],
+            lanes[_HANDLING + LANES + i],
+            lanes[_HANDLING + 2 * LANES + i],
+            lanes[_HANDLING + 3 * LANES + i],
+            lanes[_HANDLING + 4 * LANES + i],
+            lanes[_HANDLING + 5 * LANES + i],
+            lanes[_HANDLING + 6 * LANES + i],
+            lanes[_HANDLING + 7 * LANES + i],
+            lanes[_HANDLING + 8 * LANES + i],
+            lanes[_HANDLING + 9 * LANES + i],
+            lanes[_HANDLING + 10 * LANES + i],
+            lanes[_HANDLING + 11 * LANES + i],
+            lanes[_HANDLING + 12 * LANES + i],
+            lanes[_HANDLING + 13 * LANES + i],
+        )
+        x = lanes[LANES * _vehicle.X + i]
+        y = lanes[LANES * _vehicle.Y + i]
+        delta = lanes[LANES * _vehicle.DELTA + i]
+        v = lanes[LANES * _vehicle.V + i]
+        psi = lanes[LANES * _vehicle.PSI + i]
+        psi_dot = lanes[LANES * _vehicle.PSI_DOT + i]
+        beta = lanes[LANES * _vehicle.BETA + i]
+        rate, acceleration = target_inputs(delta, v, lanes[_STEER + i], lanes[_SPEED + i], car, dt)
+        x, y, delta, v, psi, psi_dot, beta = runge_kutta(
+            x, y, delta, v, psi, psi_dot, beta, rate, acceleration, car, dt, False
+        )
+        lanes[LANES * _vehicle.X + i] = x
+        lanes[LANES * _vehicle.Y + i] = y
+        lanes[LANES * _vehicle.DELTA + i] = delta
+        lanes[LANES * _vehicle.V + i] = v
+        lanes[LANES * _vehicle.PSI + i] = psi
+        lanes[LANES * _vehicle.PSI_DOT + i] = psi_dot
+        lanes[LANES * _vehicle.BETA + i] = beta

@@ -1,0 +1,167 @@
+"""The protocol of a batch of episodes, over which all environments are written.
+
+A batch advances E episodes at once, each with one or two players: an environment is one player's view of an episode.
+Environment ``i`` belongs to player ``i % players`` of episode ``i // players``. Each episode draws from a generator of
+its own, so a batch of any size gives the same numbers. What happens when an episode ends is not the batch's business:
+:class:`pcs_racing.envs.scalar.ScalarEnv` and :class:`pcs_racing.envs.vector.BatchVectorEnv` see to that.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError, UnknownNameError, choices
+from pcs_racing.race.rendering import MODES, VIEWS, Renderer
+
+__all__ = ["Batch", "BatchStep", "check_batch_size", "check_options", "check_rendering", "check_seed"]
+
+MOST_EPISODES = 100_000
+
+
+class BatchStep(NamedTuple):
+    """What a step of n environments returns, in fresh arrays.
+
+    Attributes
+    ----------
+    observations : ndarray of float32, shape (n, D)
+    rewards : ndarray of float64, shape (n,)
+    terminated, truncated : ndarray of bool, shape (n,)
+    """
+
+    observations: NDArray[np.float32]
+    rewards: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+
+
+class Batch(Protocol):
+    """Many episodes side by side.
+
+    Attributes
+    ----------
+    episodes, players : int
+    codes : mapping of str to (mapping of int to str)
+        Words of those infos that are codes.
+    reset_options : tuple of str
+        Options that :meth:`restart` takes.
+    horizon : int
+        Steps of an episode that does not end early.
+    frame_rate : int
+        Steps in a second of racing, or 1 if a step is longer.
+    """
+
+    episodes: int
+    players: int
+    codes: Mapping[str, Mapping[int, str]]
+    reset_options: tuple[str, ...]
+    horizon: int
+    frame_rate: int
+
+    @property
+    def observation_space(self) -> Any:
+        """Of one environment."""
+
+    @property
+    def action_space(self) -> Any:
+        """Of one environment."""
+
+    @property
+    def elements(self) -> Sequence[Any]:
+        """Name, unit, bounds and meaning of each number of an observation."""
+
+    @property
+    def track(self) -> Any:
+        """The circuit."""
+
+    def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+        """Return actions of ``shape`` (a batch's, or () for one environment) as this batch's ``step`` takes them."""
+
+    def restart(
+        self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator], options: Mapping[str, Any] = ...
+    ) -> None:
+        """Begin new episodes in some places, each drawn from its own generator."""
+
+    def step(self, actions: NDArray[Any], generators: Sequence[np.random.Generator]) -> BatchStep:
+        """Make a step in every episode; those that are over stand still."""
+
+    def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
+        """Write the observations of some episodes into the rows of their environments, ``out`` of shape (n, D)."""
+
+    def infos(self) -> dict[str, NDArray[Any]]:
+        """Infos of all environments: arrays of n numbers by name."""
+
+    def info(self, environment: int) -> dict[str, Any]:
+        """Info of one environment."""
+
+    def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
+        """Draw an environment's race as it stands."""
+
+    def get_state(self) -> tuple[Any, ...]:
+        """Return copies of all that changes."""
+
+    def set_state(self, state: tuple[Any, ...]) -> None:
+        """Continue from what :meth:`get_state` returned, here or in an equal batch."""
+
+    def close(self) -> None:
+        """Free threads."""
+
+
+def check_batch_size(episodes: int, threads: int | None) -> None:
+    """Check the number of environments of a batch, and of threads.
+
+    Raises
+    ------
+    InputError
+        If there are none or too many.
+    """
+    whole = isinstance(episodes, int | np.integer) and not isinstance(episodes, bool)
+    if not whole or not 1 <= episodes <= MOST_EPISODES:
+        raise InputError(f"num_envs is {episodes!r}; it must be a whole number from 1 to {MOST_EPISODES}")
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+        raise InputError(f"threads is {threads!r}; it must be a whole number from 1, or None")
+
+
+def check_seed(seed: Any, name: str = "seed") -> int | None:
+    """Return a seed as Gymnasium wants it.
+
+    Raises
+    ------
+    InputError
+        If it is neither None nor a whole number from 0.
+    """
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"{name} is {seed!r}; it must be None or a whole number from 0")
+    return int(seed)
+
+
+def check_rendering(render_mode: str | None, view: str) -> None:
+    """Refuse an unknown render mode or view."""
+    if view not in VIEWS:
+        raise InputError(f"view is {view!r}; it must be one of {', '.join(VIEWS)}")
+    if render_mode is not None and render_mode not in MODES:
+        raise InputError(f"render_mode is {render_mode!r}; it must be None or one of {', '.join(MODES)}")
+
+
+def check_options(options: Any, known: Iterable[str]) -> dict[str, Any]:
+    """Return the options of a reset, those that are None left out.
+
+    Raises
+    ------
+    InputError
+        If they are no mapping.
+    UnknownNameError
+        If one is unknown.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise InputError(f"options are {options!r}; they must be None or a mapping")
+    names = list(known)
+    for name in options:
+        if name not in names:
+            raise UnknownNameError(f"reset option {name!r} is unknown; {choices(str(name), names)}")
+    return {name: value for name, value in options.items() if value is not None}

@@ -1,0 +1,307 @@
+"""Many games side by side: the batch behind the environments of the strategy level."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.envs.batch import BatchStep, check_batch_size
+from pcs_racing.envs.infos import Crash, Result, codes
+from pcs_racing.envs.opponents import draw_opponent, parse_opponents, shared_planner
+from pcs_racing.envs.reset_options import start_option
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
+from pcs_racing.game.competitor import ask_moves
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.observation import ObservationElement
+from pcs_racing.game.rules import OUTSIDE, RaceGame, check_moves, make_game
+from pcs_racing.game.state import GameState, empty_game, put_games
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.kernel import DT
+from pcs_racing.race.rendering import Renderer
+from pcs_racing.track.track import Track
+
+__all__ = ["GameBatch"]
+
+NO_MOVE = -1  # before the first move, and for a driver
+
+
+class GameBatch:
+    """Games of moves; car 0 belongs to a player, car 1 to an opponent or to a second player.
+
+    Implements :class:`pcs_racing.envs.batch.Batch`.
+
+    Parameters
+    ----------
+    episodes : int
+        Number of games.
+    track, archive, race, **settings
+        As in :func:`pcs_racing.game.rules.make_game`.
+    opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
+        None where a second player moves car 1.
+    deterministic_opponent : bool
+        Whether trained models take their best move or draw one.
+    threads : int, optional
+        Threads that share a step.
+    players : int
+        2 where there is no opponent.
+
+    Attributes
+    ----------
+    game : RaceGame
+    state : GameState or None
+        None before the first `restart`.
+    seen : ndarray, shape (episodes, 2, D)
+        What both players observe.
+    moves : ndarray, shape (episodes, 2)
+        Last move of each car; -1 before the first.
+    """
+
+    reset_options: tuple[str, ...] = ("policies", "start")
+    frame_rate = 1
+
+    def __init__(
+        self,
+        episodes: int,
+        *,
+        track: Track | str | Path,
+        archive: PolicyArchive | str | Path,
+        opponent: Any,
+        race: GameConfig | RaceConfig | str | Path,
+        deterministic_opponent: bool = True,
+        threads: int | None = None,
+        players: int = 1,
+        **settings: Any,
+    ) -> None:
+        check_batch_size(episodes, threads)
+        if (opponent is None) is (players == 1):
+            raise InputError(
+                f"opponent is {opponent!r}; "
+                + ("name one, for instance 'random-moves'" if players == 1 else "both cars belong to players here")
+            )
+        self.episodes, self.players = int(episodes), players
+        game = make_game(track, load_archive(archive), race, threads=threads, **settings)
+        self.opponents = [] if opponent is None else parse_opponents(opponent, game)
+        planner = shared_planner(self.opponents, game)
+        self.game: RaceGame = game if planner is game.setup.planners[1] else replace(game, opponent_planner=planner)
+        weights = np.array([each.weight for each in self.opponents] or [1.0])
+        self._edges = np.cumsum(weights) / weights.sum()
+        self._deterministic = deterministic_opponent
+        self.horizon = self.game.config.moves
+        low, high = (np.array([getattr(e, end) for e in self.elements], np.float32) for end in ("low", "high"))
+        self.observation_space = spaces.Box(low, high, dtype=np.float32)
+        self.action_space = spaces.Discrete(len(self.game.move_names))
+        moves = {NO_MOVE: "none", **dict(enumerate(self.game.competitor_moves))}
+        self.codes: Mapping[str, Mapping[int, str]] = {
+            "crash": codes(Crash),
+            "opponent_crash": codes(Crash),
+            "result": codes(Result),
+            "move": moves,
+            "opponent_move": moves,
+            "opponent": {-1: "none", **{i: each.name for i, each in enumerate(self.opponents)}},
+        }
+        self.state: GameState | None = None
+        self.seen = np.zeros((self.episodes, 2, len(low)), np.float32)
+        self.drawn = np.zeros(self.episodes, np.int64)  # index of each game's opponent
+        self.moves = np.full((self.episodes, 2), NO_MOVE, np.int64)
+        self.memories: list[Any] = [None] * self.episodes
+
+    @property
+    def elements(self) -> tuple[ObservationElement, ...]:
+        """Name, unit, bounds and meaning of each number of an observation."""
+        return self.game.observation_elements
+
+    @property
+    def track(self) -> Track:
+        """The circuit."""
+        return self.game.track
+
+    def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
+        """Return moves as (episodes, players)."""
+        checked = check_moves(actions, self.game.move_names, shape, ("environment",), player="action")
+        return checked.reshape(self.episodes, self.players)
+
+    def restart(
+        self,
+        rows: NDArray[np.int64],
+        generators: Sequence[np.random.Generator],
+        options: Mapping[str, Any] = {},
+    ) -> None:
+        """Begin new games in some places, each drawn from its own generator.
+
+        Options: "policies", two indices of the archive for each game or for all (-1 draws one), and "start", arc length
+        of the line (m) and side (0 puts car 0 on the left or in front), for each game or for all.
+        """
+        starts = start_option(options, len(rows))
+        keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
+        drivers: list[Policy | None] = []
+        drawn = np.zeros(len(rows), np.int64)
+        for i, generator in enumerate(generators):
+            if self.opponents:
+                drawn[i] = draw_opponent(self._edges, generator)
+            drivers.append(self.opponents[drawn[i]].draw_policy(generator) if self.opponents else None)
+        fresh = self.game.reset(keys, policies=options.get("policies"), starts=starts, opponents=drivers)
+        if self.state is None:
+            self.state = fresh
+        else:
+            put_games(self.state, rows, fresh)
+        self.drawn[rows], self.moves[rows] = drawn, NO_MOVE
+        for row in rows:
+            self.memories[row] = None
+        self.seen = self.game.observation(self.state)
+
+    def started(self) -> GameState:
+        """Return the state.
+
+        Raises
+        ------
+        InputError
+            Before the first restart.
+        """
+        if self.state is None:
+            raise InputError("the episode has not begun; call reset() first")
+        return self.state
+
+    def step(self, actions: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> BatchStep:
+        """Let both cars of every game move, and drive a step."""
+        state = self.started()
+        moves = actions if self.players == 2 else np.stack([actions[:, 0], self._replies(state, generators)], axis=1)
+        self.state = self.game.apply(state, moves)
+        self.moves = moves
+        self.seen = self.game.observation(self.state)
+        rewards = np.ascontiguousarray(self.game.reward(self.state)[:, : self.players]).reshape(-1)
+        done = np.repeat(self.game.done(self.state), self.players)
+        return BatchStep(self._observations(), rewards, done, np.zeros(len(done), np.bool_))
+
+    def _replies(self, state: GameState, generators: Sequence[np.random.Generator]) -> NDArray[np.int64]:
+        replies = np.zeros(self.episodes, np.int64)
+        for k, opponent in enumerate(self.opponents):
+            rows = np.flatnonzero(self.drawn == k)
+            if len(rows) == 0 or opponent.policies:
+                continue
+            asked = ask_moves(
+                opponent.competitor,
+                self.game,
+                state,
+                1,
+                rows=rows,
+                observation=self.seen[:, 1],
+                memories=self.memories,
+                generators=generators,
+                deterministic=self._deterministic,
+            )
+            replies[rows] = asked[rows]
+        return replies
+
+    def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
+        """Write the observations of some games into the rows of their players."""
+        out.reshape(self.episodes, self.players, -1)[rows] = self.seen[rows, : self.players]
+
+    def _observations(self) -> NDArray[np.float32]:
+        return self.seen[:, : self.players].reshape(self.episodes * self.players, -1).copy()
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Moves that each player may make, shape (environments, M)."""
+        masks = self.game.action_mask(self.started())
+        return masks[:, : self.players].reshape(self.episodes * self.players, -1)
+
+    def infos(self) -> dict[str, NDArray[Any]]:
+        """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
+        of_cars = [self._infos_of(car) for car in range(self.players)]
+        if self.players == 1:
+            return of_cars[0]
+        return {
+            name: np.stack([of_cars[0][name], of_cars[1][name]], axis=1).reshape(-1, *of_cars[0][name].shape[1:])
+            for name in of_cars[0]
+        }
+
+    def info(self, environment: int) -> dict[str, Any]:
+        """Info of one player: plain numbers, and the mask as an array."""
+        return {
+            name: values[environment] if values.ndim > 1 else values[environment].item()
+            for name, values in self.infos().items()
+        }
+
+    def _infos_of(self, car: int) -> dict[str, NDArray[Any]]:
+        state = self.started()
+        race, other = state.race, 1 - car
+        winner = self.game.winner(state)
+        result = np.where(winner == car, Result.WIN, np.where(winner == other, Result.LOSS, Result.TIE))
+        result = np.where((winner < 0) & race.crashed, Result.CRASH, result)
+        # A driver makes no moves, whatever stands in the array of moves.
+        moves = np.where(state.policy == OUTSIDE, NO_MOVE, self.moves)
+        return {
+            "time": race.tick * DT,
+            "progress": race.progress[:, car].copy(),
+            "lead": race.lead if car == 0 else -race.lead,
+            "crash": race.crash[:, car].astype(np.int64),
+            "opponent_crash": race.crash[:, other].astype(np.int64),
+            "fault": self.game.fault(state)[:, car].astype(np.int64),
+            "overtakes": race.overtakes[:, car].copy(),
+            "result": np.where(self.game.done(state), result, Result.RUNNING).astype(np.int64),
+            "opponent": self.drawn.copy() if self.opponents else np.full(self.episodes, -1),
+            "move": moves[:, car],
+            "opponent_move": moves[:, other],
+            "policy": state.policy[:, car].copy(),
+            "action_mask": self.game.action_mask(state)[:, car].astype(np.int8),
+        }
+
+    def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
+        """Draw a game as it stands."""
+        return draw_game(renderer, self, self.started(), environment // self.players)
+
+    def get_state(self) -> tuple[Any, ...]:
+        """Copies of all that changes: games, opponents, last moves, and what the opponents remember."""
+        state = None if self.state is None else self.state.copy()
+        return state, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories)
+
+    def set_state(self, values: tuple[Any, ...]) -> None:
+        """Continue from what `get_state` returned, here or in an equal batch."""
+        state, drawn, moves, memories = values
+        if state is not None:
+            self._check_state(state)
+        self.state = None if state is None else state.copy()
+        self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
+        if self.state is not None:
+            self.seen = self.game.observation(self.state)
+
+    def _check_state(self, state: Any) -> None:
+        if not isinstance(state, GameState) or state.games != self.episodes:
+            raise InputError(f"the state is not one of {self.episodes} games; use what get_state returned")
+        setup, axes = self.game.setup, len(self.game.characteristics)
+        model = empty_game(self.episodes, setup.memory_size, setup.theta_size, self.game.config.moves + 1, axes)
+        names = (*model.race._fields, *model._fields[1:])
+        given: list[Any] = [*state.race, *state[1:]]
+        wanted: list[Any] = [*model.race, *model[1:]]
+        for name, array, like in zip(names, given, wanted, strict=True):
+            if np.shape(array) != like.shape:
+                raise InputError(
+                    f"the state's {name} has shape {np.shape(array)}; in this environment it must be {like.shape}: it "
+                    "belongs to another archive, planner or number of moves"
+                )
+        if not ((state.policy >= OUTSIDE) & (state.policy < len(self.game.archive))).all():
+            raise InputError(
+                f"the state's policies {state.policy[0].tolist()} are not all in archive {self.game.archive.name!r}"
+            )
+
+    def close(self) -> None:
+        """Do nothing: a game holds no threads."""
+
+
+def draw_game(
+    renderer: Renderer, batch: GameBatch, state: GameState, game: int, trails: NDArray[np.float64] | None = None
+) -> NDArray[np.uint8] | None:
+    """Draw one game of a batch at some moment of its driving."""
+    race = state.race
+    moves = " | ".join(f"car_{car}: {batch.codes['move'][int(batch.moves[game, car])]}" for car in range(2))
+    opponent = f" | against {batch.opponents[batch.drawn[game]].name}" if batch.opponents else ""
+    text = f"{race.tick[game] * DT:.1f} s | lead of car_0 {race.lead[game]:+.1f} m | {moves}{opponent}"
+    plans = [path[:, :2] for path in race.path[game] if path.any()]
+    return renderer.render(race.cars[game], plans=plans if len(plans) == 2 else None, trails=trails, text=text)

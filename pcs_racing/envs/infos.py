@@ -1,0 +1,66 @@
+"""The numbers of an environment's infos: their codes, and their words for people.
+
+Every environment uses the same names, and every value is a number or an array of numbers:
+
+| name | number |
+| --- | --- |
+| `time` | s since the start |
+| `progress`, `lead` | m along the race line; ahead of the opponent |
+| `crash`, `opponent_crash` | :class:`Crash` |
+| `fault` | 1 if the own car is to blame for the crash, else 0 |
+| `overtakes` | how often the own car passed the other |
+| `result` | :class:`Result` |
+| `opponent` | index of the episode's opponent among those of the environment; -1 if there is none |
+| `move`, `opponent_move` | index of the last move; -1 before the first, and for a driver, which makes none |
+| `policy` | index of the policy in the archive; -1 for a driver from outside |
+| `action_mask` | 1 for each move that may be made (int8) |
+"""
+
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+__all__ = ["Crash", "Result", "codes", "words"]
+
+
+class Crash(IntEnum):
+    """How a car crashed."""
+
+    NONE = 0
+    WALL = 1
+    CAR = 2
+
+
+class Result(IntEnum):
+    """How an episode ended for a car."""
+
+    RUNNING = 0
+    """It goes on."""
+    WIN = 1
+    TIE = 2
+    LOSS = 3
+    CRASH = 4
+    """A crash that pays nobody."""
+
+
+def codes(kind: type[IntEnum]) -> dict[int, str]:
+    """Words of an enumeration by number."""
+    return {member.value: member.name.lower() for member in kind}
+
+
+def words(info: Mapping[str, Any], names: Mapping[str, Mapping[int, str]]) -> dict[str, Any]:
+    """Replace the codes in the info of one environment by their words; masks and arrays are left out.
+
+    Parameters
+    ----------
+    info : Mapping
+    names : Mapping of str to Mapping
+        Words by number, for each entry that is a code: ``env.metadata["codes"]``.
+    """
+    return {
+        name: names[name][int(value)] if name in names else value
+        for name, value in info.items()
+        if not isinstance(value, np.ndarray)
+    }

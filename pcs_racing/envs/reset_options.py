@@ -1,0 +1,103 @@
+"""Where cars start, as the options of a reset say it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.race.driving import vehicle_rows
+from pcs_racing.race.kernel import place_cars
+from pcs_racing.race.races import RaceSetup
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import RaceState, empty_state
+from pcs_racing.track.frenet import X, Y
+
+__all__ = ["place_poses", "poses_option", "start_option"]
+
+
+def _numbers(options: Mapping[str, Any], name: str, shapes: tuple[tuple[int, ...], ...], meaning: str) -> Any:
+    """An option as finite numbers of one of some shapes; None if it is not given."""
+    if options.get(name) is None:
+        return None
+    try:
+        values = np.asarray(options[name], np.float64)
+    except (TypeError, ValueError):
+        values = np.full(0, np.nan)
+    if values.shape not in shapes or not np.isfinite(values).all():
+        raise InputError(f"reset option {name!r} is {options[name]!r:.80}; it must be {meaning}, finite numbers")
+    return values
+
+
+def start_option(options: Mapping[str, Any], episodes: int) -> Starts | None:
+    """Read the option "start": arc length of the start line (m) and side (0 or 1), of each episode or for all.
+
+    Raises
+    ------
+    InputError
+        If it is anything else.
+    """
+    meaning = f"(arc length in m, side 0 or 1), for all episodes or for each of the {episodes}"
+    values = _numbers(options, "start", ((2,), (episodes, 2)), meaning)
+    if values is None:
+        return None
+    s, side = np.broadcast_to(values, (episodes, 2)).T
+    if not np.isin(side, (0.0, 1.0)).all():
+        raise InputError(f"reset option 'start' is {options['start']!r:.80}; it must be {meaning}")
+    return Starts(s.copy(), side.astype(np.int64))
+
+
+def poses_option(options: Mapping[str, Any], episodes: int) -> NDArray[np.float64] | None:
+    """Read the option "poses": x, y (m), heading (rad) and optionally speed (m/s) of both cars, shape (B, 2, 4).
+
+    Raises
+    ------
+    InputError
+        If it is anything else, or a speed is impossible.
+    """
+    shapes = ((2, 3), (2, 4), (episodes, 2, 3), (episodes, 2, 4))
+    meaning = f"x, y, heading and, if not 0, speed of both cars, shape (2, 3), (2, 4) or with {episodes} rows of these"
+    values = _numbers(options, "poses", shapes, meaning)
+    if values is None:
+        return None
+    poses = np.zeros((episodes, 2, 4))
+    poses[..., : values.shape[-1]] = values
+    if not ((poses[..., 3] >= 0.0) & (poses[..., 3] <= F1TENTH.v_max)).all():
+        raise InputError(f"a speed in the reset option 'poses' is not from 0 to {F1TENTH.v_max:g} m/s")
+    return poses
+
+
+def place_poses(setup: RaceSetup, poses: NDArray[np.float64], alone: bool) -> RaceState:
+    """Races whose cars stand at given poses; progress is counted from the front car.
+
+    Parameters
+    ----------
+    setup : RaceSetup
+    poses : ndarray, shape (B, 2, 4)
+    alone : bool
+        Whether car 1 is not simulated; then it is put where it can't touch anything.
+
+    Raises
+    ------
+    InputError
+        If a car stands in a wall or in the other one; the episode is named.
+    """
+    state = empty_state(len(poses), setup.memory_size)
+    state.cars[:, :, X], state.cars[:, :, Y] = poses[..., 0], poses[..., 1]
+    state.cars[:, :, _vehicle.PSI] = np.mod(poses[..., 2], 2.0 * np.pi)
+    state.cars[:, :, _vehicle.V] = poses[..., 3]
+    place_cars(setup.track.arrays, state, vehicle_rows(setup.vehicles, len(poses)))
+    wrong = np.flatnonzero((state.crash[:, 0] == 1) if alone else state.crashed)
+    if len(wrong):
+        raise InputError(
+            f"episode {wrong[0]}: at the poses {poses[wrong[0], :, :3].tolist()} a car stands in a wall or in the other"
+        )
+    length = setup.track.length
+    gap = np.mod(state.frenet[:, 0, 0] - state.frenet[:, 1, 0] + 0.5 * length, length) - 0.5 * length
+    state.progress[:, 0], state.progress[:, 1] = np.minimum(gap, 0.0), np.minimum(-gap, 0.0)
+    if alone:
+        state.crash[:], state.fault[:], state.progress[:] = 0, 0, 0.0
+    return state

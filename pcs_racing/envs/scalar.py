@@ -1,0 +1,260 @@
+"""One environment of Gymnasium over a batch of one episode."""
+
+import copy
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_seed
+from pcs_racing.envs.infos import words
+from pcs_racing.race.rendering import MODES, Renderer
+from pcs_racing.track.track import Track
+
+__all__ = ["REBUILDING", "EnvState", "ScalarEnv", "with_horizon"]
+
+REBUILDING = ("track", "opponent")
+"""Options of a reset that stand for arguments of the environment."""
+
+
+class EnvState(NamedTuple):
+    """A moment of an environment: a value that can be kept, copied, pickled and restored.
+
+    Attributes
+    ----------
+    batch : tuple
+        State of the batch.
+    started, running : bool
+        Whether there was a reset, and whether an episode goes on.
+    generator : dict
+        State of the random generator that the next episodes are drawn from.
+    """
+
+    batch: tuple[Any, ...]
+    started: bool
+    running: bool
+    generator: dict[str, Any]
+
+
+class ScalarEnv(gym.Env[NDArray[np.float32], Any]):
+    """Base class of the environments for one agent; subclasses name the batch and document themselves.
+
+    Parameters
+    ----------
+    arguments : dict
+        Of the batch.
+    render_mode : str, optional
+    view : str
+    render_size : tuple of int
+        Width and height of a frame in pixels.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(MODES), "render_fps": 1}  # noqa: RUF012
+    batch_type: ClassVar[type[Any]]
+
+    def __init__(
+        self, arguments: dict[str, Any], render_mode: str | None, view: str, render_size: tuple[int, int]
+    ) -> None:
+        check_rendering(render_mode, view)
+        self.render_mode, self.view, self.render_size = render_mode, view, render_size
+        self._arguments = arguments
+        self._use(self._make_batch(arguments))
+        self.observation_space = self.batch.observation_space
+        self.action_space = self.batch.action_space
+        self._row = np.zeros(1, np.int64)
+        self._started = self._running = False
+        self._renderer: Renderer | None = None
+        self._spec: EnvSpec | None = None
+
+    def _make_batch(self, arguments: dict[str, Any]) -> Batch:
+        batch: Batch = self.batch_type(1, threads=1, **arguments)
+        return batch
+
+    def _use(self, batch: Batch) -> None:
+        self.batch = batch
+        self.metadata = {**type(self).metadata, "render_fps": batch.frame_rate, "codes": batch.codes}
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How it was made, with the number of steps after which its episodes end as ``max_episode_steps``."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, value: EnvSpec | None) -> None:
+        self._spec = with_horizon(value, self.batch.horizon)
+
+    @property
+    def elements(self) -> list[Any]:
+        """Name, unit, bounds and meaning of every element of the observation."""
+        return list(self.batch.elements)
+
+    @property
+    def track(self) -> Track:
+        """The circuit."""
+        track: Track = self.batch.track
+        return track
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin a new episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seed of the random generator; without it the generator goes on.
+        options : dict, optional
+            "track" and "opponent" replace the environment's arguments from now on; "state" continues from what
+            `get_state` returned; the class lists the others.
+
+        Returns
+        -------
+        observation : ndarray of float32
+        info : dict
+
+        Raises
+        ------
+        InputError
+            If the seed or an option is impossible or unknown.
+        """
+        number = check_seed(seed)
+        given = check_options(options, (*REBUILDING, "state", *self.batch.reset_options))
+        changes = {name: given.pop(name) for name in REBUILDING if name in given}
+        batch = self._make_batch({**self._arguments, **changes}) if changes else self.batch
+        state = given.pop("state", None)
+        if state is not None and (given or number is not None):
+            raise InputError("reset option 'state' was given with others or a seed; a state leaves nothing to choose")
+        super().reset(seed=number)
+        if state is None:
+            batch.restart(self._row, [self.np_random], given)
+        if batch is not self.batch:
+            self.close()
+            self._arguments = {**self._arguments, **changes}
+            self._use(batch)
+        if state is None:
+            self._started = self._running = True
+        else:
+            self.set_state(state)
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(), self.batch.info(0)
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Make a step.
+
+        Parameters
+        ----------
+        action
+            See the action space.
+
+        Raises
+        ------
+        InputError
+            If the action is impossible, or no episode goes on.
+        """
+        actions = self.batch.check_actions(action, ())
+        if not self._running:
+            raise InputError(
+                f"the episode {'has ended' if self._started else 'has not begun'}; call reset() before step()"
+            )
+        observations, rewards, terminated, truncated = self.batch.step(actions, [self.np_random])
+        ended, late = bool(terminated[0]), bool(truncated[0])
+        self._running = not (ended or late)
+        if self.render_mode == "human":
+            self.render()
+        return observations[0], float(rewards[0]), ended, late, self.batch.info(0)
+
+    def outcome(self) -> dict[str, Any]:
+        """Return the info of this moment in words, for people."""
+        self._check_started()
+        return words(self.batch.info(0), self.batch.codes)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a frame (``"rgb_array"``), or show it (``"human"``).
+
+        Raises
+        ------
+        InputError
+            Before the first reset, or if the environment was made without a render mode.
+        """
+        if self.render_mode is None:
+            raise InputError("render_mode is None; make the environment with render_mode='rgb_array' or 'human'")
+        self._check_started()
+        if self._renderer is None:
+            fps = float(self.metadata["render_fps"])
+            self._renderer = Renderer(self.track, *self.render_size, self.render_mode, view=self.view, fps=fps)
+        return self.batch.draw(self._renderer, 0)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def get_state(self) -> EnvState:
+        """Return all that the rest of this episode, and all later ones, depend on."""
+        generator = dict(self.np_random.bit_generator.state)
+        return EnvState(self.batch.get_state(), self._started, self._running, generator)
+
+    def set_state(self, state: EnvState) -> NDArray[np.float32]:
+        """Continue from what `get_state` returned, here or in an environment with equal arguments.
+
+        Returns
+        -------
+        ndarray of float32
+            The observation at that moment.
+
+        Raises
+        ------
+        InputError
+            If the state does not fit this environment.
+        """
+        if not isinstance(state, EnvState):
+            raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
+        self.batch.set_state(state.batch)
+        self.np_random.bit_generator.state = state.generator
+        self._started, self._running = state.started, state.running
+        return self._observation()
+
+    def _observation(self) -> NDArray[np.float32]:
+        out = np.zeros((1, *self.observation_space.shape), np.float32)  # type: ignore[misc]
+        if self._started:
+            self.batch.observe(self._row, out)
+        return out[0]
+
+    def _check_started(self) -> None:
+        if not self._started:
+            raise InputError("the episode has not begun; call reset() first")
+
+    # Copies are made anew from the arguments: they share the track, and neither compiled code nor a window.
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        looks = {"render_mode": self.render_mode, "view": self.view, "render_size": self.render_size}
+        return _rebuild, (type(self), {**self._arguments, **looks}, self.get_state(), self._spec)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "ScalarEnv":
+        function, arguments = self.__reduce__()
+        return function(*arguments)
+
+
+def _rebuild(kind: type[Any], arguments: dict[str, Any], state: EnvState, spec: EnvSpec | None) -> Any:
+    env = kind(**arguments)
+    env.set_state(state)
+    env.spec = spec
+    return env
+
+
+def with_horizon(spec: EnvSpec | None, horizon: int) -> EnvSpec | None:
+    """Return a specification with ``max_episode_steps``, where it has none.
+
+    The registry does not hold it: it would cut episodes off that were made longer by an argument.
+    """
+    if spec is None or spec.max_episode_steps is not None:
+        return spec
+    spec = copy.copy(spec)
+    spec.max_episode_steps = horizon
+    return spec

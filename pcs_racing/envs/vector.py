@@ -1,0 +1,407 @@
+"""A vector environment of Gymnasium over a batch of episodes, with its three ways to begin anew."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_seed
+from pcs_racing.envs.infos import words
+from pcs_racing.envs.scalar import REBUILDING, with_horizon
+from pcs_racing.game.starting import as_array
+from pcs_racing.race.rendering import MODES, Renderer
+from pcs_racing.track.track import Track
+
+__all__ = ["BatchVectorEnv", "VectorState", "check_autoreset_mode"]
+
+Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+
+
+class VectorState(NamedTuple):
+    """A moment of a :class:`BatchVectorEnv`: a value that can be kept, copied, pickled and restored.
+
+    Attributes
+    ----------
+    batch : tuple
+        State of the batch.
+    generators : list of dict
+        State of each episode's random generator.
+    over : ndarray of bool, shape (episodes,)
+        Episodes that are to begin anew.
+    steps : ndarray of int, shape (episodes,)
+        Steps since each began.
+    """
+
+    batch: tuple[Any, ...]
+    generators: list[dict[str, Any]]
+    over: NDArray[np.bool_]
+    steps: NDArray[np.int64]
+
+
+class BatchVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
+    """Base class of the vector environments; subclasses name the batch and document themselves.
+
+    Episode ``i`` draws from its own generator, seeded with ``seed + i``, and gives the numbers that the environment for
+    one agent gives with that seed. ``autoreset_mode`` says what happens after an episode has ended:
+
+    - ``NEXT_STEP`` (Gymnasium's default): the next step begins a new one; its action is ignored and its reward is 0;
+    - ``SAME_STEP``: a new one begins at once; the step returns its first observation, and ``info["final_obs"]`` and
+      ``info["final_info"]`` hold what the old one ended with;
+    - ``DISABLED``: nothing, until ``reset(options={"reset_mask": mask})`` begins new ones where the mask is true.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of environments.
+    arguments : dict
+        Of the batch.
+    autoreset_mode : AutoresetMode or str
+    max_episode_steps : int, optional
+        Steps after which an episode is truncated.
+    threads : int, optional
+    render_mode : str, optional
+    view : str
+    render_size : tuple of int
+    players : int
+        Environments that belong to the same episode: 1, or 2 for both cars of a race.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": list(MODES),
+        "render_fps": 1,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+    batch_type: ClassVar[type[Any]]
+
+    def __init__(
+        self,
+        num_envs: int,
+        arguments: dict[str, Any],
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
+        players: int = 1,
+    ) -> None:
+        check_rendering(render_mode, view)
+        limit = max_episode_steps
+        if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int | np.integer) or limit < 1):
+            raise InputError(f"max_episode_steps is {limit!r}; it must be None or a whole number from 1")
+        episodes, rest = divmod(num_envs, players) if isinstance(num_envs, int | np.integer) else (num_envs, 0)
+        if rest:
+            raise InputError(f"num_envs is {num_envs}; it must be even: two environments belong to each game")
+        self.autoreset_mode = check_autoreset_mode(autoreset_mode)
+        self.max_episode_steps = limit
+        self.render_mode, self.view, self.render_size = render_mode, view, render_size
+        self.players = players
+        self._arguments, self._threads = arguments, threads
+        self._use(self._make_batch(arguments, episodes))
+        self.num_envs = self.batch.episodes * players
+        self.single_observation_space = self.batch.observation_space
+        self.single_action_space = self.batch.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._generators: list[np.random.Generator] = []
+        self._over = np.zeros(self.batch.episodes, np.bool_)
+        self._steps = np.zeros(self.batch.episodes, np.int64)
+        self._renderer: Renderer | None = None
+        self._spec: EnvSpec | None = None
+
+    def _make_batch(self, arguments: dict[str, Any], episodes: int) -> Batch:
+        batch: Batch = self.batch_type(episodes, threads=self._threads, players=self.players, **arguments)
+        return batch
+
+    def _use(self, batch: Batch) -> None:
+        self.batch = batch
+        own = {"render_fps": batch.frame_rate, "codes": batch.codes, "autoreset_mode": self.autoreset_mode}
+        self.metadata = {**type(self).metadata, **own}
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How it was made, with the number of steps after which its episodes end as ``max_episode_steps``."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, value: EnvSpec | None) -> None:
+        self._spec = with_horizon(value, self.batch.horizon)
+
+    @property
+    def elements(self) -> list[Any]:
+        """Name, unit, bounds and meaning of every element of a single observation."""
+        return list(self.batch.elements)
+
+    @property
+    def track(self) -> Track:
+        """The circuit."""
+        track: Track = self.batch.track
+        return track
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin new episodes.
+
+        Parameters
+        ----------
+        seed : int or list of int, optional
+            The generator of episode ``i`` begins anew with ``seed + i``, or with its entry of the list; where that is
+            None it goes on.
+        options : dict, optional
+            "reset_mask" (bool, shape (num_envs,)) begins new episodes only where it is true; "track" and "opponent"
+            replace the environment's arguments from now on; the class lists the others.
+
+        Raises
+        ------
+        InputError
+            If a seed or an option is impossible or unknown.
+        """
+        given = check_options(options, ("reset_mask", *REBUILDING, *self.batch.reset_options))
+        rows = self._masked(given.pop("reset_mask", None))
+        changes = {name: given.pop(name) for name in REBUILDING if name in given}
+        batch = self.batch
+        if changes:
+            if len(rows) < batch.episodes:
+                raise InputError("all environments share track and opponent; they can't be changed with a reset_mask")
+            batch = self._make_batch({**self._arguments, **changes}, batch.episodes)
+        generators = self._renewed_generators(seed)
+        batch.restart(rows, [generators[i] for i in rows], given)
+        if batch is not self.batch:
+            self.close_extras()
+            self._arguments = {**self._arguments, **changes}
+            self._use(batch)
+        self._generators = generators
+        self._over[rows], self._steps[rows] = False, 0
+        if self.render_mode == "human":
+            self.render()
+        return self._observations(), self._infos()
+
+    def step(self, actions: NDArray[Any]) -> Step:
+        """Make a step in every environment.
+
+        Parameters
+        ----------
+        actions : array_like, shape (num_envs, ...)
+
+        Returns
+        -------
+        observations : ndarray of float32, shape (num_envs, D)
+        rewards : ndarray of float64, shape (num_envs,)
+        terminations, truncations : ndarray of bool, shape (num_envs,)
+        info : dict
+
+        Raises
+        ------
+        InputError
+            If an action is impossible, or an episode has not begun or has ended.
+        """
+        checked = self.batch.check_actions(actions, (self.num_envs,))
+        self._check_started()
+        again = np.flatnonzero(self._over)
+        if len(again) and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise InputError(
+                f"the episode of environment {again[0] * self.players} has ended; call "
+                "reset(options={'reset_mask': mask}) before step()"
+            )
+        generators = self._generators
+        if len(again):  # what is over must not draw from the generator of the episode that follows it
+            generators = [np.random.default_rng(0) if over else generators[i] for i, over in enumerate(self._over)]
+        observations, rewards, terminated, truncated = self.batch.step(checked, generators)
+        self._steps += 1
+        if self.max_episode_steps is not None:
+            truncated |= np.repeat(self._steps >= self.max_episode_steps, self.players) & ~terminated
+        if len(again):
+            self._restart(again, observations)
+            begun = np.repeat(self._over, self.players)
+            rewards[begun], terminated[begun], truncated[begun] = 0.0, False, False
+        over = terminated | truncated
+        self._over = over[:: self.players].copy()
+        final: dict[str, Any] = {}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
+            final = self._final(observations, over)
+            self._restart(np.flatnonzero(self._over), observations)
+            self._over[:] = False
+        if self.render_mode == "human":
+            self.render()
+        return observations, rewards, terminated, truncated, self._infos() | final
+
+    def outcome(self) -> list[dict[str, Any]]:
+        """Return the info of each environment at this moment in words, for people."""
+        self._check_started()
+        return [words(self.batch.info(i), self.batch.codes) for i in range(self.num_envs)]
+
+    def render(self) -> Any:
+        """Return a frame of each environment (``"rgb_array"``), or show that of the first one (``"human"``).
+
+        Raises
+        ------
+        InputError
+            Before the first reset, or if the environment was made without a render mode.
+        """
+        if self.render_mode is None:
+            raise InputError("render_mode is None; make the environment with render_mode='rgb_array' or 'human'")
+        self._check_started()
+        if self._renderer is None:
+            fps = float(self.metadata["render_fps"])
+            self._renderer = Renderer(self.track, *self.render_size, self.render_mode, view=self.view, fps=fps)
+        if self.render_mode == "human":
+            return self.batch.draw(self._renderer, 0)
+        return tuple(self.batch.draw(self._renderer, i) for i in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free threads and close the window."""
+        self.batch.close()
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def get_state(self) -> VectorState:
+        """Return all that the rest of the episodes, and all later ones, depend on."""
+        generators = [dict(generator.bit_generator.state) for generator in self._generators]
+        return VectorState(self.batch.get_state(), generators, self._over.copy(), self._steps.copy())
+
+    def set_state(self, state: VectorState) -> NDArray[np.float32]:
+        """Continue from what `get_state` returned, here or in an environment with equal arguments.
+
+        Returns
+        -------
+        ndarray of float32, shape (num_envs, D)
+            The observations at that moment.
+
+        Raises
+        ------
+        InputError
+            If the state does not fit this environment.
+        """
+        if not isinstance(state, VectorState):
+            raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
+        self.batch.set_state(state.batch)
+        self._generators = [seeding.np_random(0)[0] for _ in state.generators]
+        for generator, given in zip(self._generators, state.generators, strict=True):
+            generator.bit_generator.state = given
+        self._over, self._steps = state.over.copy(), state.steps.copy()
+        return self._observations()
+
+    def _check_started(self) -> None:
+        if not self._generators:
+            raise InputError("the episodes have not begun; call reset() first")
+
+    def _masked(self, mask: Any) -> NDArray[np.int64]:
+        """Episodes that a mask of environments asks for."""
+        if mask is None:
+            return np.arange(self.batch.episodes)
+        given = as_array(mask)
+        if given.shape != (self.num_envs,) or given.dtype != np.bool_:
+            raise InputError(
+                f"reset option 'reset_mask' has shape {given.shape} and type {given.dtype}; it must be bool of shape "
+                f"({self.num_envs},)"
+            )
+        self._check_started()
+        return np.flatnonzero(given.reshape(-1, self.players).any(axis=1))
+
+    def _renewed_generators(self, seed: int | list[int | None] | None) -> list[np.random.Generator]:
+        seeds = split_seeds(seed, self.batch.episodes)
+        return [
+            seeding.np_random(one)[0] if not self._generators or one is not None else self._generators[i]
+            for i, one in enumerate(seeds)
+        ]
+
+    def _restart(self, rows: NDArray[np.int64], observations: NDArray[np.float32]) -> None:
+        self.batch.restart(rows, [self._generators[i] for i in rows])
+        self.batch.observe(rows, observations)
+        self._steps[rows] = 0
+
+    def _observations(self) -> NDArray[np.float32]:
+        out = np.zeros((self.num_envs, *self.batch.observation_space.shape), np.float32)
+        if self._generators:
+            self.batch.observe(np.arange(self.batch.episodes), out)
+        return out
+
+    def _infos(self) -> dict[str, Any]:
+        return _with_masks(self.batch.infos(), np.ones(self.num_envs, np.bool_))
+
+    def _final(self, observations: NDArray[np.float32], over: NDArray[np.bool_]) -> dict[str, Any]:
+        """Last observations and infos of the episodes that are over, in the layout of Gymnasium."""
+        last = np.full(self.num_envs, None, dtype=object)
+        for i in np.flatnonzero(over):
+            last[i] = observations[i].copy()
+        final_info = _with_masks(self.batch.infos(), over)
+        return {"final_obs": last, "_final_obs": over.copy(), "final_info": final_info, "_final_info": over.copy()}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        own = {
+            "autoreset_mode": self.autoreset_mode,
+            "max_episode_steps": self.max_episode_steps,
+            "threads": self._threads,
+            "render_mode": self.render_mode,
+            "view": self.view,
+            "render_size": self.render_size,
+        }
+        return _rebuild, (type(self), self.num_envs, {**self._arguments, **own}, self.get_state(), self._spec)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "BatchVectorEnv":
+        function, arguments = self.__reduce__()
+        return function(*arguments)
+
+
+def _rebuild(
+    kind: type[Any], num_envs: int, arguments: dict[str, Any], state: VectorState, spec: EnvSpec | None
+) -> BatchVectorEnv:
+    env = kind(num_envs, **arguments)
+    env.set_state(state)
+    env.spec = spec
+    return env
+
+
+def _with_masks(infos: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Add to each array of an info the mask under ``_name`` that says which environments it speaks of."""
+    masked: dict[str, Any] = {}
+    for name, values in infos.items():
+        masked[name] = values
+        masked[f"_{name}"] = mask.copy()
+    return masked
+
+
+def check_autoreset_mode(mode: Any) -> AutoresetMode:
+    """Return one of Gymnasium's autoreset modes.
+
+    Raises
+    ------
+    InputError
+        If there is no such mode.
+    """
+    for known in AutoresetMode:
+        if mode is known or (isinstance(mode, str) and mode in (known.name, known.value)):
+            return known
+    names = ", ".join(known.name for known in AutoresetMode)
+    raise InputError(f"autoreset_mode is {mode!r}; it must be one of {names}")
+
+
+def split_seeds(seed: int | list[int | None] | None, episodes: int) -> list[int | None]:
+    """One seed for each episode, as Gymnasium's own vector environments split them: i more for episode i.
+
+    Raises
+    ------
+    InputError
+        If there are too few or too many, or one is no whole number from 0; its index is named.
+    """
+    if seed is None:
+        return [None] * episodes
+    if isinstance(seed, int | np.integer):
+        first = check_seed(seed) or 0
+        return [first + i for i in range(episodes)]
+    try:
+        seeds = list(seed)
+    except TypeError:
+        raise InputError(f"seed is {seed!r}; it must be a whole number, a list of them, or None") from None
+    if len(seeds) != episodes:
+        raise InputError(f"there are {len(seeds)} seeds for {episodes} environments; give one for each")
+    return [check_seed(one, f"the seed of environment {i}") for i, one in enumerate(seeds)]

@@ -1,0 +1,253 @@
+"""Competitors: who drives a car of the game, and the one way to ask for their moves.
+
+A competitor is one of these:
+
+- a **predictor**: ``predict(observation, state, episode_start, deterministic)``, as models of Stable-Baselines3 have;
+- a **decider**: ``decide(game, state, car)``, for a search with the simulator;
+- a **function** ``f(observation, generator) -> move``;
+- a **driver**, which makes no moves: a :class:`PolicySet` or a single :class:`~pcs_racing.planners.planner.Policy`.
+
+Competitors may always stay, whatever moves the rules offer: :attr:`pcs_racing.game.rules.RaceGame.competitor_moves`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.rules import RaceGame, check_moves
+from pcs_racing.game.state import GameState, take_games
+from pcs_racing.planners.planner import Policy
+
+__all__ = [
+    "Competitor",
+    "Decider",
+    "PolicySet",
+    "Predictor",
+    "RandomMoves",
+    "SameMove",
+    "ask_moves",
+    "check_competitor",
+    "competitor_name",
+    "driver_policies",
+]
+
+Observation = NDArray[np.float32]
+Function = Callable[[Observation, np.random.Generator], Any]
+
+
+@runtime_checkable
+class Predictor(Protocol):
+    """A model that is asked for the moves in a batch of games, with the interface of Stable-Baselines3."""
+
+    def predict(
+        self,
+        observation: Observation,
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Return the moves for observations of shape (n, D), and the state to hand over the next time (or None)."""
+
+
+@runtime_checkable
+class Decider(Protocol):
+    """A competitor that decides by the whole state of a game instead of an observation, such as a search."""
+
+    name: str
+
+    def decide(self, game: RaceGame, state: GameState, car: int) -> ArrayLike:
+        """Return the moves of one car in a batch of B games, shape (B,); each game must be decided by itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class RandomMoves:
+    """Draw each move from those that may be made, all with the same probability, by the game's own generator."""
+
+    name: str = "random-moves"
+
+
+@dataclass(frozen=True)
+class SameMove:
+    """Make the same move again and again."""
+
+    name: str
+    move: int
+
+    def predict(
+        self, observation: Observation, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.int64], None]:
+        """Return the move for each observation."""
+        return np.full(len(observation), self.move), None
+
+
+@dataclass(frozen=True, eq=False)
+class PolicySet:
+    """A driver: it makes no moves; for each game one of its policies is drawn and drives to the end.
+
+    Attributes
+    ----------
+    name : str
+    policies : tuple of Policy
+        At least one; all of one planner.
+    """
+
+    name: str
+    policies: tuple[Policy, ...]
+
+
+Competitor = Predictor | Decider | PolicySet | RandomMoves | Policy | Function
+"""Who may drive a car of the game."""
+
+
+def competitor_name(competitor: Any) -> str:
+    """Name of a competitor: its own, that of its function or that of its class."""
+    name = getattr(competitor, "name", None) or getattr(competitor, "__name__", None)
+    return name if isinstance(name, str) else type(competitor).__name__
+
+
+def driver_policies(competitor: Any) -> tuple[Policy, ...]:
+    """Policies of a competitor that makes no moves; none for one that makes moves."""
+    if isinstance(competitor, Policy):
+        return (competitor,)
+    return competitor.policies if isinstance(competitor, PolicySet) else ()
+
+
+def check_competitor(game: RaceGame, competitor: Any) -> None:
+    """Check, before any race, that a competitor can take part in a game.
+
+    A competitor with a method ``check_fits(game)`` is asked; of a model, ``observation_space`` and ``action_space`` are
+    compared.
+
+    Raises
+    ------
+    InputError
+        If it is no competitor, is made for another archive or other rules, or observes or moves otherwise.
+    """
+    if isinstance(competitor, type) or not (
+        isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy) or callable(competitor)
+    ):
+        raise InputError(
+            f"{competitor!r} is not a competitor; it must be a policy, have predict(observation, state, "
+            "episode_start, deterministic) or decide(game, state, car), or be a PolicySet or a function of "
+            "(observation, generator)"
+        )
+    if hasattr(competitor, "check_fits"):
+        competitor.check_fits(game)
+    model = getattr(competitor, "model", competitor)
+    size, moves = len(game.observation_elements), game.competitor_moves
+    shape = getattr(getattr(model, "observation_space", None), "shape", None)
+    if shape is not None and tuple(shape) != (size,):
+        raise InputError(
+            f"competitor {competitor_name(competitor)!r} takes observations of shape {tuple(shape)}; in this game they "
+            f"have shape ({size},)"
+        )
+    count = getattr(getattr(model, "action_space", None), "n", None)
+    if count is not None and int(count) > len(moves):
+        raise InputError(
+            f"competitor {competitor_name(competitor)!r} has {int(count)} moves; this game has {len(moves)} "
+            f"({', '.join(moves)})"
+        )
+
+
+def ask_moves(
+    competitor: Any,
+    game: RaceGame,
+    state: GameState,
+    car: int,
+    *,
+    rows: NDArray[np.int64] | None = None,
+    observation: Observation | None = None,
+    memories: list[Any] | None = None,
+    generators: Sequence[np.random.Generator] | None = None,
+    deterministic: bool = True,
+) -> NDArray[np.int64]:
+    """Ask a competitor for the moves of one car in a batch of B games.
+
+    Parameters
+    ----------
+    competitor : Competitor
+    game : RaceGame
+    state : GameState
+    car : int
+    rows : ndarray of int, optional
+        Games to ask about, all by default; those that are over are left out.
+    observation : ndarray, shape (B, D), optional
+        What the car observes, where it is known already.
+    memories : list of length B, optional
+        State that a predictor asked to be handed again in each game, None at a game's beginning; overwritten. Without
+        it a predictor is asked as at the beginning.
+    generators : sequence of B Generator, optional
+        Of each game, for functions and :class:`RandomMoves`.
+    deterministic : bool
+        Whether predictors take their best move or draw one, by a generator of their own.
+
+    Returns
+    -------
+    ndarray of int, shape (B,)
+        Indices in :attr:`RaceGame.competitor_moves`; 0 for a driver and in games that it is not asked about.
+
+    Raises
+    ------
+    InputError
+        If the answer is not one move for each game; competitor and game are named.
+    """
+    names = game.competitor_moves
+    moves = np.zeros(state.games, np.int64)
+    if driver_policies(competitor):
+        return moves
+    going = np.flatnonzero(~game.done(state))
+    rows = going if rows is None else rows[np.isin(rows, going)]
+    if len(rows) == 0:
+        return moves
+    answer: Any
+    if isinstance(competitor, RandomMoves):
+        masks = game.action_mask(state)[rows, car]
+        answer = [
+            np.flatnonzero(mask)[generators[row].integers(int(mask.sum()))]  # type: ignore[index]
+            for row, mask in zip(rows, masks, strict=True)
+        ]
+    elif isinstance(competitor, Decider):
+        answer = competitor.decide(game, take_games(state, rows), car)
+    else:
+        seen = (game.observation(state)[:, car] if observation is None else observation)[rows]
+        if isinstance(competitor, Predictor):
+            answer = _predicted(competitor, seen, rows, memories, deterministic)
+        else:
+            answer = [competitor(one, generators[row]) for row, one in zip(rows, seen, strict=True)]  # type: ignore[index]
+    player = f"competitor {competitor_name(competitor)!r}"
+    moves[rows] = check_moves(answer, names, rows.shape, ("game",), rows=rows, player=player)
+    return moves
+
+
+def _predicted(
+    competitor: Predictor, seen: Observation, rows: NDArray[np.int64], memories: list[Any] | None, deterministic: bool
+) -> Any:
+    """Moves of a predictor; one that keeps a state is asked game by game, because games begin at different times."""
+    kept = [None] * len(rows) if memories is None else [memories[row] for row in rows]
+    if all(memory is None for memory in kept):
+        moves, memory = _answer(competitor, seen, None, np.ones(len(rows), np.bool_), deterministic)
+        if memory is None or memories is None:
+            return moves
+    asked: list[Any] = []
+    for row, one, memory in zip(rows, seen, kept, strict=True):
+        move, memories[row] = _answer(competitor, one[None], memory, np.array([memory is None]), deterministic)  # type: ignore[index]
+        asked.append(move[0])
+    return asked
+
+
+def _answer(
+    competitor: Predictor, seen: Observation, memory: Any, first: NDArray[np.bool_], deterministic: bool
+) -> tuple[NDArray[Any], Any]:
+    answer = competitor.predict(seen, memory, first, deterministic)
+    try:
+        moves, after = answer
+        return np.asarray(moves).reshape(len(seen)), after
+    except (TypeError, ValueError):
+        raise InputError(
+            f"competitor {competitor_name(competitor)!r}: predict returned {answer!r:.80}; it must return a pair: "
+            f"{len(seen)} moves, and a state or None"
+        ) from None

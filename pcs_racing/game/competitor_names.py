@@ -1,0 +1,106 @@
+"""Competitors by name: baselines, the policies of planners, and what other packages register.
+
+A package that brings competitors names, in the entry point group ``pcs_racing.opponents``, a module with two functions:
+``names(archive, config) -> list of str`` and ``make(text, archive, config) -> competitor``. A program may call
+:func:`register_competitors` instead.
+"""
+
+from functools import lru_cache
+from importlib.metadata import entry_points
+from pkgutil import resolve_name
+from typing import Any
+
+from pcs_racing.base.errors import InputError, UnknownNameError, choices
+from pcs_racing.game.competitor import Competitor, PolicySet, RandomMoves, SameMove
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.planners.registry import parse_policy, planner_names
+
+__all__ = ["ENTRY_POINTS", "competitor_names", "make_competitor", "register_competitors"]
+
+ENTRY_POINTS = "pcs_racing.opponents"
+"""Entry point group in which a distribution names its module of competitors."""
+
+NEVER_SWITCH = "never-switch"
+RANDOM_MOVES = "random-moves"
+ALWAYS = "always-"
+
+_registered: dict[str, str] = {}
+
+
+def register_competitors(name: str, module: str) -> None:
+    """Make the competitors of a module known in this process.
+
+    Parameters
+    ----------
+    name : str
+        Of the collection.
+    module : str
+        Where it is, as ``"package.module"``; imported when a name is not known otherwise.
+
+    Raises
+    ------
+    InputError
+        If the collection's name is taken by another module.
+    """
+    if _registered.setdefault(name, module) != module:
+        raise InputError(f"there are competitors {name!r} already, of {_registered[name]}; give yours another name")
+
+
+def competitor_names(game: RaceGame) -> list[str]:
+    """Return the names of all competitors for a game, sorted; the policies of planners have more forms."""
+    names = {NEVER_SWITCH, RANDOM_MOVES, *planner_names()}
+    names |= {ALWAYS + move for move in game.competitor_moves}
+    for collection in _collections():
+        names |= {name for name in collection.names(game.archive, game.config) if not name.startswith(ALWAYS)}
+    return sorted(names)
+
+
+def make_competitor(text: str, game: RaceGame) -> Competitor:
+    """Make a competitor for a game from its name.
+
+    Parameters
+    ----------
+    text : str
+        "never-switch": a policy of the archive, drawn for each game and kept; "random-moves"; "always-<move>"; a policy
+        such as "lattice:pace=0.8"; or the name of a registered competitor, such as "cfr-argmax", with its options.
+    game : RaceGame
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of this name.
+    InputError
+        If its options are impossible, or what it must have learned is not there.
+    """
+    if text == RANDOM_MOVES:
+        return RandomMoves()
+    if text == NEVER_SWITCH:
+        return PolicySet(text, tuple(game.archive.policy(i) for i in range(len(game.archive))))
+    if text.startswith(ALWAYS):
+        wanted = "".join(text.removeprefix(ALWAYS).split())
+        for i, move in enumerate(game.competitor_moves):
+            if "".join(move.split()) == wanted:
+                return SameMove(f"{ALWAYS}{move}", i)
+    name = text.partition(":")[0].strip()
+    if name in planner_names():
+        return parse_policy(text)
+    for collection in _collections():
+        if name in collection.names(game.archive, game.config):
+            made: Competitor = collection.make(text, game.archive, game.config)
+            return made
+    raise UnknownNameError(f"opponent {text!r} is unknown; {choices(text, competitor_names(game))}")
+
+
+def _collections() -> list[Any]:
+    modules = []
+    for name, place in {**_declared(), **_registered}.items():
+        try:
+            modules.append(resolve_name(place))
+        except Exception as error:  # whatever a third party's module raises when it is imported
+            raise InputError(f"the competitors {name!r} can't be loaded from {place}: {error}") from error
+    return modules
+
+
+@lru_cache(maxsize=1)
+def _declared() -> dict[str, str]:
+    return {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}

@@ -1,0 +1,114 @@
+"""What the players of the game observe: name, unit, bounds and meaning of each number, and how they are computed."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.game.characteristics import Characteristic
+
+__all__ = [
+    "HIGH",
+    "LEAD_SCALE",
+    "LOW",
+    "ObservationElement",
+    "encode_observation",
+    "observation_elements",
+    "observation_table",
+]
+
+Indices = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+LOW, HIGH = -1.0, 2.0
+"""Bounds of the normalised characteristics that players observe."""
+LEAD_SCALE = 20.0
+"""Metres of lead that players observe as 1."""
+LEAD_BOUND = 5.0
+
+
+class ObservationElement(NamedTuple):
+    """What one number of an observation is: spaces and documentation are made of these.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+    low, high : float
+        Bounds, inclusive.
+    meaning : str
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    meaning: str
+
+
+def observation_elements(characteristics: Sequence[Characteristic], moves: int) -> tuple[ObservationElement, ...]:
+    """What each number of an observation is, for these axes and so many moves."""
+    elements = []
+    for k in range(moves + 1):
+        for axis in characteristics:
+            meaning = f"the own policy's {axis.name} in step {k}, from the archive"
+            elements.append(ObservationElement(f"own_{axis.name}_{k}", "range", LOW, HIGH, meaning))
+        for axis in characteristics:
+            meaning = f"the opponent's {axis.name} as measured in step {k} alone"
+            elements.append(ObservationElement(f"opponent_{axis.name}_{k}", "range", LOW, HIGH, meaning))
+        meaning = f"own lead at the end of step {k}"
+        elements.append(ObservationElement(f"lead_{k}", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning))
+        meaning = f"1 once step {k} is over; until then it and the numbers above are 0"
+        elements.append(ObservationElement(f"seen_{k}", "1", 0.0, 1.0, meaning))
+    return (*elements, ObservationElement("step", "1", 0.0, 1.0, "share of the moves that have been made"))
+
+
+def observation_table(elements: Sequence[ObservationElement], moves: int | None = None) -> str:
+    """Table of an observation's elements in Markdown; with ``moves``, those of all steps ``k`` share a row."""
+    rows = [(str(i), *element) for i, element in enumerate(elements)]
+    if moves is not None:
+        block = (len(elements) - 1) // (moves + 1)
+        shared = [
+            element._replace(name=element.name[:-1] + "k", meaning=element.meaning.replace("step 0", "step k"))
+            for element in elements[:block]
+        ]
+        rows = [(f"{block}k + {i}", *element) for i, element in enumerate(shared)] + rows[-1:]
+    head = ("index", "name", "unit", "low", "high", "meaning")
+    cells = [head, ("---",) * len(head), *((*row[:3], f"{row[3]:g}", f"{row[4]:g}", row[5]) for row in rows)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in cells)
+
+
+def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indices) -> NDArray[np.float32]:
+    """Put what the players saw in the order of :func:`observation_elements`.
+
+    Parameters
+    ----------
+    own : ndarray, shape (B, 2, N, G)
+        Normalised coordinates of each car's own policy in each of the ``N = moves + 1`` steps.
+    estimates : ndarray, shape (B, 2, N, G)
+        Normalised coordinates of each car as measured in each step.
+    leads : ndarray, shape (B, N)
+        Lead of car 0 at the end of each step, m.
+    step : ndarray, shape (B,)
+        Moves made so far; of later steps nothing is shown, whatever the arrays hold.
+
+    Returns
+    -------
+    ndarray, shape (B, 2, D), float32
+    """
+    games, steps = leads.shape
+    seen = np.arange(steps) <= step[:, None]
+    lead = np.clip(leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)
+    parts = np.concatenate(
+        [
+            own,
+            estimates[:, ::-1],
+            np.stack([lead, -lead], axis=1)[..., None],
+            np.broadcast_to(seen[:, None, :, None], (games, 2, steps, 1)),
+        ],
+        axis=-1,
+    )
+    parts = np.where(seen[:, None, :, None], parts, 0.0).reshape(games, 2, steps * parts.shape[-1])
+    share = np.broadcast_to((step / (steps - 1))[:, None, None], (games, 2, 1))
+    return np.concatenate([parts, share], axis=-1).astype(np.float32)

@@ -1,0 +1,60 @@
+"""The reward: what races pay, for all environments.
+
+A game of moves pays once, when it ends (:func:`reward`); the two cars' rewards add up to 0. An environment at the level
+of steering and speed pays in every step (:func:`step_reward`).
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.compilation import kernel
+from pcs_racing.game.config import GameConfig
+from pcs_racing.race.races import winners
+from pcs_racing.race.state import RaceState
+
+__all__ = ["reward", "step_reward"]
+
+
+def reward(config: GameConfig, races: RaceState, moves: ArrayLike) -> NDArray[np.float64]:
+    """Reward of car 0 for games that ended like this, shape (B,); car 1 gets the negative of it.
+
+    Parameters
+    ----------
+    config : GameConfig
+        Which utility is paid, the penalty of a crash by own fault, and the discount.
+    races : RaceState
+        Only progress, crashes and faults count.
+    moves : array of int, shape (B,) or ()
+        Moves made until the end.
+    """
+    if config.utility == "win":
+        winner = winners(config.race, races)
+        first = np.where(winner == 0, 1.0, np.where(winner == 1, -1.0, 0.0))
+    elif config.utility == "lead":
+        first = np.where(races.crashed, 0.0, races.lead)
+    else:  # "lead-at-crash"
+        first = races.lead
+    fault = races.fault.astype(np.float64)
+    first = first + config.fault_penalty * (fault[:, 1] - fault[:, 0])
+    made = np.asarray(moves)
+    # A running product instead of "**", the last bits of which depend on the processor.
+    factors = np.full(made.max(initial=0) + 1, config.discount)
+    factors[0] = 1.0
+    return np.asarray(first * np.cumprod(factors)[made], np.float64)
+
+
+@kernel
+def step_reward(own, opponent, fault, weights):  # type: ignore[no-untyped-def]
+    """Reward of one step of driving: progress, less a share of the opponent's, less a penalty for a crash by own fault.
+
+    Parameters
+    ----------
+    own, opponent : float
+        Progress in this step, m.
+    fault : int
+        1 if the car is to blame for a crash.
+    weights : tuple of float
+        Reward for a metre, share of the opponent's progress that is taken off, penalty.
+    """
+    per_metre, rivalry, penalty = weights
+    return per_metre * (own - rivalry * opponent) - (penalty if fault == 1 else 0.0)

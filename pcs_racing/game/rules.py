@@ -1,0 +1,495 @@
+"""The rules of the game: start, moves, end, winner, fault and reward.
+
+1. **Start.** Two cars stand on the grid of a start line; each is driven by a motion planner with a policy of an
+   archive. Both drive one step (8 s) in which the players only watch: :meth:`RaceGame.reset`.
+2. **Moves.** Then each player moves: more or less of one characteristic, to the nearest policy of the archive that lies
+   there (:attr:`RaceGame.table`), or to stay. Both moves are made at the same time, and a step is driven with the new
+   policies: :meth:`RaceGame.step`. What the players observe is in :mod:`pcs_racing.game.observation`.
+3. **End.** The game is over after the last move (4) or a crash: :meth:`RaceGame.done`.
+4. **Fault.** A car that runs into a wall is at fault; of two that touch, the one that :mod:`pcs_racing.car.collision`
+   finds to have caused it: :meth:`RaceGame.fault`.
+5. **Winner.** The car that is ahead; after a crash nobody, or the car that is not at fault: :meth:`RaceGame.winner`.
+6. **Reward.** Paid at the end, zero-sum: :meth:`RaceGame.reward` and :func:`pcs_racing.game.reward.reward`.
+
+The numbers are settings (:class:`pcs_racing.game.config.GameConfig`). Environments, game trees and tournaments all play
+through :class:`RaceGame`: functions from one :class:`GameState` to the next, for many games at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
+from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
+from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.moves import duplicate_moves, move_names, move_table
+from pcs_racing.game.observation import (
+    HIGH,
+    LOW,
+    ObservationElement,
+    encode_observation,
+    observation_elements,
+)
+from pcs_racing.game.reward import reward
+from pcs_racing.game.starting import DRAW, as_array, check_policies, driver_parameters, game_keys, random_bits
+from pcs_racing.game.state import GameState, empty_game, put_games
+from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.registry import get_planner
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import RaceState
+from pcs_racing.track.track import Track, load_track
+
+__all__ = ["GameState", "RaceGame", "check_moves", "make_game"]
+
+Indices = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+OUTSIDE = -1
+"""In a state's ``policy``: a driver from outside the archive."""
+
+REDRAWS = 20  # times that a game which ends before the first move is drawn again
+
+PAPER_GAME = GameConfig()
+
+
+@dataclass(frozen=True, eq=False)
+class RaceGame:
+    """The game on one track with one archive.
+
+    Attributes
+    ----------
+    track : Track
+    archive : PolicyArchive
+        Where both players' policies come from.
+    config : GameConfig
+        The rules.
+    opponent_planner : Planner or str, optional
+        Planner of car 1, where its drivers come from outside the archive (``reset(opponents=...)``); by default the
+        archive's.
+    threads : int, optional
+        Threads to share the races of a batch; all cores by default. It does not change the result.
+    ego_planner : Planner or str, optional
+        The same for car 0 (``reset(egos=...)``).
+
+    Raises
+    ------
+    InputError
+        If the track has no room for the start, or the archive and its planner do not fit.
+    UnknownNameError
+        If the archive's planner or one of the game's characteristics is unknown.
+    """
+
+    track: Track
+    archive: PolicyArchive
+    config: GameConfig = PAPER_GAME
+    opponent_planner: Planner | str | None = None
+    threads: int | None = None
+    ego_planner: Planner | str | None = None
+
+    def __post_init__(self) -> None:
+        if self.config.characteristics is not None and self.config.characteristics != self.archive.characteristics:
+            object.__setattr__(self, "archive", self.archive.project(self.config.characteristics))
+        family = self.archive.family()
+        first, second = (
+            get_planner(planner) if isinstance(planner, str) else planner or family
+            for planner in (self.ego_planner, self.opponent_planner)
+        )
+        setup = RaceSetup(self.track, self.config.race_rules, (first, second))
+        theta = np.zeros((len(self.archive), setup.theta_size))
+        width = min(theta.shape[1], self.archive.parameters.shape[1])  # less if neither car can drive its policies
+        theta[:, :width] = self.archive.parameters[:, :width]
+        object.__setattr__(self, "_theta", theta)
+        object.__setattr__(self, "_setup", setup)
+        object.__setattr__(
+            self,
+            "_lines",
+            start_lines(self.track, setup.config, np.random.SeedSequence(0, spawn_key=(0,)), split="train"),
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what the game was made of, not what was derived from it."""
+        return RaceGame, (
+            self.track,
+            self.archive,
+            self.config,
+            self.opponent_planner,
+            self.threads,
+            self.ego_planner,
+        )
+
+    def __copy__(self) -> "RaceGame":
+        """Return the game itself: it never changes."""
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "RaceGame":
+        """Return the game itself: it never changes."""
+        return self
+
+    # What is known before a game begins
+
+    @property
+    def setup(self) -> RaceSetup:
+        """Track, race rules and planners, as :func:`pcs_racing.advance` wants them."""
+        return self._setup  # type: ignore[attr-defined]
+
+    @cached_property
+    def characteristics(self) -> tuple[Characteristic, ...]:
+        """Axes of the game."""
+        return get_characteristics(self.archive.characteristics)
+
+    @cached_property
+    def table(self) -> Indices:
+        """Policy that each move leads to from every policy, shape (K, M)."""
+        return move_table(self.archive, self.config.epsilon, bool(self.config.stay))
+
+    @cached_property
+    def _table_with_stay(self) -> Indices:
+        return move_table(self.archive, self.config.epsilon, True)
+
+    @cached_property
+    def points(self) -> Floats:
+        """Normalised coordinates of the archive's policies as the players observe them, shape (K, G)."""
+        return np.clip(self.archive.normalised, LOW, HIGH)
+
+    @property
+    def start_lines(self) -> Floats:
+        """Arc lengths of the lines that :meth:`reset` draws from, m; places of training, which no table uses."""
+        lines: Floats = self._lines  # type: ignore[attr-defined]
+        return lines
+
+    @cached_property
+    def move_names(self) -> tuple[str, ...]:
+        """Names of the M moves that the rules offer."""
+        return move_names(self.archive, self.config.epsilon, bool(self.config.stay))
+
+    @cached_property
+    def competitor_moves(self) -> tuple[str, ...]:
+        """Names of the moves that a competitor may make: those of the rules and, whatever the rules offer, to stay."""
+        return move_names(self.archive, self.config.epsilon, True)
+
+    @cached_property
+    def observation_elements(self) -> tuple[ObservationElement, ...]:
+        """Name, unit, bounds and meaning of each of the D numbers of an observation."""
+        return observation_elements(self.characteristics, self.config.moves)
+
+    # Start
+
+    def reset(
+        self,
+        seeds: ArrayLike | None = None,
+        *,
+        games: int | None = None,
+        seed: int = 0,
+        policies: ArrayLike | None = None,
+        starts: Starts | None = None,
+        opponents: Policy | Sequence[Policy | None] | None = None,
+        egos: Policy | Sequence[Policy | None] | None = None,
+        redraw: bool = True,
+    ) -> GameState:
+        """Start a batch of games and drive the step in which the players only watch.
+
+        Everything that is drawn for a game (start line, side, policies, noise) is a function of its own key, whatever
+        the size of the batch.
+
+        Parameters
+        ----------
+        seeds : int or array of int, shape (B,), optional
+            Key of each game. By default they are derived from ``seed`` for as many games as ``games`` says (1).
+        games : int, optional
+            Number of games, if there are no ``seeds``.
+        seed : int
+            Root of the keys, if there are no ``seeds``.
+        policies : array of int, shape (B, 2) or (2,), optional
+            Policies that the cars of each game start with; -1 draws one, uniformly from the archive.
+        starts : Starts, optional
+            Where the cars start; by default drawn out of ``config.race.start_lines`` lines and both sides.
+        opponents : Policy or sequence of B (Policy or None), optional
+            Drivers of car 1 from outside the archive, all of ``opponent_planner``: its moves do nothing then.
+        egos : Policy or sequence of B (Policy or None), optional
+            The same for car 0 and ``ego_planner``.
+        redraw : bool
+            Draw a game again (up to 20 times) if it ends by a crash before the first move. A game of which start and
+            policies are given is never drawn again: it is over at once.
+
+        Raises
+        ------
+        InputError
+            If a number, shape or start is impossible; the game's index is named.
+        """
+        keys = game_keys(seeds, games, seed)
+        count = len(keys)
+        first = check_policies(self.archive, policies, count)
+        drivers = [
+            driver_parameters(self.archive, self.setup.planners[car], car, given, count, self.setup.theta_size)
+            for car, given in enumerate((egos, opponents))
+        ]
+        outside, theta = (np.stack(pair, axis=1) for pair in zip(*drivers, strict=True))
+        if starts is not None and len(starts) != count:
+            raise InputError(f"there are {count} games but {len(starts)} starts; give one start for each game")
+        drawn = (first == DRAW) & ~outside
+        first[outside] = OUTSIDE
+
+        def begin(rows: Indices, attempt: int) -> GameState:
+            bits = random_bits(keys[rows], attempt)
+            drawn_policies = (bits[:, 2:4] % np.uint64(len(self.archive))).astype(np.int64)
+            policy = np.where(drawn[rows], drawn_policies, first[rows])
+            if starts is not None:
+                grid = starts.take(rows)
+            else:
+                line = (bits[:, 0] % np.uint64(len(self.start_lines))).astype(np.int64)
+                grid = Starts(self.start_lines[line], (bits[:, 1] % np.uint64(2)).astype(np.int64))
+            return self._watch(policy, grid, bits[:, 4], theta[rows], outside[rows])
+
+        state = begin(np.arange(count), 0)
+        free = drawn.any(axis=1) | (starts is None)
+        for attempt in range(1, REDRAWS + 1):
+            again = np.flatnonzero(state.race.crashed & free)
+            if not redraw or len(again) == 0:
+                break
+            put_games(state, again, begin(again, attempt))
+        return state
+
+    def _watch(
+        self, policy: Indices, starts: Starts, noise: NDArray[np.uint64], theta: Floats, outside: NDArray[np.bool_]
+    ) -> GameState:
+        state = self.empty_state(start_races(self.setup, starts, noise))
+        state.policy[:] = policy
+        state.theta[:] = self.theta(policy)
+        state.theta[outside] = theta[outside]
+        self._drive(state, np.ones(len(policy), np.bool_))
+        return state
+
+    def empty_state(self, races: RaceState) -> GameState:
+        """Games of which these races are on the grid and nothing else is known yet."""
+        setup, axes = self.setup, len(self.characteristics)
+        games = empty_game(races.races, setup.memory_size, setup.theta_size, self.config.moves + 1, axes)
+        return games._replace(race=races)
+
+    # Moves
+
+    def step(self, state: GameState, actions: ArrayLike) -> GameState:
+        """Let both players of every game move, and drive on for a step.
+
+        Games that are over stand still. The argument stays as it is.
+
+        Parameters
+        ----------
+        state : GameState
+        actions : array of int, shape (B, 2)
+            Index of each car's move in :attr:`move_names`; that of a driver from outside the archive does nothing.
+
+        Raises
+        ------
+        InputError
+            If the actions have another shape or type, or one of them is no move; the game's index is named.
+        """
+        return self.apply(state, check_moves(actions, self.move_names, (state.games, 2), ("game", "car")))
+
+    def apply(self, state: GameState, moves: Indices) -> GameState:
+        """Do what :meth:`step` does with moves that were checked already, indices in :attr:`competitor_moves`."""
+        new = state.copy()
+        going = ~self.done(state)
+        moving = going[:, None] & (state.policy != OUTSIDE)
+        # What is looked up for a driver from outside (policy -1) is not used.
+        new.policy[:] = np.where(moving, self.next_policy(state.policy, moves), state.policy)
+        new.theta[:] = np.where(moving[..., None], self.theta(new.policy), state.theta)
+        new.step[:] = state.step + going
+        self._drive(new, going)
+        return new
+
+    def next_policy(self, policies: Indices, moves: Indices) -> Indices:
+        """Policies of the archive that moves lead to, indices in :attr:`competitor_moves`."""
+        return self._table_with_stay[policies, moves]
+
+    def action_mask(self, state: GameState) -> NDArray[np.bool_]:
+        """Moves that a player may make, shape (B, 2, M).
+
+        All of them, unless ``mask_duplicates`` rules out those that lead where an earlier one leads.
+        """
+        if not self.config.mask_duplicates:
+            return np.ones((state.games, 2, len(self.move_names)), np.bool_)
+        allowed = ~self._duplicates[state.policy]
+        allowed[state.policy == OUTSIDE] = True
+        return allowed
+
+    @cached_property
+    def _duplicates(self) -> NDArray[np.bool_]:
+        return duplicate_moves(self.table)
+
+    # End, fault, winner, reward
+
+    def done(self, state: GameState) -> NDArray[np.bool_]:
+        """Whether each game is over, shape (B,): all moves made and driven, or a crash."""
+        return (state.step >= self.config.moves) | state.race.crashed
+
+    def fault(self, state: GameState) -> NDArray[np.bool_]:
+        """Whether each car is to blame for the crash that ended its game, shape (B, 2)."""
+        return state.race.fault == 1
+
+    def winner(self, state: GameState) -> NDArray[np.int8]:
+        """The car that won (0 or 1), shape (B,); -1 for a tie, a crash that pays nobody, and while a game goes on."""
+        return np.where(self.done(state), winners(self.config.race, state.race), -1).astype(np.int8)
+
+    def reward(self, state: GameState) -> Floats:
+        """Reward of each car, shape (B, 2): 0 while a game goes on, then :func:`pcs_racing.game.reward.reward`."""
+        first = np.where(self.done(state), reward(self.config, state.race, state.step), 0.0)
+        return np.stack([first, 0.0 - first], axis=1)
+
+    # Observations
+
+    def observation(self, state: GameState) -> NDArray[np.float32]:
+        """What each player observes, shape (B, 2, D), in the order of :attr:`observation_elements`."""
+        return encode_observation(state.own, state.estimates, state.leads, state.step)
+
+    # A step of driving
+
+    def _drive(self, state: GameState, going: NDArray[np.bool_]) -> None:
+        """Drive a step in place, and record what can be observed of the games that went on."""
+        estimates = self._advance(state.race, state.theta)
+        self.record_step(state, np.flatnonzero(going), estimates)
+
+    def record_step(self, state: GameState, rows: Indices, estimates: Floats) -> None:
+        """Write, in place, what can be observed of the step that some of the games have just driven.
+
+        Parameters
+        ----------
+        state : GameState
+        rows : ndarray of int
+            Games that drove it.
+        estimates : ndarray, shape (B, 2, G)
+            Normalised coordinates of each car as measured in this step (:meth:`measure`).
+        """
+        now = state.step[rows]
+        estimates = estimates[rows]
+        state.estimates[rows, :, now] = estimates
+        state.own[rows, :, now] = np.where(
+            state.policy[rows, :, None] != OUTSIDE, self.points[state.policy[rows]], estimates
+        )
+        state.leads[rows, now] = state.race.lead[rows]
+
+    def _advance(self, races: RaceState, theta: Floats) -> Floats:
+        before = races._replace(progress=races.progress.copy(), sums=races.sums.copy(), tick=races.tick.copy())
+        advance(self.setup, races, theta, self.config.step_ticks, threads=self.threads)
+        return self.measure(before, races)
+
+    def measure(self, before: RaceState, after: RaceState) -> Floats:
+        """Normalised coordinates of each car as measured between two moments a step apart, shape (B, 2, G)."""
+        segment = Segment.between(before, after, self.config.step_seconds)
+        return np.clip(self.archive.normalise(measure(segment, self.characteristics)), LOW, HIGH)
+
+    def drive(self, races: RaceState, policies: Indices) -> Floats:
+        """Drive a step of the game in place, with policies of the archive: what :meth:`step` does between two moves.
+
+        For those who keep no :class:`GameState`, such as builders of game trees. Races that are over stand still.
+
+        Parameters
+        ----------
+        races : RaceState
+            Overwritten.
+        policies : array of int, shape (B, 2)
+            Index of the policy that drives each car.
+
+        Returns
+        -------
+        ndarray, shape (B, 2, G)
+            Normalised coordinates of each car as measured in this step: what :attr:`GameState.estimates` would hold.
+        """
+        return self._advance(races, self.theta(policies))
+
+    def theta(self, policies: Indices) -> Floats:
+        """Parameters of policies of the archive, as :func:`pcs_racing.advance` wants them, shape (..., P)."""
+        theta: Floats = self._theta  # type: ignore[attr-defined]
+        return theta[policies]
+
+
+def make_game(
+    track: Track | str | Path,
+    archive: PolicyArchive | str | Path = "default",
+    race: GameConfig | RaceConfig | str | Path = "paper",
+    *,
+    opponent_planner: Planner | str | None = None,
+    threads: int | None = None,
+    ego_planner: Planner | str | None = None,
+    **settings: Any,
+) -> RaceGame:
+    """Make a game from names.
+
+    Parameters
+    ----------
+    track : Track, str or path
+        The circuit, its name or its folder.
+    archive : PolicyArchive, str or path
+        The archive, its name or its folder.
+    race : GameConfig, RaceConfig, str or path
+        Rules of the game; or of the race alone: a configuration, a preset's name or a YAML file.
+    opponent_planner, threads, ego_planner
+        See :class:`RaceGame`.
+    **settings
+        Fields of :class:`GameConfig` to change.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value impossible.
+    """
+    circuit = track if isinstance(track, Track) else load_track(track)
+    rules = load_game_config(race, **settings)
+    return RaceGame(circuit, load_archive(archive), rules, opponent_planner, threads, ego_planner)
+
+
+def check_moves(
+    moves: Any,
+    names: Sequence[str],
+    shape: tuple[int, ...],
+    axes: tuple[str, ...] = (),
+    *,
+    rows: Indices | None = None,
+    player: str = "",
+) -> Indices:
+    """Return moves as whole numbers: the one check that every move passes on its way into a game.
+
+    Parameters
+    ----------
+    moves : array_like of int
+        Indices in ``names``.
+    names : sequence of str
+        The moves that there are.
+    shape : tuple of int
+        That the moves must have.
+    axes : tuple of str
+        What the axes of the shape count, for errors: ``("game", "car")``.
+    rows : ndarray of int, optional
+        Number of the game that each entry of the first axis belongs to, for errors.
+    player : str
+        Who made the moves, for errors.
+
+    Raises
+    ------
+    InputError
+        If they have another shape or type, or one is not among those that there are; game and car are named.
+    """
+    given = as_array(moves)
+    if isinstance(moves, list | tuple) and any(isinstance(move, bool | np.bool_) for move in moves):
+        given = given.astype(np.bool_)  # among whole numbers numpy would take them for 0 and 1
+    by = f"{player}: " if player else ""
+    known = f"from 0 to {len(names) - 1} ({', '.join(names)})"
+    if given.shape != shape or given.dtype.kind not in "iu":
+        wanted = f"whole numbers of shape {shape}" if shape else "a whole number"
+        found = f"{moves!r:.60}, of shape {given.shape} and type {given.dtype}"
+        raise InputError(f"{by}moves are {found}; they must be {wanted}, {known}")
+    wrong = np.argwhere((given < 0) | (given >= len(names)))
+    if len(wrong):
+        at = tuple(int(i) for i in wrong[0])
+        index = at if rows is None else (int(rows[at[0]]), *at[1:])
+        where = ", ".join(f"{axis} {i}" for axis, i in zip(axes, index, strict=False))
+        raise InputError(f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}")
+    return given.astype(np.int64)

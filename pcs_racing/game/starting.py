@@ -1,0 +1,145 @@
+"""How a batch of games begins: checks of what is given, and random numbers for the rest, from each game's own key."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.planners.planner import Planner, Policy
+
+__all__ = ["DRAW", "as_array", "check_policies", "driver_parameters", "game_keys", "random_bits"]
+
+DRAW = -1
+"""In place of a policy's index: draw one."""
+
+
+def game_keys(seeds: ArrayLike | None, games: int | None, seed: int) -> NDArray[np.uint64]:
+    """Key of each game: the given seeds, or as many as asked for, derived from one seed.
+
+    Raises
+    ------
+    InputError
+        If a seed or the number of games is impossible, or both are given.
+    """
+    if seeds is None:
+        count = 1 if games is None else games
+        for name, value in (("games", count), ("seed", seed)):
+            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+                raise InputError(f"{name} is {value!r}; it must be a whole number from 0")
+        return race_seeds(int(seed), int(count))
+    if games is not None:
+        raise InputError(f"games is {games!r}, but there are seeds, one for each game; give one of the two")
+    keys = np.atleast_1d(as_array(seeds))
+    if keys.ndim != 1 or keys.dtype.kind not in "iu" or (keys.dtype.kind == "i" and (keys < 0).any()):
+        raise InputError(f"seeds are {seeds!r}; they must be whole numbers from 0, one for each game")
+    return keys.astype(np.uint64)
+
+
+def check_policies(archive: PolicyArchive, policies: ArrayLike | None, games: int) -> NDArray[np.int64]:
+    """Index of the policy that each car starts with, shape (games, 2); :data:`DRAW` where it is to be drawn.
+
+    Raises
+    ------
+    InputError
+        If the shape is wrong or a policy is not in the archive; game and car are named.
+    """
+    if policies is None:
+        return np.full((games, 2), DRAW, np.int64)
+    given = as_array(policies)
+    if given.shape not in ((2,), (games, 2)) or given.dtype.kind not in "iu":
+        raise InputError(
+            f"policies have shape {given.shape} and type {given.dtype}; they must be whole numbers of shape (2,) or "
+            f"({games}, 2)"
+        )
+    indices = np.array(np.broadcast_to(given, (games, 2)), np.int64)
+    wrong = np.argwhere((indices < DRAW) | (indices >= len(archive)))
+    if len(wrong):
+        game, car = (int(i) for i in wrong[0])
+        raise InputError(
+            f"game {game}, car {car}: policy {indices[game, car]} is not in archive {archive.name!r}; it must lie in 0 "
+            f"to {len(archive) - 1}, or be -1 to be drawn"
+        )
+    return indices
+
+
+def driver_parameters(
+    archive: PolicyArchive,
+    planner: Planner,
+    car: int,
+    drivers: Policy | Sequence[Policy | None] | None,
+    games: int,
+    size: int,
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Parameters of the policies from outside the archive that drive a car.
+
+    Parameters
+    ----------
+    archive : PolicyArchive
+    planner : Planner
+        The car's planner.
+    car : int
+    drivers : Policy or sequence of (Policy or None), optional
+        One for all games or for each; None where a policy of the archive drives.
+    games : int
+    size : int
+        Numbers in a row of parameters.
+
+    Returns
+    -------
+    outside : ndarray of bool, shape (games,)
+        Whether the driver is from outside the archive.
+    theta : ndarray, shape (games, size)
+
+    Raises
+    ------
+    InputError
+        If the number of drivers is wrong or one belongs to another planner; the game's index is named.
+    """
+    role = ("ego", "opponent")[car]
+    given = [drivers] * games if drivers is None or isinstance(drivers, Policy) else list(drivers)
+    if len(given) != games:
+        raise InputError(f"there are {games} games but {len(given)} {role}s; give one {role} for each game")
+    theta = np.zeros((games, size))
+    in_archive = planner is archive.family()
+    for i, driver in enumerate(given):
+        if driver is None and not in_archive:
+            raise InputError(
+                f"game {i}: car {car} is driven by planner {planner.name!r}, which the archive holds no policy of; "
+                f"give {role}s"
+            )
+        if driver is not None and (not isinstance(driver, Policy) or driver.planner is not planner):
+            found = f"planner {driver.planner.name!r}" if isinstance(driver, Policy) else repr(driver)
+            raise InputError(
+                f"game {i}: the {role} is of {found}; this game's car {car} takes policies of planner "
+                f"{planner.name!r} (make the game with {role}_planner=...)"
+            )
+        if driver is not None:
+            theta[i, : len(driver.parameters)] = driver.parameters
+    return np.array([driver is not None for driver in given], np.bool_).reshape(games), theta
+
+
+def as_array(values: Any) -> NDArray[Any]:
+    """Return values as an array; an empty one of objects for lists of different lengths, to be refused by its type."""
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError):
+        return np.empty(0, object)
+
+
+def random_bits(keys: NDArray[np.uint64], attempt: int) -> NDArray[np.uint64]:
+    """Five numbers of 64 random bits for each key, shape (B, 5), by splitmix64 (Steele et al. 2014).
+
+    A hash of the key and not a stream: a game is the same in a batch of any size.
+    """
+    counters = np.arange(5, dtype=np.uint64) + np.uint64(5 * attempt + 1)
+    return _mix(_mix(keys)[:, None] + counters * np.uint64(0x9E3779B97F4A7C15))
+
+
+def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))

@@ -1,0 +1,92 @@
+"""``pcs-racing compile``: compile the kernels ahead of the first race."""
+
+import argparse
+import time
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from multiprocessing import get_context
+
+import numpy as np
+
+from pcs_racing_agents.cli.options import Commands, add_command
+
+__all__ = ["add", "compile_kernels"]
+
+TRACK = "Pipkin"
+PLANNERS = ("lane-switcher:3", "pure-pursuit", "gap-follower")
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "compile",
+        "compile the kernels now, so that nothing waits for them later (they are cached on disk)",
+        "pcs-racing compile",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Compile, and print how long it took."""
+    begin = time.monotonic()
+    compile_kernels()
+    print(f"compiled in {time.monotonic() - begin:.0f} s; what was in the cache took no time")
+
+
+def compile_kernels() -> None:
+    """Compile what commands, environments and tests need most, in two processes.
+
+    Every function is compiled by one process only: what is in the second row calls what is in the first.
+    """
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        for row in ((_races, _solvers), (_environments, _circuits)):
+            for task in [pool.submit(function) for function in row]:
+                task.result()
+
+
+def _races() -> None:
+    """Races of all planners, one and several at a time, and what a game observes of them."""
+    import pcs_racing
+
+    track, lattice = pcs_racing.load_track(TRACK), pcs_racing.parse_policy("lattice")
+    config = pcs_racing.load_race_config("contest", duration=0.1)
+    for count in (1, 2):
+        starts = pcs_racing.draw_starts(track, config, count, 0)
+        for text in PLANNERS:
+            pcs_racing.run_races(track, lattice, pcs_racing.parse_policy(text), config, starts=starts)
+    game = pcs_racing.make_game(track, step_seconds=0.1)
+    game.observation(game.step(game.reset(games=2, seed=0), np.zeros((2, 2), int)))
+
+
+def _solvers() -> None:
+    """Solvers of games."""
+    from pcs_racing_agents.solvers import GameTree, cfr, exploitability, solve_exact
+
+    tree = GameTree.from_payoffs(np.random.default_rng(0).normal(size=(2, 2, 2, 2)))
+    solve_exact(tree)
+    exploitability(tree, cfr(tree, 2).average)
+
+
+def _environments() -> None:
+    """Environments at the control level: with a lidar and an opponent, and alone."""
+    import gymnasium
+
+    import pcs_racing  # noqa: F401
+
+    for options in ({"opponent": "lattice", "beams": 8}, {"opponent": None}):
+        env = gymnasium.make_vec("pcs_racing/Drive-v1", num_envs=2, track=TRACK, **options)
+        env.reset(seed=0)
+        env.step(np.zeros((2, 2), np.float32))
+        env.close()
+
+
+def _circuits() -> None:
+    """A generated circuit, and a lidar on one."""
+    import pcs_racing
+    from pcs_racing.track.mapping.circuits import generate_circuit
+
+    with suppress(ModuleNotFoundError):  # the libraries of the extra mapping may be missing
+        generate_circuit(7)
+    track = pcs_racing.load_track(TRACK)
+    pcs_racing.Lidar(track, 8).scan(np.zeros((2, 3)))

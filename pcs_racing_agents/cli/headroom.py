@@ -1,0 +1,119 @@
+"""``pcs-racing headroom``: how much of a game an archive holds."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from pcs_racing.base.checks import check_whole
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
+from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.registry import parse_policy
+from pcs_racing.track.track import load_track
+from pcs_racing_agents.cli.options import (
+    DEFAULT_TRACK,
+    POLICY_HELP,
+    TRACK_HELP,
+    Commands,
+    add_command,
+    add_rules,
+    can_draw,
+    rules,
+)
+from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "headroom",
+        "race all pairs of an archive's policies, and print what knowing the opponent is worth",
+        "pcs-racing headroom --archive contest --preset contest --out out/headroom",
+        "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --preset contest --out out/mine",
+    )
+    parser.add_argument(
+        "--track", default=[DEFAULT_TRACK], nargs="+", metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})"
+    )
+    parser.add_argument("--archive", default="contest", help="archive: its name or folder (default: contest)")
+    parser.add_argument(
+        "--size",
+        type=int,
+        default=16,
+        metavar="N",
+        help="policies of the pool, evenly spaced in the order of the archive's first axis (default: 16)",
+    )
+    parser.add_argument(
+        "--policies", nargs="+", metavar="POLICY", help=f"a pool of your own instead of an archive: {POLICY_HELP}"
+    )
+    add_rules(parser)
+    parser.add_argument(
+        "--races", type=int, default=64, metavar="N", help="races of each pair on each track (default: 64)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder for headroom.csv, payoffs.csv and pictures; a run that was stopped there goes on",
+    )
+    add_executor_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Race, print the table, write files and pictures."""
+    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
+    from pcs_racing_agents.pictures.style import save_picture
+    from pcs_racing_agents.tournament.headroom_report import (
+        headroom_picture,
+        headroom_text,
+        track_game,
+        write_headroom,
+    )
+    from pcs_racing_agents.tournament.policy_pool import PolicyPool, pool_payoffs
+
+    if arguments.policies:
+        names, policies = list(arguments.policies), tuple(parse_policy(text) for text in arguments.policies)
+    else:
+        names, policies = pool_of(load_archive(arguments.archive), arguments.size)
+    tracks = tuple(load_track(name) for name in arguments.track)
+    pool = PolicyPool(policies, tracks, rules(arguments), races=arguments.races, seed=arguments.seed)
+    settings = {
+        "tracks": [track.content_hash for track in tracks],
+        "policies": [[policy.planner.name, *policy.parameters.tolist()] for policy in policies],
+        "race": repr(pool.config),
+        "races": pool.races,
+        "folds": pool.folds,
+        "seed": pool.seed,
+    }
+    with executor_from(arguments) as executor:
+        announce(racing_seconds(len(tracks) * len(pool.pairs) * pool.races, pool.config.duration), cores_of(arguments))
+        with open_job(arguments.out, "headroom", settings) as job:
+            payoffs = pool_payoffs(pool, job=job, executor=executor, progress=show_progress())
+            games = [track_game(track.name, folds) for track, folds in zip(tracks, payoffs, strict=True)]
+            print(headroom_text(games, names))
+            for file in write_headroom(games, names, arguments.out):
+                print(f"written: {file}")
+            if can_draw("the payoff matrix"):
+                for game in games:
+                    print(
+                        f"picture: {save_picture(headroom_picture(game, names), arguments.out / f'{game.track}.png')}"
+                    )
+
+
+def pool_of(archive: PolicyArchive, size: int) -> tuple[list[str], tuple[Policy, ...]]:
+    """Return names and policies of a pool that spans an archive: evenly spaced in the order of its first axis.
+
+    Raises
+    ------
+    InputError
+        If ``size`` is not from 3 to the number of policies.
+    """
+    size = check_whole("size", size, 3, len(archive))
+    order = np.argsort(archive.coordinates[:, 0], kind="stable")
+    indices = order[np.linspace(0, len(order) - 1, size).round().astype(np.intp)]
+    return [f"{archive.name} {i}" for i in indices], tuple(archive.policy(int(i)) for i in indices)

@@ -1,0 +1,168 @@
+"""The headroom of a pool on several circuits: as a table, as files and as a picture in which a cycle can be seen."""
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
+from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.tournament.headroom import (
+    CyclicPlane,
+    Headroom,
+    cyclic_planes,
+    headroom,
+    jackknife_error,
+    ratings,
+    transitive_share,
+)
+from pcs_racing_agents.tournament.meta_game import zero_sum_equilibrium
+
+__all__ = ["TrackGame", "headroom_picture", "headroom_text", "track_game", "write_headroom"]
+
+Floats = NDArray[np.float64]
+
+HEAD = ("track", "H", "low", "opponents", "pool", "transitive", "cycles", "strength", "noise", "equilibrium")
+NOTE = """H: what knowing the opponent before the start is worth, in races won, over the best fixed policy; low: a bound
+from below; opponents, pool: standard errors over opponents and over draws of the pool; transitive: share of the
+payoffs' variance that ratings explain, noise removed; cycles: planes of rock, paper and scissors stronger than noise;
+strength, noise: singular value of the first plane, and what noise alone reaches in 95 of 100 draws; equilibrium:
+policies with more than 1 % of the probability"""
+
+
+class TrackGame(NamedTuple):
+    """The game of choosing a policy on one circuit.
+
+    Attributes
+    ----------
+    track : str
+        Name of the circuit.
+    payoffs : ndarray, shape (F, N, N)
+        See :func:`pcs_racing_agents.tournament.policy_pool.pool_payoffs`.
+    headroom : Headroom
+    transitive_share : float
+    planes : list of CyclicPlane
+        The strongest first.
+    equilibrium : ndarray, shape (N,)
+        Probabilities of the policies in an equilibrium of the mean payoffs.
+    """
+
+    track: str
+    payoffs: Floats
+    headroom: Headroom
+    transitive_share: float
+    planes: list[CyclicPlane]
+    equilibrium: Floats
+
+
+def track_game(track: str, payoffs: Floats) -> TrackGame:
+    """Return what the payoffs on one circuit say about the game."""
+    return TrackGame(
+        track=track,
+        payoffs=payoffs,
+        headroom=headroom(payoffs),
+        transitive_share=transitive_share(payoffs),
+        planes=cyclic_planes(payoffs),
+        equilibrium=zero_sum_equilibrium(payoffs.mean(axis=0)).row,
+    )
+
+
+def headroom_text(games: Sequence[TrackGame], names: Sequence[str]) -> str:
+    """Return the table of all circuits, their mean where there are several, and what the columns mean."""
+    rows = [HEAD, *(_row(game) for game in games)]
+    if len(games) > 1:
+        estimates = [game.headroom for game in games]
+        value, low = (float(np.mean(values)) for values in zip(*((e.value, e.low) for e in estimates), strict=True))
+        gains = np.mean([estimate.gains for estimate in estimates], axis=0)
+        error = float(gains.std(ddof=1) / np.sqrt(len(gains)))
+        pool = jackknife_error(np.mean([estimate.without for estimate in estimates], axis=0))
+        rows.append(("mean", *_signed(value, low), f"{error:.3f}", f"{pool:.3f}", "", "", "", "", ""))
+    best = [f"{game.track}: the best fixed policy is {names[game.headroom.best_fixed]}" for game in games]
+    return "\n".join([*aligned(rows), "", *best, "", NOTE])
+
+
+def write_headroom(games: Sequence[TrackGame], names: Sequence[str], folder: Path) -> list[Path]:
+    """Write ``headroom.csv``, a line for each circuit, and ``payoffs.csv``, a line for each two policies."""
+    lines = [(*HEAD[:5], "best_fixed"), *(_plain_row(game, names) for game in games)]
+    pairs: list[tuple[object, ...]] = [("track", "policy", "opponent", "payoff", "error")]
+    for game in games:
+        mean = game.payoffs.mean(axis=0)
+        error = game.payoffs.std(axis=0, ddof=1) / np.sqrt(len(game.payoffs))
+        pairs += [
+            (game.track, names[i], names[j], f"{mean[i, j]:.6f}", f"{error[i, j]:.6f}")
+            for i, j in np.ndindex(mean.shape)
+            if i != j
+        ]
+    return [_write_csv(folder / "headroom.csv", lines), _write_csv(folder / "payoffs.csv", pairs)]
+
+
+@picture
+def headroom_picture(game: TrackGame, names: Sequence[str]) -> Any:
+    """Draw the payoffs, policies ordered by rating, and beside them the strongest cyclic plane.
+
+    A policy in the plane beats those that lie clockwise of it; the dashed circle is as far out as policies lie if noise
+    alone makes the plane.
+    """
+    mean, rating = game.payoffs.mean(axis=0), ratings(game.payoffs)
+    order = np.argsort(-rating, kind="stable")
+    figure = new_figure(12.6, 5.6)
+    left, right = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
+    image = left.imshow(mean[np.ix_(order, order)], cmap="PuOr", vmin=-0.5, vmax=0.5)
+    labels = [short(names[i], 18) for i in order]
+    left.set_xticks(range(len(order)), labels, rotation=60, ha="right", rotation_mode="anchor", fontsize=7)
+    left.set_yticks(range(len(order)), labels, fontsize=7)
+    left.set_title(f"{game.track}: races won minus one half, best rated first", fontsize=10)
+    left.tick_params(length=0)
+    figure.colorbar(image, ax=left, shrink=0.8)
+    plane = game.planes[0]
+    # Of N points that share a plane's strength evenly each lies at this distance: strength = sum of squares / 2.
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    radius = np.sqrt(2.0 * plane.noise / len(names))
+    right.plot(radius * np.cos(angle), radius * np.sin(angle), "--", color=EDGE, lw=1.0)
+    points = right.scatter(*plane.points.T, c=rating, cmap="viridis", s=42, edgecolors=EDGE, zorder=3)
+    for (x, y), name in zip(plane.points, names, strict=True):
+        right.annotate(short(name, 18), (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7, color=INK)
+    right.axhline(0.0, color=COLOURS[-1], lw=0.6)
+    right.axvline(0.0, color=COLOURS[-1], lw=0.6)
+    right.set_aspect("equal", adjustable="datalim")
+    right.set_title(f"strongest cyclic plane: {plane.strength:.2f}, noise reaches {plane.noise:.2f}", fontsize=10)
+    figure.colorbar(points, ax=right, shrink=0.8, label="rating")
+    tidy(right, "")
+    return figure
+
+
+def _row(game: TrackGame) -> tuple[str, ...]:
+    found, plane = game.headroom, game.planes[0]
+    return (
+        game.track,
+        *_signed(found.value, found.low),
+        f"{found.opponents_error:.3f}",
+        f"{found.pool_error:.3f}",
+        f"{game.transitive_share:.2f}",
+        str(sum(plane.strength > plane.noise for plane in game.planes)),
+        f"{plane.strength:.2f}",
+        f"{plane.noise:.2f}",
+        str(int((game.equilibrium > 0.01).sum())),
+    )
+
+
+def _plain_row(game: TrackGame, names: Sequence[str]) -> tuple[object, ...]:
+    estimate = game.headroom
+    numbers = (estimate.value, estimate.low, estimate.opponents_error, estimate.pool_error)
+    return (game.track, *(f"{number:.6f}" for number in numbers), names[estimate.best_fixed])
+
+
+def _signed(*values: float) -> tuple[str, ...]:
+    return tuple(f"{value:+.3f}" for value in values)
+
+
+def _write_csv(file: Path, lines: Sequence[Sequence[object]]) -> Path:
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(lines)
+    write_atomically(file, lambda stream: stream.write(text.getvalue().encode()))
+    return file

@@ -1,0 +1,92 @@
+"""The way of a move: from ``predict`` to the kernel in at most eight files, none twice, and checked once."""
+
+import inspect
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pcs_racing
+from pcs_racing import get_planner
+from pcs_racing.envs import game_batch
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
+from pcs_racing.envs.head_to_head import HeadToHeadEnv
+from pcs_racing.game import competitor as competitors
+from pcs_racing.game import rules
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.race import driving
+
+HOME = Path(pcs_racing.__file__).resolve().parent
+SHORT = {"step_seconds": 0.1, "moves": 1, "stay": True}
+
+
+@pytest.fixture(scope="module")
+def archive() -> PolicyArchive:
+    """Six policies of which each has a pace of its own, so that what drives a car tells where a move led."""
+    planner = get_planner("pure-pursuit")
+    pace = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.625])
+    parameters = np.array([planner.policy({"pace": value}).parameters for value in pace])
+    coordinates = np.column_stack([np.arange(6.0), np.arange(6.0) % 3.0])
+    return PolicyArchive(
+        "marked", "pure-pursuit", planner.parameter_names, parameters, ("aggressiveness", "restraint"), coordinates
+    )
+
+
+class Marked:
+    """A competitor that always makes the same move."""
+
+    name = "marked"
+
+    def __init__(self, move: int) -> None:
+        self.move = move
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.full(len(observation), self.move), None
+
+
+def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarray]]:
+    """Record the files on the way to each call of the kernel, what the check of moves is given, and the parameters."""
+    ways: list[list[str]] = []
+    checked: list[np.ndarray] = []
+    advance, check = driving.advance_races, rules.check_moves
+
+    def kernel(track, state, theta, *rest):
+        names = [frame.filename for frame in reversed(inspect.stack()) if Path(frame.filename).is_relative_to(HOME)]
+        files = [str(Path(name).relative_to(HOME)) for name in names]
+        ways.append([file for i, file in enumerate(files) if i == 0 or files[i - 1] != file])
+        thetas.append(theta.copy())
+        advance(track, state, theta, *rest)
+
+    def checking(moves, *rest, **more):
+        checked.append(np.asarray(moves))
+        return check(moves, *rest, **more)
+
+    thetas: list[np.ndarray] = []
+    monkeypatch.setattr(driving, "advance_races", kernel)
+    for module in (rules, competitors, game_batch):
+        monkeypatch.setattr(module, "check_moves", checking)
+    return ways, checked, thetas
+
+
+@pytest.mark.parametrize("kind", ["scalar", "vector", "pair"])
+def test_a_move_passes_eight_rooms_at_most_and_none_twice(coarse_oval, archive, monkeypatch, kind):
+    given = {"track": coarse_oval, "archive": archive, **SHORT}
+    move = 0  # more of the first axis: from policy 0 to a neighbour
+    env = {"scalar": DuelEnv, "vector": lambda **a: DuelVectorEnv(1, threads=1, **a), "pair": HeadToHeadEnv}[kind](
+        **given, **({} if kind == "pair" else {"opponent": Marked(1)})
+    )
+    env.reset(seed=0, options={"policies": (0, 5)})
+    ways, checked, thetas = watch(monkeypatch)
+    actions = Marked(move).predict(np.zeros((1, 1)))[0]
+    env.step({"scalar": int(actions[0]), "vector": actions, "pair": {"car_0": int(actions[0]), "car_1": 1}}[kind])
+    # What reaches the kernel is the policy that each car's move leads to.
+    table = env.game.table
+    expected = archive.parameters[[table[0, 0], table[5, 1]]]
+    np.testing.assert_array_equal(thetas[-1][0, :, : expected.shape[1]], expected)
+    assert table[0, 0] != 0
+    way = ["agent", *ways[-1], "race/kernel.py"]
+    assert len(way) <= 8, way
+    assert len(set(way)) == len(way), f"a room is entered twice: {way}"
+    assert way[-4:] == ["game/rules.py", "race/races.py", "race/driving.py", "race/kernel.py"]
+    # Each player's move is checked once: at the door of the environment, or where the opponent is asked.
+    assert sorted(np.concatenate([moves.ravel() for moves in checked]).tolist()) == [0, 1]

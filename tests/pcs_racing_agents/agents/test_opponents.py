@@ -1,0 +1,126 @@
+"""Whoever races in tournaments is an opponent of the environments, by name and as an object."""
+
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import pcs_racing_agents
+from pcs_racing import UnknownNameError, make_game
+from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv
+from pcs_racing.envs.head_to_head import HeadToHeadEnv
+from pcs_racing.game.competitor_names import competitor_names, make_competitor
+from pcs_racing_agents.agents.drivers import planner_driver
+
+SHORT = {"step_seconds": 0.4}
+NAMES = pcs_racing_agents.names()
+
+
+@pytest.fixture(scope="module")
+def game():
+    return make_game("Tarnfjord")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_and_every_object_is_an_opponent_of_a_duel(name):
+    """As the paper's rules say, in which an agent under training can't stay, but its opponent may."""
+    for opponent in (name, pcs_racing_agents.make(name)):
+        env = DuelEnv(opponent=opponent, **SHORT)
+        env.reset(seed=1)
+        *_, info = env.step(1)
+        assert env.action_space.n == 4
+        assert env.outcome()["opponent"].replace(" ", "") == name
+        drives = len(env.opponents[0].policies) > 0
+        assert (info["opponent_move"] == -1) is drives
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_is_an_opponent_of_the_other_environments(name):
+    game = HeadToHeadEnv(opponent=name, **SHORT)
+    seen, _ = game.reset(seed=1)
+    assert list(seen) == ["car_0"]
+    _, rewards, *_ = game.step({"car_0": 1})
+    assert list(rewards) == ["car_0"]
+    drive = gym.make("pcs_racing/Drive-v1", opponent=name)
+    drive.reset(seed=1)
+    *_, info = drive.step(np.array([0.0, -0.5], np.float32))
+    assert info["opponent"] == 0
+
+
+def test_an_agent_moves_in_a_drive_as_in_a_game(game):
+    """Car 1 watches for 8 s, then each move changes its policy as the table of the game says, every 8 s."""
+    env = DriveEnv("Tarnfjord", "always-aggressiveness +")
+    for seed in range(20):
+        env.reset(seed=seed)
+        policies, over = [env.batch._moving._games.policy[0, 1]], False
+        while not over:
+            _, _, ended, late, info = env.step(slow_follower(env))
+            over = ended or late
+            if round(info["time"] * 10) % 80 == 0:
+                policies.append(env.batch._moving._games.policy[0, 1])
+                np.testing.assert_array_equal(env.batch.theta[0, 1], game.theta(np.array(policies[-1])))
+        if late:
+            break
+    assert late, "every race ends in a crash"
+    moves = game.table[:, 0]
+    expected = [policies[0]]
+    for _ in range(4):
+        expected.append(moves[expected[-1]])
+    assert policies == [*expected, expected[-1]]
+
+
+def slow_follower(env):
+    """Steering back to the race line at a walking pace, and out of the opponent's way."""
+    seen = env._observation()
+    return np.array([(0.6 * -seen[7] - 0.35 * seen[6] + 0.33 * seen[12]) / 0.4189, -0.6], np.float32)
+
+
+def test_a_drive_against_an_agent_is_the_same_in_a_batch_and_after_a_copy():
+    import copy
+
+    single = DriveEnv(opponent="random-moves", time_step=1.0)
+    envs = DriveVectorEnv(3, opponent="random-moves", time_step=1.0, threads=2)
+    envs.reset(seed=5)
+    single.reset(seed=6)
+    twin = None
+    for step in range(20):
+        seen, _, terminated, truncated, _ = envs.step(np.tile(np.float32([0.1, -0.4]), (3, 1)))
+        one, _, ended, late, _ = single.step(np.float32([0.1, -0.4]))
+        np.testing.assert_array_equal(seen[1], one)
+        if twin is not None:
+            np.testing.assert_array_equal(twin.step(np.float32([0.1, -0.4]))[0], one)
+        if step == 3:
+            twin = copy.deepcopy(single)
+        assert (ended, late) == (terminated[1], truncated[1])
+        if ended or late:
+            break
+
+
+def test_a_driver_with_variants_drives_with_one_of_them():
+    driver = planner_driver(None, name="lane-switcher")
+    envs = gym.make_vec("pcs_racing/Duel-v1", num_envs=60, opponent=driver, step_seconds=0.1, moves=1)
+    envs.reset(seed=0)
+    drawn = {tuple(theta) for theta in envs.unwrapped.batch.state.theta[:, 1]}
+    assert len(drawn) > 10
+
+
+def test_names_are_known_with_their_options(game):
+    assert set(NAMES) <= {"".join(name.split()) for name in competitor_names(game)}
+    agent = make_competitor("receding-horizon:depth=1,leaf=rollout", game)
+    assert agent.name == "receding-horizon:depth=1,leaf=rollout"
+    with pytest.raises(UnknownNameError, match="'cfr-argmx' is unknown; did you mean 'cfr-argmax'"):
+        make_competitor("cfr-argmx", game)
+
+
+def test_the_first_package_knows_its_own_opponents_without_the_second():
+    code = (
+        "import sys\n"
+        "from pcs_racing.envs.duel import DuelEnv\n"
+        "DuelEnv(opponent=['random-moves', 'never-switch', 'always-stay'])\n"
+        "print(any(name.startswith('pcs_racing_agents') for name in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
