@@ -83,7 +83,7 @@ print("none of", len(MISSING), "was imported:", not MISSING & {name.partition(".
 NEEDS = {
     "Stable-Baselines3's environments": ("import pcs_racing.envs.sb3", "learning"),
     "the command ppo": ('main(["ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo"])', "learning"),
-    "training": ("from pcs_racing_agents.networks.training import fit; fit(None, None)", "learning"),
+    "training": ("from pcs_racing_agents.networks.training import train_layers; train_layers(None, None)", "learning"),
     "a study": ('main(["study", "quick", "--out", "study"])', "learning"),
     "a study's archive": ('main(["study", "paper", "--out", "study"])', "synthesis"),
     "a picture of a circuit": ('main(["track", "show", "Pipkin", "--out", "out.png"])', "plots"),

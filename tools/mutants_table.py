@@ -61,6 +61,7 @@ MODULES = {
         collision: collision /pcs_racing/race/race_kernel
         ittc: ittc /pcs_racing/race/race_kernel
         lidar_kernel: lidar
+        lanes: ; lanes
         """,
     ),
     **_modules(
@@ -89,9 +90,9 @@ MODULES = {
         "rules",
         "pcs_racing/game",
         """
-        game state: ; game
+        rules state reward observation competitor starting: ; game
         config: game_config
-        archive: archive
+        archive moves: archive
         """,
     ),
     **_modules("characteristics", "pcs_racing/game", "characteristics: characteristics"),
@@ -144,6 +145,8 @@ MODULES = {
         """
         ratings: ratings
         meta_game: meta_game
+        headroom: headroom
+        policy_pool: ; policy_pool
         best_response: ; best_response
         table: ; tournament
         statistics/clusters: statistics

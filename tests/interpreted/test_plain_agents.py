@@ -68,11 +68,11 @@ def test_a_driver_of_50_hz_is_a_network_planner(stadium):
 def test_a_learner_sees_where_it_went(stadium):
     """Alike in both races until one of them steers: then speed, steering and heading tell them apart."""
     races = Drives(2, stadium, load_race_config(PAPER, duration=1.0), [get_planner("pure-pursuit").policy()])
-    first = races.reset(seed=4)
+    first, _ = races.reset(seed=4)
     assert first.shape == (2, len(INPUTS))
     for _ in range(5):
-        step = races.step(np.array([[0.0, 0.5], [0.8, 0.5]], np.float32))
-    seen = dict(zip(INPUTS, step.observations.T, strict=True))
+        observations, rewards, *_ = races.step(np.array([[0.0, 0.5], [0.8, 0.5]], np.float32))
+    seen = dict(zip(INPUTS, observations.T, strict=True))
     assert (seen["speed"] > dict(zip(INPUTS, first.T, strict=True))["speed"]).all()
     assert seen["steering"][1] > seen["steering"][0] + 0.05
-    assert step.rewards.shape == (2,)
+    assert rewards.shape == (2,)

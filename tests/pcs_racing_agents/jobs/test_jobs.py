@@ -321,7 +321,7 @@ def test_an_interruption_drops_what_has_not_begun(tmp_path, kind):
         make_executor(kind, 2) as executor,
     ):
         job.run("square", count, range(500), executor=executor, progress=interrupted)
-    assert 3 <= len(asked) <= 3 + 4
+    assert 3 <= len(asked) <= 3 + 16  # so many tasks wait for a worker at most
     with open_job(tmp_path, "squares", SETTINGS) as job:  # the lock is free again
         assert len(job.run("square", count, range(10))) == 10
 

@@ -42,7 +42,7 @@ def test_environments_of_a_part_are_not_asked_one_by_one(drive_settings, part):
     with own_randomness():
         envs = make_learner(drive_settings, [part], 3, "tanh", 10.0).model.env
     assert envs.get_attr("render_mode") == [None] * 4
-    assert envs.get_images() == [None]
+    assert envs.get_images() == [None] * 4
     assert envs.env_is_wrapped(object) == [False] * 4
     with pytest.raises(AttributeError, match="no attribute 'track'"):
         envs.get_attr("track")
