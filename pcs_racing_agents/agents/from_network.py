@@ -9,7 +9,7 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.decisions import get_decision
-from pcs_racing_agents.agents.observing import Observations
+from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build_member
 from pcs_racing_agents.jobs.fingerprint import fingerprint
@@ -54,7 +54,7 @@ class NetworkStrategy:
     def __post_init__(self) -> None:
         get_decision(self.decision)
 
-    def __call__(self, observation: Observations) -> Floats:
+    def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         values = self.network.unclipped(observation)
         chances = np.zeros((len(observation), self.count))
@@ -81,7 +81,7 @@ class AdaptiveStrategy:
     blind: Agent
     margin: float
 
-    def __call__(self, observation: Observations) -> Floats:
+    def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         usual = self.blind.probabilities(observation)
         values = np.zeros(usual.shape)

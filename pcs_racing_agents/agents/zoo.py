@@ -135,7 +135,7 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
 
 def entries() -> dict[str, Entry]:
     """Return everything that has a name, without importing what other distributions declare."""
-    declared = {name: Entry(_Place(name, place), f"from {place}") for name, place in _declared().items()}
+    declared = {name: Entry(_ImportPath(name, place), f"from {place}") for name, place in _declared().items()}
     return {**declared, **_registered, **{name: resolve_name(place) for name, place in SHIPPED.items()}}
 
 
@@ -207,7 +207,7 @@ def build(name: str, setting: Setting, *, seed: int = 0, **given: Any) -> Any:
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise UnknownNameError(f"agent {name!r} is unknown; {hint}there are: {', '.join(sorted(known))}, {ALWAYS}MOVE")
     entry = known[name]
-    if not isinstance(entry.build, _Place):
+    if not isinstance(entry.build, _ImportPath):
         _check_options(name, entry.build, given)
     made = entry.build(setting, name=name, seed=seed, **{**entry.defaults, **given})
     if not isinstance(made, Agent | Driver):
@@ -257,7 +257,7 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _ImportPath:
     """A function of another distribution, imported when it is first called."""
 
     name: str
@@ -279,7 +279,7 @@ def _declared() -> dict[str, str]:
 def options(name: str) -> dict[str, Any]:
     """Return the options of an entry with their defaults (None: it is worked out); of another distribution's, none."""
     entry = entries()[name]
-    if isinstance(entry.build, _Place):
+    if isinstance(entry.build, _ImportPath):
         return {}
     free = _free_options(entry.build)
     return {key: entry.defaults.get(key, value) for key, value in free.items()}

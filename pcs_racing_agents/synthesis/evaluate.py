@@ -16,13 +16,13 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies, loaded
 
-__all__ = ["Evaluation", "Task", "evaluate", "join", "on_worker", "race_policies", "summarise"]
+__all__ = ["Evaluation", "PolicyTask", "evaluate", "join", "on_worker", "race_policies", "summarise"]
 
 Floats = NDArray[np.float64]
 
 RACES_AT_ONCE = 4096  # bounded memory
 
-Task: TypeAlias = tuple[Scenarios, Floats]
+PolicyTask: TypeAlias = tuple[Scenarios, Floats]
 """Scenarios, and parameters of the policies that race in them, shape (k, P)."""
 
 
@@ -44,7 +44,7 @@ class Evaluation(NamedTuple):
     spread: Floats
 
 
-def race_policies(task: Task, threads: int | None = None) -> Arrays:
+def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     """Race some policies in some scenarios; a policy's result does not depend on the others of the task.
 
     Returns
@@ -145,7 +145,7 @@ def evaluate(
     return summarise(join(list(run(on_worker(executor), tasks))))
 
 
-def on_worker(executor: Executor | None) -> Callable[[Task], Arrays]:
+def on_worker(executor: Executor | None) -> Callable[[PolicyTask], Arrays]:
     """Return :func:`race_policies` for workers: with one thread each where an executor runs several of them."""
     return race_policies if executor is None else partial(race_policies, threads=1)
 
