@@ -99,9 +99,11 @@ def train_on_trees(
     training = join_rows([block for block, out in zip(rows, held_out, strict=True) if block is not None and not out])
     test_blocks = [block for block, out in zip(rows, held_out, strict=True) if block is not None and out]
     test = [i for i, block in enumerate(rows) if block is not None and held_out[i]]
+    # Torch has one random state and one number of threads per process: threads would disturb each other.
     elsewhere = in_other_processes(executor)
     learn = _NetworkTrainer(training, identity, name, learning if elsewhere is None else None)
     network, result = run_task(learn, settings, elsewhere, "learning")
+    # Without held-out trees the pairs of the early stopping must do, whose scores are a little too good.
     test_rows = (
         join_rows(test_blocks) if test_blocks else training.take(np.isin(training.pair, result.validation_pairs))
     )

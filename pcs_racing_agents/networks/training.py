@@ -160,6 +160,7 @@ def train_layers(
 def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progress: Progress | None) -> TrainingResult:
     held_out, pairs = split_by_pair(rows, settings.validation_share, settings.seed)
     training, validation = rows.take(~held_out), rows.take(held_out)
+    # The scaling comes from the training rows alone, so that validation stays independent of them.
     by = scale_rows(training, settings, clipped)
     draws, start = (np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,))) for key in (1, 2))
 
@@ -204,6 +205,7 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
     epochs, best, since = [judge(0, float("nan"))], 0, 0
     kept = [layer.detach().clone() for layer in layers]
     for number in range(1, settings.epochs + 1):
+        # Inverse transform sampling, in proportion to the weights; rounding may leave the last sum below 1.
         drawn = np.minimum(np.searchsorted(odds, draws.random(count), side="right"), len(training) - 1)
         total = 0.0
         for first in range(0, count, settings.batch_size):

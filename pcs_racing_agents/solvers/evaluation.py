@@ -94,7 +94,7 @@ def check_profile(tree: GameTree, profile: list[tuple[ArrayLike, ArrayLike]] | P
     """
     if len(profile) != tree.depth or any(len(pair) != 2 for pair in profile):
         raise InputError(f"a profile of this tree has {tree.depth} pairs of strategies, one for each level")
-    made = []
+    checked = []
     for k, pair in enumerate(profile):
         both = []
         for player in (0, 1):
@@ -110,8 +110,8 @@ def check_profile(tree: GameTree, profile: list[tuple[ArrayLike, ArrayLike]] | P
                     "probabilities are at least 0 and sum up to 1"
                 )
             both.append(strategy / total[:, None])
-        made.append((both[0], both[1]))
-    return made
+        checked.append((both[0], both[1]))
+    return checked
 
 
 def reach_probabilities(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
@@ -240,6 +240,7 @@ def _over_infosets(tree: GameTree, level: int, player: int, at_nodes: Floats, ot
     if count == len(rows):
         return at_nodes  # numbered in the order of the nodes
     weights = other_reach * np.repeat(tree.chance, len(rows) // tree.roots)
+    # Where the other player never comes, all nodes count equally: their weights would sum up to 0.
     never = np.bincount(rows, weights, count)[rows] == 0.0
     weights = np.where(never, 1.0, weights)
     total = np.bincount(rows, weights, count)

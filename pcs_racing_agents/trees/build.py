@@ -124,6 +124,7 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
     over = [row < 0]
     driven = live = 1
     for k in range(1, moves + 1):
+        # A pair of paths continues the race of the pair of their parents.
         above = np.ix_(*(path.parent[k] for path in paths))
         parents, worth = row[above], worth[above]
         at = np.nonzero(parents >= 0)
@@ -144,11 +145,13 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
         leads.append(_scatter(below.lead, at, parents.shape))
         estimates.append(_scatter(measured.astype(np.float32), at, parents.shape))
         over.append(crashed)
+        # A crash ends its branch: only the other races have children.
         go_on = np.flatnonzero(~below.crashed)
         row = np.full(parents.shape, -1)
         row[at[0][go_on], at[1][go_on]] = np.arange(len(go_on))
         races = type(below)._make(array[go_on] for array in below)
         driven += len(rows)
+    # A pair of paths counts once for every joint history that goes along it.
     weights = [np.bincount(path.history[moves]) for path in paths]
     crashes = int(weights[0] @ crashed.astype(np.int64) @ weights[1])
     return worth.astype(np.float32), leads, estimates, over, (driven, live, crashes)

@@ -310,6 +310,7 @@ def _play(
     at[0][:, 0] = begins = np.arange(len(pairs))
     driven = np.ones(len(pairs), np.int64)
     for k in range(1, moves + 1):
+        # Races belong to paths, not to histories: histories through the same policies share one race.
         counts = np.array([path.count(k) for path in paths])
         which = np.repeat(np.arange(len(pairs)), counts)
         above = np.concatenate([path.parent[k] for path in paths]) + begins[which]
@@ -317,10 +318,10 @@ def _play(
         at.append(np.stack([path.history[k] for path in paths]) + begins[:, None])
         second = np.where(replies[:, k - 1] < 0, second, game.table[second, replies[:, k - 1]])
         policies = np.stack([np.concatenate([path.policy[k] for path in paths]), second[which]], axis=1)
-        live = np.flatnonzero(row[above] >= 0)
+        live = np.flatnonzero(row[above] >= 0)  # paths whose race has not ended in a crash
         driven += np.bincount(which[live], minlength=len(pairs))
         rows, worth = row[above], worth[above]
-        if k == moves:
+        if k == moves:  # no move follows: only the ends of the races matter, not what is measured
             ends, _ = finish(game, races, rows[live], policies[live], share=False)
             worth[live] = reward(game.config, ends.as_races(), k)
             break
@@ -334,6 +335,7 @@ def _play(
         estimates.append(np.zeros((len(above), 2, axes)))
         estimates[k][live] = measured
         over.append(row < 0)
+    # From paths to histories: each history takes the values of its path.
     return EgoTrees(
         policies=pairs,
         seeds=keys,
