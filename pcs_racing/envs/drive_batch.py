@@ -165,13 +165,13 @@ class DriveBatch:
             for _ in range(workers)
         ]
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
+        self._compiled: Callable[..., None] | None = None
         with first_call(step_races, "the control-level environment", 20) as compiling:
             self._pointers = (*setup.planners[0].pointers(), *setup.planners[1].pointers())
             if compiling:
                 nothing, no = np.empty(races), np.empty(races, np.bool_)
                 before, out = self.state.progress.copy(), np.empty((races, len(self.elements)), np.float32)
                 self._step_part(np.empty((races, 2)), 0, 0, 0, 0, (before, nothing, no, no, out))
-        self._compiled: Callable[..., None] | None = None
 
     def restart(
         self,

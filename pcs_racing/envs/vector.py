@@ -258,6 +258,8 @@ class BatchVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free threads and close the window."""
+        if not hasattr(self, "batch"):  # old versions of Gymnasium close what could not be made as well
+            return
         self.batch.close()
         if self._renderer is not None:
             self._renderer.close()

@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> None:
     with executor_from(arguments) as executor:
         announce(racing_seconds(len(tracks) * len(pool.pairs) * pool.races, pool.config.duration), cores_of(arguments))
         with open_job(arguments.out, "headroom", settings) as job:
-            payoffs = pool_payoffs(pool, job=job, executor=executor, progress=show_progress())
+            payoffs = pool_payoffs(pool, job=job, executor=executor, progress=show_progress("blocks"))
             games = [track_game(track.name, folds) for track, folds in zip(tracks, payoffs, strict=True)]
             print(headroom_text(games, names))
             for file in write_headroom(games, names, arguments.out):

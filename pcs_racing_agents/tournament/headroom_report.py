@@ -105,8 +105,8 @@ def write_headroom(games: Sequence[TrackGame], names: Sequence[str], folder: Pat
 def headroom_picture(game: TrackGame, names: Sequence[str]) -> Any:
     """Draw the payoffs, policies ordered by rating, and beside them the strongest cyclic plane.
 
-    A policy in the plane beats those that lie clockwise of it; the dashed circle is as far out as policies lie if noise
-    alone makes the plane.
+    In the plane a policy beats those that lie counterclockwise of it. The dashed circle is as far out as policies lie
+    if noise alone makes the plane.
     """
     mean, rating = game.payoffs.mean(axis=0), ratings(game.payoffs)
     order = np.argsort(-rating, kind="stable")
@@ -130,7 +130,8 @@ def headroom_picture(game: TrackGame, names: Sequence[str]) -> Any:
     right.axhline(0.0, color=COLOURS[-1], lw=0.6)
     right.axvline(0.0, color=COLOURS[-1], lw=0.6)
     right.set_aspect("equal", adjustable="datalim")
-    right.set_title(f"strongest cyclic plane: {plane.strength:.2f}, noise reaches {plane.noise:.2f}", fontsize=10)
+    title = f"cyclic plane, each beats what is counterclockwise: {plane.strength:.2f}, noise {plane.noise:.2f}"
+    right.set_title(title, fontsize=10)
     figure.colorbar(points, ax=right, shrink=0.8, label="rating")
     tidy(right, "")
     return figure
