@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive, check_indices
 
@@ -129,7 +128,7 @@ def check_epsilon(epsilon: Any) -> tuple[float, ...]:
     try:
         lengths = (epsilon,) if single else tuple(epsilon)
         steps = tuple(float(e) for e in lengths)
-        valid = all(map(is_number, lengths)) and all(0.0 < e <= 10.0 for e in steps)
+        valid = all(not isinstance(e, bool | str) for e in lengths) and all(0.0 < e <= 10.0 for e in steps)
     except (TypeError, ValueError, OverflowError):
         steps, valid = (), False
     if not valid or not steps or len(set(steps)) != len(steps):
