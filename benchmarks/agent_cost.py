@@ -13,9 +13,10 @@ import numpy as np
 
 from pcs_racing import make_game
 from pcs_racing.base.dense import DenseLayers
+from pcs_racing.game.identity import game_identity
 from pcs_racing_agents.agents import Agent, make_setting
 from pcs_racing_agents.agents.zoo import SHIPPED, build
-from pcs_racing_agents.networks import RegretNetwork, game_identity
+from pcs_racing_agents.networks import RegretNetwork
 
 
 def untrained(game: Any) -> RegretNetwork:

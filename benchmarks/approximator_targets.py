@@ -18,8 +18,9 @@ import numpy as np
 from pcs_racing import make_game
 from pcs_racing_agents.jobs.jobs import show_progress
 from pcs_racing_agents.networks import TARGETS, load_train_settings
-from pcs_racing_agents.networks.from_trees import train_on_trees, trees_identity
+from pcs_racing_agents.networks.from_trees import train_on_trees
 from pcs_racing_agents.trees import StoredTrees, build_trees, load_trees
+from pcs_racing_agents.trees.storage import stored_identity
 
 VARIANTS: dict[str, dict[str, object]] = {
     **{target: {"target": target} for target in TARGETS},
@@ -41,7 +42,7 @@ def measure(stored: StoredTrees, changes: dict[str, object], splits: int) -> tup
     for seed in range(splits):
         settings = load_train_settings(seed=seed, test_share=0.25, validation_share=0.2, **changes)
         trained = train_on_trees(
-            trees.__getitem__, stored.settings["pairs"], trees_identity(stored.settings), settings, name=NETWORK
+            trees.__getitem__, stored.settings["pairs"], stored_identity(stored.settings), settings, name=NETWORK
         )
         agreement.append(trained.rows[0].agreement)
         scores.append(trained.scores)

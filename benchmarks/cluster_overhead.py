@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcs_racing import load_archive, make_game
+from pcs_racing.game.identity import game_identity
 from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.agent import Agent
@@ -33,7 +34,7 @@ from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task
 from pcs_racing_agents.learning.responses import learner
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.networks import Rows, game_identity, load_network, train_network
+from pcs_racing_agents.networks import Rows, load_network, train_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.study import StudyConfig, load_study_config
 from pcs_racing_agents.study.racing import _Judge
@@ -43,7 +44,7 @@ from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.synthesis.evaluate import race_policies
 from pcs_racing_agents.tournament import runner
 from pcs_racing_agents.tournament.pairings import cross_pairing
-from pcs_racing_agents.trees.storage import _Builder, _Task
+from pcs_racing_agents.trees.storage import _Builder, _TreeTask
 from pcs_racing_agents.trees.tree import tree_from_arrays
 
 CIRCUITS = ("Tarnfjord", "Vellindra", "Kestrelheim")
@@ -116,8 +117,9 @@ def measure(moves: int) -> dict[str, Cost]:
     keep("branch", branch, [learner.BranchTask(0, 0, step, 0, 0, learner.BLOCK, 1) for step in steps])
 
     tree_game = replace(make_game("Tarnfjord", moves=moves, stay=False), threads=1)
-    _Builder(replace(make_game("Tarnfjord", moves=1, stay=False), threads=1))(_Task((0, 1), 0, 1, 0))  # loads the code
-    arrays = keep("tree", _Builder(tree_game), [_Task((10, 20), 0, 1, 0)], loaded=True)
+    warm_up = _Builder(replace(make_game("Tarnfjord", moves=1, stay=False), threads=1))
+    warm_up(_TreeTask((0, 1), 0, 1, 0))  # loads the code
+    arrays = keep("tree", _Builder(tree_game), [_TreeTask((10, 20), 0, 1, 0)], loaded=True)
     names = load_study_config("paper").every_arm
     agents = [agent for agent in (build(_shipped(name), setting) for name in names) if isinstance(agent, Agent)]
     tree = tree_from_arrays(arrays, moves, "the tree")

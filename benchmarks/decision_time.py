@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing_agents.networks import GameIdentity, RegretNetwork
+from pcs_racing.game.identity import GameIdentity
+from pcs_racing_agents.networks import RegretNetwork
 
 INPUTS = 31  # of a game with two characteristics and four moves
 MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")

@@ -1,4 +1,4 @@
-"""Numba's code on disk: thrown away when the sources behind it change, and written by one process at a time.
+"""Numba's cache on disk: deleted when a source file changes, and written by one process at a time.
 
 Numba looks at the file of the function that it loads, but not at the files of the functions which that one calls: after
 an edit or an update it would go on running parts of the old code. Here the file of every module with compiled functions
@@ -57,7 +57,7 @@ def forget_stale_code(source: Path, cache: Path) -> None:
 
 
 def _read(note: Path) -> dict[str, Any]:
-    """What was noted last time; nothing if it can't be read."""
+    """Return the stored digest and stamps; empty if they can't be read."""
     try:
         noted = json.loads(note.read_text())
     except (OSError, ValueError):
@@ -75,7 +75,7 @@ def _stamp(file: Path) -> list[int] | None:
 
 
 def _imported_files(source: Path) -> list[Path]:
-    """The files of a module and of all modules of these packages that it imports, directly or not."""
+    """Return the files of a module and of all modules of these packages that it imports, also indirectly."""
     roots = {source.parents[len(_packages(source))], Path(__file__).parents[2]}
     reached, new = {source}, [source]
     while new:
@@ -93,7 +93,7 @@ def _packages(source: Path) -> list[Path]:
 
 @cache
 def _imported_names(file: Path) -> frozenset[str]:
-    """Dotted names of what a source imports, modules and members alike."""
+    """Return the dotted names of all modules and members that a source imports."""
     names = set()
     for module, members in _IMPORT.findall(file.read_text(encoding="utf-8")):
         names.add(module)
@@ -110,8 +110,8 @@ def _file_of(root: Path, name: str) -> Path | None:
     return None
 
 
-def _one_at_a_time(save: Callable[..., None]) -> Callable[..., None]:
-    """Let those who add to a folder of cached code take turns, whatever process they are in."""
+def _locked(save: Callable[..., None]) -> Callable[..., None]:
+    """Decorate numba's method so that one process at a time writes to a folder of cached code."""
 
     @wraps(save)
     def save_alone(cache: Any, key: Any, data: Any) -> None:
@@ -125,4 +125,4 @@ def _one_at_a_time(save: Callable[..., None]) -> Callable[..., None]:
     return save_alone
 
 
-caching.IndexDataCacheFile.save = _one_at_a_time(caching.IndexDataCacheFile.save)
+caching.IndexDataCacheFile.save = _locked(caching.IndexDataCacheFile.save)

@@ -79,9 +79,9 @@ def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -
     starts = np.cumsum(lengths) - lengths
     text = np.empty(int(lengths.sum()), np.uint8)
     for place in range(_MOST_CHARACTERS):
-        here = lengths > place
-        more = lengths[here] > place + 1
-        text[starts[here] + place] = _CODES[((folded[here] >> 5 * place) & 31) + 32 * more]
+        selected = lengths > place
+        more = lengths[selected] > place + 1
+        text[starts[selected] + place] = _CODES[((folded[selected] >> 5 * place) & 31) + 32 * more]
     data = text.tobytes().decode()
     return {"shape": list(values.shape), "per_unit": per_unit, "differences": list(differences), "data": data}
 
@@ -106,8 +106,8 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
     InputError
         If the value is not a packed array, or has more than 10 million numbers.
     """
-    parts = _parts(packed, name, ("shape", "per_unit", "differences", "data"))
-    shape, per_unit, differences, data = parts
+    fields = _parts(packed, name, ("shape", "per_unit", "differences", "data"))
+    shape, per_unit, differences, data = fields
     if not _whole_numbers(shape, _MOST_NUMBERS) or len(shape) > 6 or math.prod(shape) > _MOST_NUMBERS:
         raise InputError(f"{name}.shape must list at most six sizes, {_MOST_NUMBERS} numbers in all, got {shape!r:.60}")
     per_unit = _number(per_unit, f"{name}.per_unit", 1e-9, 1e9)
@@ -119,9 +119,9 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
     if np.any(digits == 255):
         raise InputError(f"{name}.data must be text in the base-64 alphabet")
     last = digits < 32
-    count, found = math.prod(shape), int(np.count_nonzero(last))
-    if found != count or (len(last) > 0 and not last[-1]):
-        raise InputError(f"{name}.data must hold {count} numbers for shape {shape}, got {found}")
+    count, ends = math.prod(shape), int(np.count_nonzero(last))
+    if ends != count or (len(last) > 0 and not last[-1]):
+        raise InputError(f"{name}.data must hold {count} numbers for shape {shape}, got {ends}")
     if count == 0:
         return np.zeros(shape)
 

@@ -29,7 +29,7 @@ _MOST_MEMBERS = 1000  # of a file of arrays
 _KINDS = "biufcUS"  # of arrays: booleans, numbers and texts
 
 
-def read_limited(path: str | os.PathLike[str], limit: int, what: str) -> bytes:
+def read_limited(path: str | os.PathLike[str], limit: int, kind: str) -> bytes:
     """Return the content of a regular file.
 
     Parameters
@@ -38,7 +38,7 @@ def read_limited(path: str | os.PathLike[str], limit: int, what: str) -> bytes:
         A pipe or a device is refused: it may never end.
     limit : int
         Maximum number of bytes.
-    what : str
+    kind : str
         Expected kind of file, for the message: "an archive".
 
     Raises
@@ -52,7 +52,7 @@ def read_limited(path: str | os.PathLike[str], limit: int, what: str) -> bytes:
         size = os.fstat(file.fileno()).st_size  # not the limit: room for all that is asked for is made at once
         content = file.read(min(size, limit) + 1)
     if len(content) > limit:
-        raise InputError(f"{path} has more than {limit} bytes; that is not {what}")
+        raise InputError(f"{path} has more than {limit} bytes; that is not {kind}")
     return content
 
 
@@ -103,20 +103,21 @@ def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputEr
         raise error(f"{file} is not valid YAML: {problem}") from None
 
 
-def _size(node: yaml.Node, known: dict[int, float], depth: int) -> float:
+def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
     """Return the number of values of a node with all aliases expanded; every node is visited once."""
     if isinstance(node, yaml.ScalarNode):
         number = node.tag.rpartition(":")[2] in ("int", "float", "timestamp")
         if number and len(node.value) > _LONGEST_NUMBER:
             raise InputError(f"the number {node.value[:20]}... has {len(node.value)} characters")
         return 1.0 + 0.1 * len(node.value)
-    if id(node) not in known:
+    if id(node) not in sizes:
         if depth > _DEEPEST:
             raise InputError(f"it is nested more than {_DEEPEST} levels deep")
-        known[id(node)] = math.inf  # for one that contains itself
-        parts = node.value if isinstance(node, yaml.SequenceNode) else [part for pair in node.value for part in pair]
-        known[id(node)] = 1.0 + sum(_size(part, known, depth + 1) for part in parts)
-    return known[id(node)]
+        sizes[id(node)] = math.inf  # for one that contains itself
+        pairs = isinstance(node, yaml.MappingNode)
+        children = [child for pair in node.value for child in pair] if pairs else node.value
+        sizes[id(node)] = 1.0 + sum(_size(child, sizes, depth + 1) for child in children)
+    return sizes[id(node)]
 
 
 def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArray[Any]]:

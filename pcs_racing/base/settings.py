@@ -225,7 +225,7 @@ def load_settings(
     Raises
     ------
     ConfigError
-        If a key is unknown or a value impossible.
+        If a key is unknown or a value is out of its range.
     UnknownNameError
         If the source is neither a known name nor a file.
     """
@@ -315,7 +315,7 @@ def _attributes(cls: type[Settings]) -> str:
     for name, (kind, field) in _declared(cls).items():
         lines += [f"{name} : {kind}", *wrap(_sentence(field), 108, initial_indent="    ", subsequent_indent="    ")]
     return indent(
-        "\n".join([*lines, "", "Raises", "------", "ConfigError", "    If a value is impossible.", ""]), "    "
+        "\n".join([*lines, "", "Raises", "------", "ConfigError", "    If a value is out of its range.", ""]), "    "
     )
 
 

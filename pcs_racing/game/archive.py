@@ -29,7 +29,7 @@ Indices = NDArray[np.int64]
 
 
 class Explored(NamedTuple):
-    """Everything that was evaluated on the way to an archive: what its "random policies" are drawn from.
+    """All policies evaluated during the synthesis of an archive; its "random policies" are drawn from them.
 
     Attributes
     ----------
@@ -170,7 +170,7 @@ class PolicyArchive:
         return len(self.parameters)
 
     def __repr__(self) -> str:
-        """Show what it is, not its numbers."""
+        """Show the number of policies, the axes and the preset."""
         axes = ", ".join(self.characteristics)
         return f"<PolicyArchive {self.name!r}: {len(self)} {self.planner} policies, {axes}, preset {self.preset!r}>"
 
@@ -181,7 +181,7 @@ class PolicyArchive:
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 of all that decides how a game with this archive goes: policies and coordinates, but not its name."""
+        """SHA-256 of the policies and their coordinates; the name is not part of it."""
         digest = hashlib.sha256()
         for text in (self.planner, *self.parameter_names, *self.characteristics):
             digest.update(f"{len(text)} {text};".encode())
@@ -252,14 +252,14 @@ class PolicyArchive:
         return Policy(get_planner(self.planner), self.parameters[at], f"{self.name}[{at}]")
 
     def explored_policy(self, index: int) -> Policy:
-        """Return one of the policies that were evaluated on the way."""
+        """Return one of the explored policies."""
         explored: Any = self.explored_parameters
         at = int(check_indices(np.asarray(index), "explored policy index", len(explored)))
         return Policy(get_planner(self.planner), explored[at], f"{self.name}:explored[{at}]")
 
     @property
     def explored(self) -> Explored:
-        """Everything that was evaluated on the way; may be empty."""
+        """All policies evaluated during the synthesis; may be empty."""
         return Explored(self.explored_parameters, self.explored_coordinates, self.explored_own_crash)
 
     def select(self, by: str = "middle") -> int:
@@ -329,17 +329,17 @@ class PolicyArchive:
         return self.characteristics.index(name)
 
 
-def check_indices(values: NDArray[Any], what: str, below: int) -> Indices:
+def check_indices(values: NDArray[Any], name: str, below: int) -> Indices:
     """Return whole numbers from 0 to ``below - 1`` as int64.
 
     Raises
     ------
     InputError
-        If they are anything else; ``what`` names them.
+        If they are anything else; ``name`` stands in the message.
     """
     if values.dtype.kind not in "iu":
-        raise InputError(f"{what} is {values!r}; it must be a whole number")
+        raise InputError(f"{name} is {values!r}; it must be a whole number")
     wrong = (values < 0) | (values >= below)
     if wrong.any():
-        raise InputError(f"{what} is {values[wrong].flat[0]}; it must lie in 0 to {below - 1}")
+        raise InputError(f"{name} is {values[wrong].flat[0]}; it must lie in 0 to {below - 1}")
     return values.astype(np.int64)

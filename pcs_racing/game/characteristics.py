@@ -1,8 +1,7 @@
-"""Policy characteristics: numbers that say how a policy drives, estimated from the trajectories that it produced.
+"""Policy characteristics: numbers that describe how a policy drives, estimated from its trajectories.
 
-A characteristic maps a piece of racing (the state before and after it) to one value per race and car; a policy's
-coordinate in
-the Policy Characteristic Space is the mean over races (Remark 1 of the paper). All axes point up: more is more.
+A characteristic maps a segment of racing (the states before and after it) to one value per race and car; a policy's
+coordinate in the Policy Characteristic Space is the mean over races (Remark 1 of the paper).
 """
 
 from collections.abc import Callable, Sequence
@@ -33,12 +32,12 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A piece of a batch of races: what each car did between two moments.
+    """A segment of a batch of races: each car's progress and running sums between two moments.
 
     Attributes
     ----------
     progress : ndarray, shape (B, 2)
-        Progress of each car during the piece, m.
+        Progress of each car during the segment, m.
     sums : ndarray, shape (B, 2, 6)
         Growth of the running sums (:data:`pcs_racing.race.state.SUMS`).
     time : ndarray, shape (B,)
@@ -54,7 +53,7 @@ class Segment:
 
     @classmethod
     def between(cls, before: RaceState, after: RaceState, duration: float) -> "Segment":
-        """Return the piece between two states of the same races."""
+        """Return the segment between two states of the same races."""
         return cls(
             after.progress - before.progress,
             after.sums - before.sums,
@@ -70,7 +69,7 @@ class Characteristic:
     Attributes
     ----------
     name : str
-        What tables call it.
+        Name in tables and settings.
     unit : str
         Its unit.
     meaning : str
@@ -126,7 +125,7 @@ _registered: dict[str, Characteristic] = {}
 
 
 def register_characteristic(characteristic: Characteristic) -> None:
-    """Make a characteristic available by name.
+    """Register a characteristic under its name.
 
     Raises
     ------
@@ -154,7 +153,7 @@ def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
     UnknownNameError
         If a name is not registered.
     InputError
-        If there is none, or one stands twice.
+        If the list is empty or holds a name twice.
     """
     texts = not isinstance(names, str) and all(isinstance(name, str) for name in names)
     if not texts or len(names) == 0 or len(set(names)) != len(names):
@@ -166,5 +165,5 @@ def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
 
 
 def measure(segment: Segment, characteristics: Sequence[Characteristic]) -> NDArray[np.float64]:
-    """Evaluate characteristics on a piece of racing, shape (B, 2, |G|)."""
+    """Evaluate characteristics on a segment, shape (B, 2, |G|)."""
     return np.stack([characteristic.evaluate(segment) for characteristic in characteristics], axis=-1)

@@ -1,4 +1,4 @@
-"""Moves between the policies of an archive: a little more or less of one characteristic.
+"""Moves between the policies of an archive: more or less of one characteristic.
 
 A move asks for the point a step farther along one normalised axis and leads to the policy of the archive that is
 nearest to it. It starts from the policy in use, not from the point that an earlier move asked for.
@@ -15,6 +15,7 @@ from pcs_racing.game.archive import PolicyArchive, check_indices
 
 __all__ = [
     "EPSILON",
+    "STAY",
     "check_epsilon",
     "duplicate_moves",
     "duplicate_share",
@@ -27,7 +28,10 @@ __all__ = [
 Indices = NDArray[np.int64]
 
 EPSILON = 0.5
-"""How far a move goes unless the game says otherwise: half of the archive's range on an axis."""
+"""Default length of a move: half of the archive's range on an axis."""
+
+STAY = "stay"
+"""Name of the move that keeps the policy; where there is one, it comes last."""
 
 
 def move(archive: PolicyArchive, index: ArrayLike, axis: ArrayLike, sign: ArrayLike, epsilon: ArrayLike) -> Indices:
@@ -48,12 +52,12 @@ def move(archive: PolicyArchive, index: ArrayLike, axis: ArrayLike, sign: ArrayL
     Raises
     ------
     InputError
-        If one of them is impossible.
+        If an index, a sign or an epsilon is out of its range.
     """
-    given = np.broadcast_arrays(index, axis, sign, epsilon)
-    policies = check_indices(given[0], "index", len(archive))
-    axes = check_indices(given[1], "axis", len(archive.characteristics))
-    signs, steps = np.asarray(given[2], np.float64), np.asarray(given[3], np.float64)
+    arrays = np.broadcast_arrays(index, axis, sign, epsilon)
+    policies = check_indices(arrays[0], "index", len(archive))
+    axes = check_indices(arrays[1], "axis", len(archive.characteristics))
+    signs, steps = np.asarray(arrays[2], np.float64), np.asarray(arrays[3], np.float64)
     if not np.isin(signs, (-1.0, 1.0)).all():
         raise InputError(f"sign is {signs[~np.isin(signs, (-1.0, 1.0))][0]:g}; it must be 1 or -1")
     if not np.isfinite(steps).all() or (steps < 0.0).any():
@@ -70,14 +74,14 @@ def move_table(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILO
     The moves of the first epsilon come first: characteristic 0 more, characteristic 0 less, characteristic 1 more, and
     so on; then those of the next epsilon; the move that keeps the policy, if there is one, comes last.
     """
-    here = np.arange(len(archive))
+    policies = np.arange(len(archive))
     columns = [
-        move(archive, here, axis, sign, step)
+        move(archive, policies, axis, sign, step)
         for step in check_epsilon(epsilon)
         for axis in range(len(archive.characteristics))
         for sign in (1, -1)
     ]
-    return np.stack([*columns, here] if stay else columns, axis=1)
+    return np.stack([*columns, policies] if stay else columns, axis=1)
 
 
 def move_names(
@@ -93,7 +97,7 @@ def move_names(
         for axis in archive.characteristics
         for sign in "+-"
     ]
-    return (*names, "stay") if stay else tuple(names)
+    return (*names, STAY) if stay else tuple(names)
 
 
 def no_op_share(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON) -> float:
@@ -122,11 +126,11 @@ def check_epsilon(epsilon: Any) -> tuple[float, ...]:
     """
     single = isinstance(epsilon, int | float | np.integer | np.floating)
     try:
-        given = (epsilon,) if single else tuple(epsilon)
-        steps = tuple(float(e) for e in given)
-        good = all(not isinstance(e, bool | str) for e in given) and all(0.0 < e <= 10.0 for e in steps)
+        lengths = (epsilon,) if single else tuple(epsilon)
+        steps = tuple(float(e) for e in lengths)
+        valid = all(not isinstance(e, bool | str) for e in lengths) and all(0.0 < e <= 10.0 for e in steps)
     except (TypeError, ValueError, OverflowError):
-        steps, good = (), False
-    if not good or not steps or len(set(steps)) != len(steps):
+        steps, valid = (), False
+    if not valid or not steps or len(set(steps)) != len(steps):
         raise InputError(f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones")
     return steps

@@ -48,13 +48,10 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track, load_track
 
-__all__ = ["STAY", "GameState", "RaceGame", "check_moves", "make_game"]
+__all__ = ["GameState", "RaceGame", "check_moves", "make_game"]
 
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
-
-STAY = "stay"
-"""Name of the move that keeps the policy; where the rules offer it, it is the last one."""
 
 OUTSIDE = -1
 """In a state's ``policy``: a driver from outside the archive."""

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pcs_racing.base.checks import is_whole
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.dense import dense_forward, weight_count
 from pcs_racing.base.errors import InputError
@@ -67,7 +68,7 @@ def network_inputs(track, view, out):  # type: ignore[no-untyped-def]
     """Write the network's inputs (:data:`INPUTS`) for a driver's view into ``out``, shape (16,)."""
     v = view[_view.OWN_V]
     s = view[_view.OWN_S]
-    here = track.line[line_index(track, s)]
+    own_place = track.line[line_index(track, s)]
     near = track.line[line_index(track, s + 0.5 + 0.15 * v)]
     far = track.line[line_index(track, s + 1.5 + 0.45 * v)]
     profile = track.line[line_index(track, s + 0.1 * v), _frenet.SPEED]
@@ -77,14 +78,14 @@ def network_inputs(track, view, out):  # type: ignore[no-untyped-def]
     out[1] = view[_view.OWN_DELTA] / view[_view.STEER_MAX]
     out[2] = view[_view.OWN_PSI_DOT] / 5.0
     out[3] = view[_view.OWN_D]
-    out[4] = angle_between(view[_view.OWN_PSI] + view[_view.OWN_BETA], here[_frenet.PSI])
-    out[5] = here[_frenet.KAPPA]
+    out[4] = angle_between(view[_view.OWN_PSI] + view[_view.OWN_BETA], own_place[_frenet.PSI])
+    out[5] = own_place[_frenet.KAPPA]
     out[6] = near[_frenet.KAPPA]
     out[7] = far[_frenet.KAPPA]
     out[8] = view[_view.SPEED_HIGH] * profile / 8.0
     out[9] = view[_view.SPEED_HIGH] * far[_frenet.SPEED] / 8.0
-    out[10] = 0.5 * (here[_frenet.RIGHT] + view[_view.OWN_D])
-    out[11] = 0.5 * (here[_frenet.LEFT] - view[_view.OWN_D])
+    out[10] = 0.5 * (own_place[_frenet.RIGHT] + view[_view.OWN_D])
+    out[11] = 0.5 * (own_place[_frenet.LEFT] - view[_view.OWN_D])
     out[12] = nearness
     out[13] = nearness * gap / 4.0
     out[14] = nearness * (view[_view.OPP_D] - view[_view.OWN_D])
@@ -179,7 +180,7 @@ def network_planner(
     ('layer0_bias_neuron3', 'layer0_speed_neuron0')
     """
     for width in hidden:
-        if isinstance(width, bool) or not isinstance(width, int | np.integer) or width < 1:
+        if not is_whole(width) or width < 1:
             raise InputError(
                 f"network {name!r} has a hidden layer of width {width!r}; it must be a whole number from 1 on"
             )
@@ -231,7 +232,7 @@ def check_driver(name: str, sizes: Sequence[int], weights: ArrayLike | None, hol
         raise InputError(
             f"network {name!r} has a weight of {wrong[0]:g}; it must lie in [{-WEIGHT_LIMIT:g}, {WEIGHT_LIMIT:g}]"
         )
-    if isinstance(hold, bool) or not isinstance(hold, int) or not 2 <= hold <= 100 or hold % 2:
+    if not is_whole(hold) or not 2 <= hold <= 100 or hold % 2:
         raise InputError(
             f"network {name!r} holds its decisions for {hold!r} steps; it must be an even number, 2 to 100"
         )

@@ -2,7 +2,7 @@
 
 The planners of this package are listed in :data:`SHIPPED`. Others get a name in one of two ways: a distribution
 declares it in the entry point group ``pcs_racing.planners``, or a program calls :func:`register_planner`. A planner is
-imported when somebody asks for its name, not before.
+imported when its name is used for the first time.
 """
 
 from functools import lru_cache
@@ -31,7 +31,7 @@ _places: dict[str, str] = dict(SHIPPED)
 
 
 def register_planner(planner: Planner | str, *, name: str | None = None) -> None:
-    """Make a planner known by its name in this process; registering the same one again changes nothing.
+    """Register a planner under its name in this process; registering the same one again changes nothing.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def register_planner(planner: Planner | str, *, name: str | None = None) -> None
     Raises
     ------
     InputError
-        If the name is missing, can't be told from the rest of a policy's text, or belongs to another planner already.
+        If the name is missing, holds signs that separate parts of a policy's text, or belongs to another planner.
     """
     if isinstance(planner, Planner):
         name = planner.name
@@ -71,7 +71,7 @@ def get_planner(name: str) -> Planner:
     UnknownNameError
         If there is none; the message lists the names that exist.
     InputError
-        If what stands behind the name can't be imported or is no planner.
+        If the object of that name can't be imported or is no planner.
     """
     if name not in _planners:
         if name not in _declared():
@@ -88,7 +88,7 @@ def get_planner(name: str) -> Planner:
 
 
 def parse_policy(text: str) -> Policy:
-    """Make a policy from its text: the name of a planner, which may be followed by a variant or by parameters.
+    """Return the policy of a text: the name of a planner, which may be followed by a variant or by parameters.
 
     Parameters
     ----------
@@ -117,8 +117,8 @@ def parse_policy(text: str) -> Policy:
         if not equals:
             raise InputError(f"policy {text!r}: {setting!r} is not of the form parameter=value")
         if key not in planner.parameter_names:
-            known = choices(key, planner.parameter_names)
-            raise UnknownNameError(f"policy {text!r}: planner {name!r} has no parameter {key!r}; {known}")
+            suggestion = choices(key, planner.parameter_names)
+            raise UnknownNameError(f"policy {text!r}: planner {name!r} has no parameter {key!r}; {suggestion}")
         if key in values:
             raise InputError(f"policy {text!r} sets parameter {key!r} twice")
         try:
@@ -129,7 +129,7 @@ def parse_policy(text: str) -> Policy:
 
 
 def _declared() -> dict[str, str]:
-    """Where the planners are that have not been imported, by name."""
+    """Return the import paths of declared planners, by name."""
     return {**_entry_points(), **_places}
 
 

@@ -32,7 +32,7 @@ DRIVER_FORMAT = ArtifactFormat(
 
 
 def trained_planner(name: str, layers: DenseLayers, hold: int) -> Planner:
-    """Return a planner without parameters that drives as a network says.
+    """Return a planner without parameters whose commands are the outputs of a network.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def save_driver(folder: str | Path, layers: DenseLayers, *, name: str, hold: int
         "name": name,
         "inputs": list(INPUTS),
         "hidden": list(layers.hidden),
-        "hold": hold,
+        "hold": int(hold),
         "top_speed": TOP_SPEED,
         "training": dict(training),
     }
@@ -105,7 +105,7 @@ def load_driver(source: str | Path = NAME) -> Planner:
 
 
 def __getattr__(name: str) -> Any:
-    """``PPO_DRIVE``, the shipped planner, read when it is first asked for."""
+    """``PPO_DRIVE``, the shipped planner, loaded at its first use."""
     if name != "PPO_DRIVE":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = load_driver(NAME)

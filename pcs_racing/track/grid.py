@@ -292,24 +292,24 @@ def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
             queue[size] = rows[k] * width + cols[k]
             size += 1
     at = 0
-    here = np.int64(queue[0])
+    cell = np.int64(queue[0])
     while at < size:
-        here = np.int64(queue[at])
+        cell = np.int64(queue[at])
         at += 1
-        i, j = divmod(here, width)
+        i, j = divmod(cell, width)
         if i == 0 or j == 0 or i == height - 1 or j == width - 1:
             break
         for side in range(4):
             ni = i + (side == 2) - (side == 0)
             nj = j + (side == 1) - (side == 3)
             if parent[ni, nj] == -2 and not occupied[ni, nj]:
-                parent[ni, nj] = here
+                parent[ni, nj] = cell
                 queue[size] = ni * width + nj
                 size += 1
-    way = [here]
-    while parent[here // width, here % width] >= 0:
-        here = np.int64(parent[here // width, here % width])
-        way.append(here)
+    way = [cell]
+    while parent[cell // width, cell % width] >= 0:
+        cell = np.int64(parent[cell // width, cell % width])
+        way.append(cell)
     out = np.empty((len(way), 2), dtype=np.int64)
     for k in range(len(way)):
         out[k, 0] = way[k] // width

@@ -125,29 +125,29 @@ def parse_info(file: Path, data: bytes) -> dict[str, Any]:
     return values
 
 
-def _check_calibration(file: Path, what: str, own: Any) -> None:
+def _check_calibration(file: Path, label: str, own: Any) -> None:
     keys = ("speed_range", "start_spacing", "start_places", "left_share")
     if not isinstance(own, dict) or own.keys() != set(keys):
-        raise MapError(f"{file}: {what} must have the keys {', '.join(keys)}, got {own!r:.80}")
-    _range(file, f"speed_range in the {what}", own["speed_range"], 10.0)
-    _number(file, f"start_spacing in the {what}", own["start_spacing"], 0.0, 10.0)
-    _number(file, f"left_share in the {what}", own["left_share"], 0.0, 1.0)
+        raise MapError(f"{file}: {label} must have the keys {', '.join(keys)}, got {own!r:.80}")
+    _range(file, f"speed_range in the {label}", own["speed_range"], 10.0)
+    _number(file, f"start_spacing in the {label}", own["start_spacing"], 0.0, 10.0)
+    _number(file, f"left_share in the {label}", own["left_share"], 0.0, 1.0)
     places = own["start_places"]
     if not isinstance(places, dict) or not 0 < len(places) <= 2 or not all(isinstance(side, str) for side in places):
-        raise MapError(f"{file}: start_places in the {what} must list stretches for each side, got {places!r:.80}")
+        raise MapError(f"{file}: start_places in the {label} must list stretches for each side, got {places!r:.80}")
     for side, stretches in places.items():
-        _check_stretches(file, f"start_places {side} in the {what}", stretches)
+        _check_stretches(file, f"start_places {side} in the {label}", stretches)
 
 
-def _check_stretches(file: Path, what: str, stretches: Any) -> None:
+def _check_stretches(file: Path, label: str, stretches: Any) -> None:
     if not isinstance(stretches, list) or not 0 < len(stretches) <= MAX_POINTS:
-        raise MapError(f"{file}: {what} must list [first, last], got {stretches!r:.80}")
+        raise MapError(f"{file}: {label} must list [first, last], got {stretches!r:.80}")
     before = -1.0
     for stretch in stretches:
         ok = isinstance(stretch, list) and len(stretch) == 2
         ok = ok and all(map(is_number, stretch))
         if not ok or not before < stretch[0] <= stretch[1] <= 1e5:
-            raise MapError(f"{file}: {what} must be [first, last] in m, one after the other, got {stretch!r:.80}")
+            raise MapError(f"{file}: {label} must be [first, last] in m, one after the other, got {stretch!r:.80}")
         before = stretch[1]
 
 

@@ -128,12 +128,12 @@ def find_shipped(name: str) -> Path:
     UnknownNameError
         If there is no circuit of that name; the message lists all names.
     """
-    known = list_tracks()
-    for candidate in known:
+    tracks = list_tracks()
+    for candidate in tracks:
         if candidate.lower() == name.lower():
             return shipped_folder() / candidate
     raise UnknownNameError(
-        f"unknown track {name!r}: neither a map folder nor one of the shipped tracks ({', '.join(known) or 'none'})"
+        f"unknown track {name!r}: neither a map folder nor one of the shipped tracks ({', '.join(tracks) or 'none'})"
     )
 
 
@@ -153,15 +153,15 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
     folder = Path(path)
     # The functions of os answer no where those of Path raise errors: for names that no file can have.
     if os.path.isfile(folder) and folder.suffix in (".yaml", ".yml"):
-        chosen = folder
+        yaml_file = folder
         folder = folder.parent
     elif os.path.isdir(folder):
-        chosen = _map_yaml(folder)
+        yaml_file = _map_yaml(folder)
     else:
         raise MapError(f"no map folder at {folder}: it must be a folder that holds a *_map.yaml and its picture")
-    name = chosen.stem.removesuffix("_map")
+    name = yaml_file.stem.removesuffix("_map")
     optional = (folder / f"{name}_{kind}" for kind in ("centerline.csv", "raceline.csv", "track.yaml"))
-    return MapFiles(name, folder, chosen, *(file if file.is_file() else None for file in optional))
+    return MapFiles(name, folder, yaml_file, *(file if file.is_file() else None for file in optional))
 
 
 def read_map(path: str | os.PathLike[str]) -> MapFolder:
@@ -243,15 +243,15 @@ def write_map(content: MapFolder) -> Path:
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".map-") as temporary:
-            made = Path(temporary) / "map"
-            made.mkdir()
+            new = Path(temporary) / "map"
+            new.mkdir()
             for file, data in files.items():
-                (made / file).write_bytes(data)
+                (new / file).write_bytes(data)
             if folder.exists():
                 for file in files:
-                    os.replace(made / file, folder / file)
+                    os.replace(new / file, folder / file)
             else:
-                os.rename(made, folder)
+                os.rename(new, folder)
     except OSError as error:
         raise MapError(f"can't write {folder}: {error.strerror or error}") from error
     return folder
@@ -298,16 +298,16 @@ def _map_yaml(folder: Path) -> Path:
     if own.is_file():
         return own
     everything = sorted(file for pattern in ("*.yaml", "*.yml") for file in folder.glob(pattern) if file.is_file())
-    found = [file for file in everything if file.stem.endswith("_map")]
-    if not found:
+    maps = [file for file in everything if file.stem.endswith("_map")]
+    if not maps:
         others = [file for file in everything if not file.stem.endswith("_track")]
-        found = [file for file in others if "image" in parse_yaml(file, _bytes(file, MAX_YAML))]
-    if len(found) > 1:
-        names = ", ".join(file.name for file in found)
+        maps = [file for file in others if "image" in parse_yaml(file, _bytes(file, MAX_YAML))]
+    if len(maps) > 1:
+        names = ", ".join(file.name for file in maps)
         raise MapError(f"{folder} holds several maps ({names}): name one of these files instead of the folder")
-    if not found:
+    if not maps:
         raise MapError(f"{folder} holds no map: {own.name}, or any one *_map.yaml as ROS writes it, is needed")
-    return found[0]
+    return maps[0]
 
 
 def _picture(files: MapFiles, ros: dict[str, Any]) -> Path:
@@ -315,12 +315,12 @@ def _picture(files: MapFiles, ros: dict[str, Any]) -> Path:
     file = files.folder / ros["image"]
     try:
         inside = file.resolve().is_relative_to(files.folder.resolve())
-        there = inside and file.is_file()
+        exists = inside and file.is_file()
     except (OSError, ValueError, RuntimeError):  # a name too long, with a zero in it, or a loop of links
-        inside, there = True, False
+        inside, exists = True, False
     if not inside:
         raise MapError(f"{files.yaml}: image {ros['image']!r} lies outside the map's folder; put the picture beside it")
-    if not there:
+    if not exists:
         raise MapError(f"{files.yaml}: image {ros['image']!r} is not there; it must name a picture in the folder")
     return file
 

@@ -207,21 +207,21 @@ def build_track(
     MapError
         If a value is not allowed, or if the lines and the grid do not fit together.
     """
-    what = f"track {name}"
-    grid, resolution, corner = check_grid(occupied, resolution, origin, what)
-    center = check_centerline(centerline, f"{what}: the centre line")
-    arrays, drivable = build_arrays(grid, resolution, corner, check_line(raceline_xy, f"{what}: the race line"), what)
-    _check_centre(arrays, center, f"{what}: the centre line")
+    label = f"track {name}"
+    grid, resolution, corner = check_grid(occupied, resolution, origin, label)
+    center = check_centerline(centerline, f"{label}: the centre line")
+    arrays, drivable = build_arrays(grid, resolution, corner, check_line(raceline_xy, f"{label}: the race line"), label)
+    _check_centre(arrays, center, f"{label}: the centre line")
     for preset, own in (calibration or {}).items():
         last = max(stretches[-1][1] for stretches in own.start_places.values())
         if last >= arrays.length:
             raise MapError(
-                f"{what}: the calibration of {preset} has a start place at {last:g} m, but the race line is "
+                f"{label}: the calibration of {preset} has a start place at {last:g} m, but the race line is "
                 f"{arrays.length:.2f} m long; calibrate it again"
             )
     digest = hashlib.sha256(np.packbits(drivable).tobytes())
-    for part in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
-        digest.update(part.tobytes())
+    for array in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
+        digest.update(array.tobytes())
     return Track(name, arrays, _read_only(center), dict(calibration or {}), folder, digest.hexdigest())
 
 
@@ -297,8 +297,8 @@ def _stamp(paths: tuple[Path, ...]) -> tuple[tuple[int, int], ...] | None:
 def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
     """Return a track from the cache on disk, or build and cache it."""
     key = cache_key(contents, TRACK)
-    found = load_cached(TRACK, key)
-    restored = None if found is None else _restore(files, found)
+    arrays = load_cached(TRACK, key)
+    restored = None if arrays is None else _restore(files, arrays)
     if restored is not None:
         track, note = restored
     else:
@@ -373,13 +373,13 @@ def _flatten(track: Track, note: str) -> dict[str, Any]:
     }
 
 
-def _restore(files: MapFiles, found: dict[str, NDArray[Any]]) -> tuple[Track, str] | None:
+def _restore(files: MapFiles, stored: dict[str, NDArray[Any]]) -> tuple[Track, str] | None:
     """Return the track of arrays from `_flatten`; None if an array is missing."""
     try:
-        drivable = np.unpackbits(found["drivable"], axis=1, count=int(found["columns"])).view(np.bool_)
-        note, content_hash, own = json.loads(str(found["text"]))
-        center = _read_only(found["centerline"])
-        values: dict[str, Any] = {name: found[name] for name in TrackArrays._fields if name != "distance"}
+        drivable = np.unpackbits(stored["drivable"], axis=1, count=int(stored["columns"])).view(np.bool_)
+        note, content_hash, own = json.loads(str(stored["text"]))
+        center = _read_only(stored["centerline"])
+        values: dict[str, Any] = {name: stored[name] for name in TrackArrays._fields if name != "distance"}
     except (KeyError, ValueError):
         return None
     for name, value in values.items():
@@ -390,7 +390,7 @@ def _restore(files: MapFiles, found: dict[str, NDArray[Any]]) -> tuple[Track, st
     return Track(files.name, arrays, center, calibration, files.folder, content_hash), note
 
 
-def _check_centre(arrays: TrackArrays, center: Floats, what: str) -> None:
+def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:
     """Raise an error unless the points of a centre line lie on the track."""
     cols, rows = np.floor((center[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell).astype(np.int64).T
     height, width = arrays.distance.shape
@@ -398,7 +398,7 @@ def _check_centre(arrays: TrackArrays, center: Floats, what: str) -> None:
     on[on] = arrays.distance[rows[on], cols[on]] > 0.0
     if not on.all():
         x, y = center[np.argmin(on), :2]
-        raise MapError(f"{what} leaves the track at ({x:.2f}, {y:.2f}): it must stay between the walls")
+        raise MapError(f"{label} leaves the track at ({x:.2f}, {y:.2f}): it must stay between the walls")
 
 
 def _read_only(values: Floats) -> Floats:

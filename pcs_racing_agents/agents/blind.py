@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.moves import STAY
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import FitSource, find_fit, fit_facts
-from pcs_racing_agents.agents.observing import Observations, moves_made, own
-from pcs_racing_agents.agents.setting import STAY, Setting
+from pcs_racing_agents.agents.observing import ObservationBatch, moves_made, own
+from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry
 
 __all__ = [
@@ -45,7 +46,7 @@ class ConstantStrategy:
 
     probabilities: Floats
 
-    def __call__(self, observation: Observations) -> Floats:
+    def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         return np.tile(self.probabilities, (len(observation), 1))
 
@@ -68,7 +69,7 @@ class OpenLoopStrategy:
     count: int
     axes: int
 
-    def __call__(self, observation: Observations) -> Floats:
+    def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         step = np.minimum(moves_made(observation, self.axes), len(self.sequence) - 1)
         return np.eye(self.count)[self.sequence[step]]
@@ -91,7 +92,7 @@ class WalkStrategy:
     archive: PolicyArchive
     count: int
 
-    def __call__(self, observation: Observations) -> Floats:
+    def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         policy = self.archive.nearest(own(observation, len(self.archive.characteristics)))
         return np.eye(self.count)[self.next_move[policy]]

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.artifacts import ManifestFormat
+from pcs_racing.base.checks import check_text, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing_agents.agents.setting import Setting
 
 __all__ = ["Fit", "FitSource", "find_fit", "fit_facts", "load_fit", "make_fit", "save_fit", "shipped_fits"]
@@ -32,25 +34,15 @@ class Fit:
         Name of the agent that it is for.
     choice : list of str, int, or dict of str to float
         Names of the moves; index of the policy; weights by name of the agent.
-    archive, archive_sha256 : str
-        The archive that it was chosen with.
-    race : str
-        Name of the race's rules.
-    epsilon : list of float
-        How far the moves went.
-    moves : int
-        Moves of a game.
+    game : GameIdentity
+        The game that it was made on; a file records no names of moves and elements.
     training : Mapping
         How it was chosen and what it reached: texts and numbers by name.
     """
 
     kind: str
     choice: Any
-    archive: str
-    archive_sha256: str
-    race: str
-    epsilon: list[float]
-    moves: int
+    game: GameIdentity
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -58,11 +50,8 @@ class Fit:
             raise UnknownNameError(f"fit of {self.kind!r} is unknown; there are fits of {', '.join(KINDS)}")
         if not isinstance(self.choice, KINDS[self.kind]) or isinstance(self.choice, bool):
             raise InputError(f"the choice of {self.kind} is {self.choice!r}; it must be {_wanted(self.kind)}")
-        for key in ("archive", "archive_sha256", "race"):
-            if not isinstance(getattr(self, key), str):
-                raise InputError(f"{key} is {getattr(self, key)!r}; it must be a text")
-        if not isinstance(self.epsilon, list) or not all(isinstance(step, float) for step in self.epsilon):
-            raise InputError(f"epsilon is {self.epsilon!r}; it must be a list of numbers")
+        if not isinstance(self.game, GameIdentity):
+            raise InputError(f"game is {self.game!r}; it must be a GameIdentity")
         if not isinstance(self.training, Mapping):
             raise InputError(f"training is {self.training!r}; it must be a mapping")
 
@@ -74,36 +63,24 @@ class Fit:
         InputError
             If it was made with another archive, other moves, or another number of them.
         """
-        pairs = {
-            "archive": (self.archive_sha256, setting.archive.content_hash),
-            "epsilon": (list(self.epsilon), _epsilon(setting)),
-            "number of moves": (self.moves, setting.config.moves),
-        }
-        for what, (own, wanted) in pairs.items():
-            if own != wanted:
-                shown = [str(value)[:12] if what == "archive" else str(value) for value in (own, wanted)]
-                raise InputError(f"the fit of {self.kind} was made for {what} {shown[0]}; the game has {shown[1]}")
+        check_same_game(self.game, setting.identity, f"the fit of {self.kind}")
 
 
 def make_fit(kind: str, choice: Any, setting: Setting, training: Mapping[str, Any]) -> Fit:
     """Return a choice for a setting."""
-    archive = setting.archive
-    return Fit(
-        kind,
-        choice,
-        archive.name,
-        archive.content_hash,
-        setting.race,
-        _epsilon(setting),
-        setting.config.moves,
-        dict(training),
-    )
+    return Fit(kind, choice, setting.identity._replace(elements=(), moves=()), dict(training))
 
 
 def save_fit(fit: Fit, path: str | Path) -> Path:
     """Write a fit as YAML; the file appears whole or not at all."""
-    fields = {key: getattr(fit, key) for key in FIT_FORMAT.keys}
-    FIT_FORMAT.write(Path(path), {**fields, "training": dict(fit.training)})
+    game = {
+        "archive": fit.game.archive,
+        "archive_sha256": fit.game.archive_sha256,
+        "race": fit.game.preset,
+        "epsilon": list(fit.game.epsilon),
+        "moves": fit.game.decisions,
+    }
+    FIT_FORMAT.write(Path(path), {"kind": fit.kind, "choice": fit.choice, **game, "training": dict(fit.training)})
     return Path(path)
 
 
@@ -119,7 +96,7 @@ def load_fit(path: str | Path) -> Fit:
         raise InputError(f"fit {path!r} must be the path of a file")
     fields = FIT_FORMAT.read(path)
     try:
-        return Fit(**fields)
+        return Fit(fields["kind"], fields["choice"], _recorded_game(fields), fields["training"])
     except InputError as error:
         raise type(error)(f"{path}: {error}") from None
 
@@ -165,9 +142,14 @@ def fit_facts(fit: Fit) -> dict[str, str]:
     return {"trained on": trained or "not said"}
 
 
-def _epsilon(setting: Setting) -> list[float]:
-    epsilon = setting.config.epsilon
-    return list(epsilon) if isinstance(epsilon, tuple) else [epsilon]
+def _recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
+    """Return the identity of the game that a file records."""
+    archive, digest, preset = (check_text(key, fields[key]) for key in ("archive", "archive_sha256", "race"))
+    epsilon = fields["epsilon"]
+    if not isinstance(epsilon, list) or not all(isinstance(length, float) for length in epsilon):
+        raise InputError(f"epsilon is {epsilon!r}; it must be a list of numbers")
+    decisions = check_whole("moves", fields["moves"], 1)
+    return GameIdentity((), (), tuple(epsilon), archive, digest, preset, decisions)
 
 
 def _wanted(kind: str) -> str:

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.decisions import get_decision
-from pcs_racing_agents.agents.observing import Observations
+from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build_member
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network
 
@@ -54,7 +54,7 @@ class NetworkStrategy:
     def __post_init__(self) -> None:
         get_decision(self.decision)
 
-    def __call__(self, observation: Observations) -> Floats:
+    def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         values = self.network.unclipped(observation)
         probabilities = np.zeros((len(observation), self.count))
@@ -81,7 +81,7 @@ class AdaptiveStrategy:
     blind: Agent
     margin: float
 
-    def __call__(self, observation: Observations) -> Floats:
+    def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         default = self.blind.probabilities(observation)
         values = np.zeros(default.shape)
@@ -123,19 +123,7 @@ def fitting_network(source: NetworkSource, setting: Setting, kind: str, agent: s
                 "one with 'pcs-racing train' and give it as network=FOLDER"
             )
     network = load_network(source)
-    epsilon = setting.config.epsilon
-    identity = GameIdentity(
-        elements=setting.elements,
-        moves=setting.moves,
-        epsilon=epsilon if isinstance(epsilon, tuple) else (epsilon,),
-        archive=setting.archive.name,
-        archive_sha256=setting.archive.content_hash,
-        preset=setting.race,
-    )
-    try:
-        network.check_identity(identity, "the game")
-    except InputError as error:
-        raise InputError(f"agent {agent!r}: {error}") from None
+    check_same_game(network.identity, setting.identity, f"agent {agent!r}: network {network.name!r}")
     return network
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.networks.identity import GameIdentity
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.torch_layers import layers_from_torch
 

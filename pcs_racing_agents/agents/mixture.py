@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import FitSource, find_fit, fit_facts
-from pcs_racing_agents.agents.observing import Observations, earlier, moves_made, own
+from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_made, own
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build_member
 
@@ -40,7 +40,7 @@ class Mixture:
     weights: Floats
     setting: Setting
 
-    def __call__(self, observation: Observations) -> Floats:
+    def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         steps = moves_made(observation, self._axes)
         probabilities = np.zeros((len(observation), len(self.setting.moves)))
@@ -53,7 +53,7 @@ class Mixture:
     def _axes(self) -> int:
         return len(self.setting.archive.characteristics)
 
-    def _at(self, observation: Observations, step: int) -> Floats:
+    def _at(self, observation: ObservationBatch, step: int) -> Floats:
         """Probabilities of the moves for observations at one step."""
         archive, axes = self.setting.archive, self._axes
         posterior = np.tile(self.weights, (len(observation), 1))

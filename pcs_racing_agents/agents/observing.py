@@ -9,41 +9,41 @@ G of the game's axes.
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Observations", "earlier", "moves_made", "opponent", "own", "step_count"]
+__all__ = ["ObservationBatch", "earlier", "moves_made", "opponent", "own", "step_count"]
 
-Observations = NDArray[np.float32]
+ObservationBatch = NDArray[np.float32]
 
 
-def step_count(observation: Observations, axes: int) -> int:
+def step_count(observation: ObservationBatch, axes: int) -> int:
     """Number of steps in an observation: one more than there are moves."""
     return (observation.shape[-1] - 1) // (2 * axes + 2)
 
 
-def _blocks(observation: Observations, axes: int) -> Observations:
+def _blocks(observation: ObservationBatch, axes: int) -> ObservationBatch:
     return observation[:, :-1].reshape(len(observation), step_count(observation, axes), 2 * axes + 2)
 
 
-def moves_made(observation: Observations, axes: int) -> NDArray[np.int64]:
+def moves_made(observation: ObservationBatch, axes: int) -> NDArray[np.int64]:
     """Moves made so far, shape (B,)."""
     return (_blocks(observation, axes)[..., -1] > 0.5).sum(axis=1) - 1
 
 
-def own(observation: Observations, axes: int, step: int | None = None) -> Observations:
+def own(observation: ObservationBatch, axes: int, step: int | None = None) -> ObservationBatch:
     """Own normalised coordinates in a step, by default in the last one that is over, shape (B, G)."""
     return _coordinates(observation, axes, step, 0)
 
 
-def opponent(observation: Observations, axes: int, step: int | None = None) -> Observations:
+def opponent(observation: ObservationBatch, axes: int, step: int | None = None) -> ObservationBatch:
     """Measured coordinates of the opponent in a step, by default in the last one that is over, shape (B, G)."""
     return _coordinates(observation, axes, step, axes)
 
 
-def _coordinates(observation: Observations, axes: int, step: int | None, first: int) -> Observations:
+def _coordinates(observation: ObservationBatch, axes: int, step: int | None, first: int) -> ObservationBatch:
     index = moves_made(observation, axes) if step is None else np.full(len(observation), step)
     return _blocks(observation, axes)[np.arange(len(observation)), index, first : first + axes]
 
 
-def earlier(observation: Observations, axes: int, moves: int) -> Observations:
+def earlier(observation: ObservationBatch, axes: int, moves: int) -> ObservationBatch:
     """Return the observations after the given number of moves, shape (B, D)."""
     steps = step_count(observation, axes)
     before = observation.copy()

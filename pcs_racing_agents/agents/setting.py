@@ -1,4 +1,4 @@
-"""What an agent is made for: an archive, and the rules of the game that is played with it."""
+"""The archive and the rules of the game that an agent is made for."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,16 +10,13 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
 from pcs_racing.game.moves import move_names, move_table
-from pcs_racing.game.observation import observation_elements
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 
-__all__ = ["STAY", "Setting", "make_setting"]
-
-STAY = "stay"
+__all__ = ["Setting", "make_setting"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,20 +38,24 @@ class Setting:
     offered: int
 
     @cached_property
+    def identity(self) -> GameIdentity:
+        """The identity of the game, "stay" among its moves."""
+        return game_identity(self)
+
+    @property
     def moves(self) -> tuple[str, ...]:
         """Names of the M moves; the last one is "stay"."""
-        return move_names(self.archive, self.config.epsilon, True)
+        return self.identity.moves
 
     @cached_property
     def table(self) -> NDArray[np.int64]:
         """Where every move leads from every policy, shape (K, M)."""
         return move_table(self.archive, self.config.epsilon, True)
 
-    @cached_property
+    @property
     def elements(self) -> tuple[str, ...]:
         """Names of the D numbers of an observation."""
-        axes = get_characteristics(self.archive.characteristics)
-        return tuple(element.name for element in observation_elements(axes, self.config.moves))
+        return self.identity.elements
 
     @property
     def race(self) -> str:
@@ -75,26 +76,15 @@ class Setting:
                 return i
         raise InputError(f"{name!r} is no move; the moves are {', '.join(self.moves)}")
 
-    def check_fits(self, game: RaceGame, who: str) -> None:
+    def check_fits(self, game: RaceGame, agent: str) -> None:
         """Check that a game is played with this archive, the same moves and the same observations.
 
         Raises
         ------
         InputError
-            If it is not; the message says what differs.
+            If it is not; the message names the agent and the first difference.
         """
-        if game.archive.content_hash != self.archive.content_hash:
-            raise InputError(
-                f"agent {who!r} is made for archive {self.archive.name!r} ({self.archive.content_hash[:12]}), but the "
-                f"game is played with {game.archive.name!r} ({game.archive.content_hash[:12]}); make it for that one"
-            )
-        for what in ("epsilon", "moves"):
-            own, found = getattr(self.config, what), getattr(game.config, what)
-            if own != found:
-                raise InputError(
-                    f"agent {who!r} is made for games with {what} {own}, but this game has {what} {found}; make it for "
-                    "these rules"
-                )
+        check_same_game(self.identity, make_setting(game.archive, game.config).identity, f"agent {agent!r}")
 
 
 def make_setting(
@@ -112,7 +102,7 @@ def make_setting(
     Raises
     ------
     InputError
-        If a name is unknown or a value impossible.
+        If a name is unknown.
     """
     config = load_game_config(race)
     policies = load_archive(archive)

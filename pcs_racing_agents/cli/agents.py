@@ -4,6 +4,7 @@ import argparse
 
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.cli.options import Commands, add_command, add_preset
+from pcs_racing_agents.results.text_table import aligned
 
 __all__ = ["add"]
 
@@ -35,10 +36,9 @@ def run(arguments: argparse.Namespace) -> None:
     setting = make_setting(arguments.archive, arguments.preset)
     available, listed = entries(), names(setting.archive, setting.config)
     if arguments.agent is None:
-        width = max(map(len, listed))
-        for name in listed:
-            summary = available[name].summary if name in available else "makes the same move again and again"
-            print(f"{name.ljust(width)}  {summary}")
+        constant = "makes the same move again and again"
+        rows = [(name, available[name].summary if name in available else constant) for name in listed]
+        print("\n".join(aligned(rows, left=2)))
         return
     if arguments.agent not in listed:
         raise UnknownNameError(f"agent {arguments.agent!r} is unknown; there are: {', '.join(listed)}")

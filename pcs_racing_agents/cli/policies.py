@@ -5,6 +5,7 @@ import argparse
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing_agents.cli.options import Commands, add_command
+from pcs_racing_agents.results.text_table import aligned
 
 __all__ = ["add"]
 
@@ -31,8 +32,6 @@ def _describe(planner: Planner) -> str:
     lines = [planner.name]
     if planner.variants:
         lines.append(f"  variants: {', '.join(planner.variants)}")
-    width = max((len(name) for name in planner.parameter_names), default=0)
-    lines += [
-        f"  {p.name.ljust(width)}  {p.default:6g}  in [{p.low:g}, {p.high:g}]  {p.meaning}" for p in planner.parameters
-    ]
+    rows = [(p.name, f"{p.default:g}", f"in [{p.low:g}, {p.high:g}]", p.meaning) for p in planner.parameters]
+    lines += [f"  {line}" for line in aligned(rows)]
     return "\n".join(lines)

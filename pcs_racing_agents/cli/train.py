@@ -125,9 +125,10 @@ def run(arguments: argparse.Namespace) -> None:
 def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
     """Open folders of game trees; return the function that trains on them."""
     from pcs_racing_agents.jobs.jobs import show_progress
-    from pcs_racing_agents.networks.from_trees import train_on_trees, trees_identity
+    from pcs_racing_agents.networks.from_trees import train_on_trees
     from pcs_racing_agents.networks.metrics import TreeScore, score_table
     from pcs_racing_agents.trees import load_trees
+    from pcs_racing_agents.trees.storage import stored_identity
 
     stored = [load_trees(folder) for folder in folders]
     manifests = [trees.settings for trees in stored]
@@ -138,7 +139,7 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
         trained = train_on_trees(
             lambda number: index[number][0][index[number][1]],
             np.concatenate([np.asarray(trees.settings["pairs"]) for trees in stored]),
-            trees_identity(manifests[0]),
+            stored_identity(manifests[0]),
             settings,
             name=name,
             about=_about(manifests),
@@ -161,12 +162,11 @@ def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> 
     from pcs_racing_agents.jobs.jobs import show_progress
     from pcs_racing_agents.jobs.tasks import in_other_processes, run_task
     from pcs_racing_agents.networks.from_ego import check_ego_target, ego_score_table, train_on_ego
-    from pcs_racing_agents.networks.from_trees import trees_identity
     from pcs_racing_agents.networks.metrics import score_table
     from pcs_racing_agents.trees import load_ego_trees
     from pcs_racing_agents.trees.ego import join_ego
     from pcs_racing_agents.trees.ego_storage import KIND
-    from pcs_racing_agents.trees.storage import read_settings
+    from pcs_racing_agents.trees.storage import read_settings, stored_identity
 
     check_ego_target(settings)
     manifests = [read_settings(folder, KIND) for folder in folders]
@@ -177,7 +177,7 @@ def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> 
         elsewhere = in_other_processes(executor)
         train = partial(
             train_on_ego,
-            identity=trees_identity(manifests[0]),
+            identity=stored_identity(manifests[0]),
             settings=settings,
             name=name,
             about=_about(manifests),

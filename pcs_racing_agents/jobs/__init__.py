@@ -1,4 +1,4 @@
-"""Long work that can be stopped, goes on where it was, and runs anywhere.
+"""Long work on any executor that can be stopped and resumed.
 
 A *job* is a folder in which long work is done (:mod:`.jobs`, :mod:`.folders`). Its work consists of *tasks*: calls of a
 function with one argument each (:mod:`.tasks`). Tasks with the same function form a *group*; tasks that go on from each

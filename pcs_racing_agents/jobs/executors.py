@@ -17,6 +17,7 @@ from pathlib import Path
 from pickle import dumps, loads
 from typing import Any
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.jobs.folders import JobError, package_version
@@ -75,17 +76,15 @@ def make_executor(
     Raises
     ------
     InputError
-        If the kind or the number is impossible, no scheduler answers, it has no workers, or a worker runs on other
+        If there is no such kind, no scheduler answers, it has no workers, or a worker runs on other
         versions than this process.
     ModuleNotFoundError
         If dask is asked for and not installed.
     """
     if kind not in EXECUTORS:
         raise InputError(f"executor is {kind!r}; it must be one of {', '.join(EXECUTORS)}")
-    if workers is not None and (
-        isinstance(workers, bool) or not isinstance(workers, int) or not 1 <= workers <= 10_000
-    ):
-        raise InputError(f"workers is {workers!r}; it must be a whole number from 1 to 10000")
+    if workers is not None:
+        check_whole("workers", workers, 1, 10_000)
     if address is not None and kind != "dask":
         raise InputError(f"a scheduler's address ({address}) goes with the executor dask, not with {kind}")
     count = workers or default_threads()
@@ -103,7 +102,7 @@ def make_executor(
 
 
 def tasks_in_flight(executor: Executor | None) -> int:
-    """How many tasks to hand to an executor before waiting for the first: enough that no worker waits for the next."""
+    """Number of tasks to submit before waiting for the first result: enough that no worker is ever idle."""
     if executor is None:
         return 1
     client = _dask_client(executor)  # its workers come and go
@@ -121,13 +120,13 @@ def _dask_client(executor: Executor) -> Any:
 
 
 def is_lost(error: BaseException) -> bool:
-    """Whether an error says that workers are gone, rather than that a task failed."""
+    """Whether an error means that workers are gone, rather than that a task failed."""
     return isinstance(error, BrokenExecutor | CancelledError) or type(error).__module__.startswith("distributed.")
 
 
 @contextmanager
 def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Callable[..., Any]]:
-    """Return what to submit instead of a function so that a large one (a game, with its track) travels only once.
+    """Provide a ``submit`` function that sends a large function (a game, with its track) to the workers only once.
 
     Threads get the function itself. Other processes of this machine read it from a temporary file; a dask cluster
     passes it from worker to worker, and makes it again where the worker that had it is gone.
@@ -190,7 +189,7 @@ def _one_thread_each() -> Iterator[None]:
 
 
 def _prepare() -> None:
-    """Prepare a worker process: the parent hears Ctrl-C, and a worker whose parent was killed ends, too."""
+    """Prepare a worker process: Ctrl-C is left to the parent, and the worker ends if its parent is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:
@@ -245,7 +244,7 @@ def _client(make: Callable[..., Any], address: str) -> Any:
 
 
 def worker_identity() -> dict[str, str]:
-    """What must be the same on all machines for results to be the same to the byte, by name; "" if not installed."""
+    """Versions, by library, and the processor: equal ones on all machines give equal bytes; "" if not installed."""
     from llvmlite import binding
 
     def installed(name: str) -> str:
@@ -262,23 +261,24 @@ def worker_identity() -> dict[str, str]:
     }
 
 
-def _check_workers(found: dict[str, dict[str, str]]) -> None:
-    """Compare workers, by address, with this process."""
-    here = worker_identity()
-    for address, there in found.items():
-        for what, value in there.items():
-            if value == here[what] or "" in (value, here[what]):  # who needs what is missing says so
+def _check_workers(identities: dict[str, dict[str, str]]) -> None:
+    """Raise an error if a worker has other versions than this process; warn of another processor."""
+    own = worker_identity()
+    for address, other in identities.items():
+        for key, value in other.items():
+            if value == own[key] or "" in (
+                value,
+                own[key],
+            ):  # a task that needs a missing library fails with its own error
                 continue
-            if what != "processor":
-                raise InputError(
-                    f"the worker at {address} has {what} {value}, not {here[what]}; install the same there"
-                )
+            if key != "processor":
+                raise InputError(f"the worker at {address} has {key} {value}, not {own[key]}; install the same there")
             _log.warning(
                 "the worker at %s has a processor of another kind (%s, here %s): what is trained or searched there may "
                 "differ in the last bit from what one machine makes",
                 address,
                 value,
-                here[what],
+                own[key],
             )
 
 

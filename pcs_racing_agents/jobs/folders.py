@@ -1,4 +1,4 @@
-"""Folders that one process at a time works in, and that remember what for: the manifest and the lock of a job."""
+"""Folders of jobs: a manifest that records the settings, and a lock that admits one process at a time."""
 
 import os
 import re
@@ -27,12 +27,12 @@ _HALF_WRITTEN = re.compile(r"\..+\.[0-9a-f]{8}")
 
 
 class JobError(InputError):
-    """Long work can't go on here and now; what is done is kept, and the message says how to go on."""
+    """A job can't continue now; finished tasks are kept, and the message says how to continue."""
 
 
 @contextmanager
 def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Make a folder for some work, or take up the one where the same work was left, and keep other processes out.
+    """Create the folder of a job, or open that of an earlier run with the same settings, and lock it.
 
     Yields
     ------
@@ -73,7 +73,7 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
 
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[None]:
-    """Make a folder and keep other processes from working in it, without a manifest: for short work done in one go.
+    """Create and lock a folder without a manifest: for short work that is never resumed.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def clear_half_written(folder: Path) -> None:
 
 
 def read_job(file: Path) -> Any:
-    """Return what the manifest of a job holds, whatever that is.
+    """Return the content of a job's manifest, unchecked.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def _unusable(folder: Path, error: OSError) -> JobError:
 
 
 def _check_same(folder: Path, manifest: Mapping[str, Any]) -> bool:
-    """Return whether a folder holds this very work; False if it is empty."""
+    """Return whether a folder holds a run with this manifest; False if it is empty."""
     file = folder / "job.yaml"
     if not file.exists():
         others = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith("."))
@@ -133,38 +133,38 @@ def _check_same(folder: Path, manifest: Mapping[str, Any]) -> bool:
             raise InputError(f"{folder} holds {others[0]} but no job.yaml; choose a new or an empty folder")
         return False
     try:
-        found = read_job(file)
+        earlier = read_job(file)
     except InputError:
-        found = None
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
+        earlier = None
+    if not isinstance(earlier, dict) or earlier.get("format") != FORMAT:
         raise InputError(f"{file} is no manifest of a job; choose a new or an empty folder")
-    for key, what in (("version", "format version"), ("kind", "kind"), ("package", "package version")):
-        if found.get(key) != manifest[key]:
+    for key, noun in (("version", "format version"), ("kind", "kind"), ("package", "package version")):
+        if earlier.get(key) != manifest[key]:
             raise InputError(
-                f"{folder} holds another run: its {what} is {found.get(key)!r}, not {manifest[key]!r}; choose another "
-                "folder"
+                f"{folder} holds another run: its {noun} is {earlier.get(key)!r}, not {manifest[key]!r}; "
+                "choose another folder"
             )
-    difference = _difference(found.get("settings"), manifest["settings"], "")
+    difference = _difference(earlier.get("settings"), manifest["settings"], "")
     if difference is not None:
         raise InputError(f"{folder} holds another run: {difference}; choose another folder, or those settings")
     return True
 
 
-def _difference(found: Any, wanted: Any, where: str) -> str | None:
-    """Say where two plain values first differ."""
-    if isinstance(found, dict) and isinstance(wanted, dict):
-        for key in [*found, *(key for key in wanted if key not in found)]:
+def _difference(stored: Any, wanted: Any, where: str) -> str | None:
+    """Return a clause that names the first difference between two plain values; None if they are equal."""
+    if isinstance(stored, dict) and isinstance(wanted, dict):
+        for key in [*stored, *(key for key in wanted if key not in stored)]:
             inner = f"{where}.{key}" if where else str(key)
             if key not in wanted:
-                return f"its {inner} is {found[key]!r}, which these settings do not have"
-            if key not in found:
+                return f"its {inner} is {stored[key]!r}, which these settings do not have"
+            if key not in stored:
                 return f"it has no {inner}, which is {wanted[key]!r} in these settings"
-            difference = _difference(found[key], wanted[key], inner)
+            difference = _difference(stored[key], wanted[key], inner)
             if difference is not None:
                 return difference
         return None
-    same = yaml.safe_dump(found) == yaml.safe_dump(wanted)  # NaN is like NaN here, and 1 is not like true
-    return None if same else f"its {where or 'settings'} is {found!r}, not {wanted!r}"
+    same = yaml.safe_dump(stored) == yaml.safe_dump(wanted)  # NaN is like NaN here, and 1 is not like true
+    return None if same else f"its {where or 'settings'} is {stored!r}, not {wanted!r}"
 
 
 def _plain(value: Any, where: str) -> Any:

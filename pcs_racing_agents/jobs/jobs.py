@@ -1,4 +1,4 @@
-"""The one seam for long work: tasks that run anywhere, results kept in chunk files, and a stopped job that goes on.
+"""Jobs: tasks that run on any executor, results kept in chunk files, and stopped runs that resume.
 
 A job is a folder. ``job.yaml`` says what is being made there, ``chunks/`` holds the result of every task done so far,
 and a lock keeps a second process out. Whoever opens the folder again with the same settings takes the work up where it
@@ -108,7 +108,7 @@ class Job:
         JobError
             If a chunk can't be written, or the executor is broken.
         InputError
-            If the name is impossible or the function returns something else than arrays.
+            If the name holds other characters, or the function returns something else than arrays.
         """
         group = TaskGroup(self, name, function, arguments)
         return run_groups([group], executor=executor, progress=progress, keep=keep)[0]
@@ -122,7 +122,7 @@ class Job:
         executor: Executor | None = None,
         on_state: Callable[[int, Arrays], None] | None = None,
     ) -> list[Arrays]:
-        """Run chains of tasks, each of which goes on from the state that the one before it has left.
+        """Run chains of tasks: each task continues from the state that the previous one returned.
 
         Parameters
         ----------
@@ -282,10 +282,10 @@ def run_groups(
     return results
 
 
-def _plain_arrays(value: Any, what: str) -> Arrays:
+def _plain_arrays(value: Any, where: str) -> Arrays:
     arrays = {str(key): np.asarray(item) for key, item in value.items()} if isinstance(value, Mapping) else None
     if arrays is None or any(array.dtype == object for array in arrays.values()):
-        raise InputError(f"{what} returned {type(value).__name__}; it must return arrays and numbers by name")
+        raise InputError(f"{where} returned {type(value).__name__}; it must return arrays and numbers by name")
     return arrays
 
 
@@ -294,7 +294,7 @@ def _plain_arrays(value: Any, what: str) -> Arrays:
 
 @contextmanager
 def open_job(folder: str | Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Job]:
-    """Make a folder for long work, or take up work of the same kind and settings that was left there.
+    """Open the folder of a job: a new one, or one in which a run of the same kind and settings was stopped.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far long work is, as a line for people."""
+"""Progress of long work, as a line on the terminal."""
 
 import sys
 import time
@@ -7,7 +7,7 @@ from collections.abc import Callable
 __all__ = ["Progress", "show_line", "show_progress"]
 
 Progress = Callable[[int, int, str], None]
-"""``progress(done, total, what)``: called after every piece of work with how much of it is done."""
+"""``progress(done, total, label)``: called after every finished task."""
 
 
 def show_line() -> Callable[[str, bool], None]:
@@ -40,14 +40,14 @@ def show_progress(unit: str = "races") -> Progress:
     begin = time.monotonic()
     first: tuple[float, int] | None = None
 
-    def show(done: int, total: int, what: str) -> None:
+    def show(done: int, total: int, label: str) -> None:
         nonlocal first
         now = time.monotonic()
         if first is None:  # what was done before this run says nothing about its speed
             first = (now, done) if now - begin < 0.2 else (begin, 0)
         fresh = done - first[1]
         left = f", about {(now - first[0]) * (total - done) / fresh:.0f} s left" if fresh > 0 else ""
-        ahead = f"{left}: {what}" if done < total else ""
+        ahead = f"{left}: {label}" if done < total else ""
         say(f"{done}/{total} {unit}, {now - begin:.0f} s{ahead}", done >= total)
 
     return show

@@ -1,4 +1,4 @@
-"""Tasks, and how an executor runs them: a bounded number under way, results as they come, one error if workers die."""
+"""Tasks and their execution: a bounded number in flight, results as they come, one error if workers die."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -122,9 +122,9 @@ def run_task(function: Callable[[A], R], argument: A, executor: Executor | None,
 
 
 def in_other_processes(executor: Executor | None) -> Executor | None:
-    """Return an executor whose tasks run in other processes, else None: for work that a process does one at a time.
+    """Return the executor if its tasks run in other processes, else None.
 
-    What learns with torch is of that kind: its random generator and its number of threads belong to the process.
+    Training with torch needs it: torch's random generator and number of threads belong to the process.
     """
     return None if isinstance(executor, ThreadPoolExecutor) else executor
 

@@ -1,6 +1,5 @@
 """The regret approximator: training rows, the network, and how it is trained and judged."""
 
-from pcs_racing_agents.networks.identity import GameIdentity, game_identity
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network, save_network
 from pcs_racing_agents.networks.rows import Rows, join_rows
@@ -11,12 +10,10 @@ from pcs_racing_agents.networks.tree_rows import tree_rows
 
 __all__ = [
     "TARGETS",
-    "GameIdentity",
     "RegretNetwork",
     "Rows",
     "TrainSettings",
     "best_moves",
-    "game_identity",
     "join_rows",
     "list_networks",
     "load_network",

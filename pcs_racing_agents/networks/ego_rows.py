@@ -1,9 +1,8 @@
 """Values of the moves of ego trees, and training rows with them as targets.
 
-What a move is worth depends on what follows. ``"best"`` takes the best that could have followed: it knows the
-opponent's moves and the noise to come, as no driver does, so it is an upper bound. A continuation policy that sees
-observations only is not flattered; working backwards with one that was learned from the rows of later steps is fitted
-value iteration.
+The value of a move depends on what follows. ``"best"`` takes the best moves in hindsight: it knows the opponent's
+moves and the noise to come, as no driver does, so it is an upper bound. A continuation policy that sees observations
+only has no such bias; with policies learned from the rows of later steps it is fitted value iteration.
 """
 
 from collections.abc import Callable
@@ -23,19 +22,19 @@ Continuation = str | Callable[[NDArray[np.float32]], ArrayLike]
 
 
 def ego_values(trees: EgoTrees, continuation: Continuation = "best") -> list[tuple[Floats, Floats]]:
-    """Return what every move is worth, and what every situation is, if play goes on in a certain way.
+    """Return the values of all moves and situations under a continuation.
 
     Parameters
     ----------
     trees : EgoTrees
     continuation : "best" or callable
-        How car 0 goes on: as would have been best, or with the probabilities ``continuation(observations (n, D)) ->
+        Car 0's further moves: the best in hindsight, or with the probabilities ``continuation(observations (n, D)) ->
         (n, A)``.
 
     Returns
     -------
     list of (ndarray (R, A**k, A), ndarray (R, A**k))
-        For each step ``k`` the worth of each move, and the return of the continuation from there.
+        For each step ``k`` the value of each move, and the return of the continuation from there.
 
     Raises
     ------
@@ -49,16 +48,16 @@ def ego_values(trees: EgoTrees, continuation: Continuation = "best") -> list[tup
     for level in range(trees.moves - 1, -1, -1):
         q = value.reshape(len(trees), -1, trees.options)
         if callable(continuation):
-            seen = trees.observations(level)
-            given = np.asarray(continuation(seen.reshape(-1, seen.shape[-1])), np.float64)
-            if given.shape != (q.size // trees.options, trees.options) or not np.isfinite(given).all():
+            observations = trees.observations(level)
+            policy = np.asarray(continuation(observations.reshape(-1, observations.shape[-1])), np.float64)
+            if policy.shape != (q.size // trees.options, trees.options) or not np.isfinite(policy).all():
                 raise InputError(
-                    f"the continuation returned shape {given.shape} for {q.size // trees.options} observations; it "
+                    f"the continuation returned shape {policy.shape} for {q.size // trees.options} observations; it "
                     f"must return finite probabilities of {trees.options} moves"
                 )
-            if (given < 0.0).any() or not np.allclose(given.sum(axis=1), 1.0, atol=1e-4):
+            if (policy < 0.0).any() or not np.allclose(policy.sum(axis=1), 1.0, atol=1e-4):
                 raise InputError("the continuation's probabilities must be 0 or above and sum up to 1")
-            value = (q * given.reshape(q.shape)).sum(axis=-1)
+            value = (q * policy.reshape(q.shape)).sum(axis=-1)
         else:
             value = q.max(axis=-1)
         values.append((q, value))
@@ -66,7 +65,7 @@ def ego_values(trees: EgoTrees, continuation: Continuation = "best") -> list[tup
 
 
 def ego_rows(trees: EgoTrees, continuation: Continuation = "best") -> Rows:
-    """Return training rows: what car 0 saw, and what each move was worth (:func:`ego_values`).
+    """Return training rows: car 0's observations, and the values of its moves (:func:`ego_values`).
 
     Situations that histories of the same policies share are one row; its weight is the probability to get there with
     moves at random. Races that are over give none.
@@ -74,9 +73,9 @@ def ego_rows(trees: EgoTrees, continuation: Continuation = "best") -> Rows:
     Raises
     ------
     InputError
-        If no race goes on after the first step, or the continuation is impossible.
+        If no race goes on after the first step, or the continuation returns no probabilities.
     """
-    parts = []
+    blocks = []
     for level, (q, _) in enumerate(ego_values(trees, continuation)):
         paths = trees.paths[level]
         first = np.zeros(paths.shape, np.bool_)
@@ -87,8 +86,8 @@ def ego_rows(trees: EgoTrees, continuation: Continuation = "best") -> Rows:
             weight[r, begin] = times / paths.shape[1]
         at = np.nonzero(first & ~trees.over[level])
         pair = pair_number(trees.policies)[at[0]]
-        parts.append((trees.observations(level)[at], q[at], weight[at], pair, np.full(len(pair), level, np.int64)))
-    observations, targets, weights, pair, step = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        blocks.append((trees.observations(level)[at], q[at], weight[at], pair, np.full(len(pair), level, np.int64)))
+    observations, targets, weights, pair, step = (np.concatenate(arrays) for arrays in zip(*blocks, strict=True))
     if len(targets) == 0:
         raise InputError("every race is over before the first move; no ego tree gives a row")
     return Rows(observations, targets, weights, pair, step)

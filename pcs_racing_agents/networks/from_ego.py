@@ -1,8 +1,8 @@
-"""From ego trees to a trained network: backwards from the last move, so that no target knows what no driver could.
+"""Training of a network on ego trees, backwards from the last move.
 
-What a move is worth depends on what follows. At the last move nothing does; a network learns from it. At the move
-before, the branches go on as that network says, and so on: fitted Q-iteration over a finite horizon (Ernst et al.,
-2005).
+The value of a move depends on what follows. At the last move nothing does; a network learns from it. At the move
+before, the branches continue with that network's choices, and so on: fitted Q-iteration over a finite horizon (Ernst et
+al., 2005). So no target contains knowledge that a driver could not have.
 """
 
 from dataclasses import replace
@@ -11,15 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.jobs import Progress
 from pcs_racing_agents.networks.ego_rows import ego_rows, ego_values
 from pcs_racing_agents.networks.from_trees import TrainedOnTrees, hold_out
-from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.metrics import Play, constant_plays, follow, score_rows
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import pair_number
 from pcs_racing_agents.networks.settings import TrainSettings, settings_for_trees
 from pcs_racing_agents.networks.training import TrainingResult, train_network
+from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.trees.ego import EgoTrees
 
 __all__ = ["check_ego_target", "ego_score_table", "score_ego", "take_roots", "train_on_ego"]
@@ -37,7 +38,7 @@ def train_on_ego(
     about: dict[str, str | int | float | bool] | None = None,
     learning: Progress | None = None,
 ) -> TrainedOnTrees:
-    """Train a network on ego trees and judge it on others.
+    """Train a network on ego trees and evaluate it on held-out roots.
 
     With ``settings.continuation = "best"`` there is one training, on targets in which the best follows every move; it
     knows the opponent's moves and the noise to come. With "learned" there is one for every move, from the last to the
@@ -55,7 +56,7 @@ def train_on_ego(
     about : dict, optional
         What else the network should know of its training, texts and numbers by name.
     learning : callable, optional
-        Called as ``progress(epoch, epochs, what)``.
+        Called as ``progress(epoch, epochs, label)``.
 
     Raises
     ------
@@ -105,30 +106,29 @@ def check_ego_target(settings: TrainSettings) -> None:
 
 def take_roots(trees: EgoTrees, indices: ArrayLike) -> EgoTrees:
     """Return some roots, by index or by a mask over roots."""
-    chosen = np.asarray(indices)
-    return type(trees).from_arrays({key: array[chosen] for key, array in trees.arrays().items()}, "the roots")
+    rows = np.asarray(indices)
+    return type(trees).from_arrays({key: array[rows] for key, array in trees.arrays().items()}, "the roots")
 
 
 def score_ego(plays: dict[str, Play], trees: EgoTrees) -> dict[str, NDArray[np.float64]]:
-    """Return what strategies get in each root against its opponent, shape (R,) each.
+    """Return the utility of strategies in each root against its opponent, shape (R,) each.
 
-    Random moves, and the best that could have been done if one had known all that was to come, stand beside them.
+    Random moves, and the best moves in hindsight, are added for comparison.
     """
 
     def random(observations: NDArray[np.float32]) -> NDArray[np.float64]:
         return np.full((len(observations), trees.options), 1.0 / trees.options)
 
-    everyone: dict[str, str | Play] = {**plays, "random moves": random, BEST: "best"}
-    return {name: ego_values(trees, play)[0][1][:, 0] for name, play in everyone.items()}
+    strategies: dict[str, str | Play] = {**plays, "random moves": random, BEST: "best"}
+    return {name: ego_values(trees, play)[0][1][:, 0] for name, play in strategies.items()}
 
 
 def ego_score_table(rows: str, roots: dict[str, NDArray[np.float64]]) -> str:
-    """Add what strategies got to a table of choices, as text for people."""
+    """Return a table of choices, followed by the mean utility of the strategies, as text."""
     if not roots:
         return rows
-    count, width = len(next(iter(roots.values()))), max(len(name) for name in roots)
-    lines = [rows, "", f"utility in {count} held-out roots (standard error over roots):"]
-    for name, values in roots.items():
-        error = values.std(ddof=1) / np.sqrt(count) if count > 1 else np.nan
-        lines.append(f"  {name.ljust(width)}  {values.mean():9.3f} ({error:.3f})")
-    return "\n".join(lines)
+    count = len(next(iter(roots.values())))
+    errors = {name: values.std(ddof=1) / np.sqrt(count) if count > 1 else np.nan for name, values in roots.items()}
+    table = aligned([name, f"{values.mean():.3f} ({errors[name]:.3f})"] for name, values in roots.items())
+    head = f"utility in {count} held-out roots (standard error over roots):"
+    return "\n".join([rows, "", head, *(f"  {line}" for line in table)])

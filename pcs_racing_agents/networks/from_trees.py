@@ -1,17 +1,18 @@
-"""From folders of trees to a trained network and what it is worth: solve, make rows, train, judge."""
+"""Training of a network on game trees: solve, make rows, train, and evaluate on held-out trees."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.identity import GameIdentity
+from pcs_racing.game.moves import STAY
 from pcs_racing_agents.jobs.jobs import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
-from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, draw_pairs, join_rows, pair_number
@@ -20,7 +21,7 @@ from pcs_racing_agents.networks.targets import get_target, solve_for
 from pcs_racing_agents.networks.training import TrainingResult, train_network
 from pcs_racing_agents.networks.tree_rows import PlayedTree, tree_rows
 
-__all__ = ["TrainedOnTrees", "hold_out", "train_on_trees", "trees_identity"]
+__all__ = ["TrainedOnTrees", "hold_out", "train_on_trees"]
 
 
 class TrainedOnTrees(NamedTuple):
@@ -44,19 +45,6 @@ class TrainedOnTrees(NamedTuple):
     scores: dict[str, NDArray[np.float64]]
 
 
-def trees_identity(settings: Any) -> GameIdentity:
-    """Return the game that stored trees belong to, of :attr:`pcs_racing_agents.trees.StoredTrees.settings`."""
-    epsilon = settings["rules"]["epsilon"]
-    return GameIdentity(
-        elements=tuple(settings["encoding"]),
-        moves=tuple(settings["move_names"]),
-        epsilon=tuple(epsilon) if isinstance(epsilon, list | tuple) else (epsilon,),
-        archive=settings["archive"]["name"],
-        archive_sha256=settings["archive"]["sha256"],
-        preset=settings["preset"],
-    )
-
-
 def train_on_trees(
     tree_at: Callable[[int], PlayedTree],
     pairs: ArrayLike,
@@ -69,13 +57,13 @@ def train_on_trees(
     solving: Progress | None = None,
     learning: Progress | None = None,
 ) -> TrainedOnTrees:
-    """Train a network on trees and judge it on others.
+    """Train a network on game trees and evaluate it on held-out trees.
 
     Parameters
     ----------
     tree_at : callable
         Returns tree ``i``; asked when it is needed, once or (of trees held out) twice. A tree in which the race is over
-        before the first move teaches nothing and is passed over.
+        before the first move has no rows and is skipped.
     pairs : array of int, shape (trees, 2)
         Starting policies of each tree.
     identity : GameIdentity
@@ -89,7 +77,7 @@ def train_on_trees(
         Where trees are solved, each as a task, and where the network learns, in another process if there is one. It has
         no influence on the result.
     solving, learning : callable, optional
-        Called as ``progress(done, total, what)`` after every tree and every epoch (in this process).
+        Called as ``progress(done, total, label)`` after every tree and every epoch (in this process).
 
     Raises
     ------
@@ -101,21 +89,25 @@ def train_on_trees(
     settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
     held_out = hold_out(numbers, settings, 3 if settings.test_share > 0.0 else 2, "trees")
-    solve = _Solver(settings, len(identity.moves) - 1 if identity.moves[-1] == "stay" else None)
+    solve = _TreeSolver(settings, len(identity.moves) - 1 if identity.moves[-1] == STAY else None)
     rows: list[Rows | None] = [None] * len(held_out)
     tasks = numbered_tasks(solve, (tree_at(i) for i in range(len(held_out))))
-    for done, (i, found) in enumerate(run_tasks(tasks, executor, "solving trees"), start=1):
-        rows[i] = found
+    for done, (i, block) in enumerate(run_tasks(tasks, executor, "solving trees"), start=1):
+        rows[i] = block
         if solving is not None:
             solving(done, len(held_out), f"solved for {settings.target}")
-    known = join_rows([part for part, out in zip(rows, held_out, strict=True) if part is not None and not out])
-    judged = [part for part, out in zip(rows, held_out, strict=True) if part is not None and out]
-    test = [i for i, part in enumerate(rows) if part is not None and held_out[i]]
+    training = join_rows([block for block, out in zip(rows, held_out, strict=True) if block is not None and not out])
+    test_blocks = [block for block, out in zip(rows, held_out, strict=True) if block is not None and out]
+    test = [i for i, block in enumerate(rows) if block is not None and held_out[i]]
+    # Torch has one random state and one number of threads per process: threads would disturb each other.
     elsewhere = in_other_processes(executor)
-    learn = _Learner(known, identity, name, learning if elsewhere is None else None)
+    learn = _NetworkTrainer(training, identity, name, learning if elsewhere is None else None)
     network, result = run_task(learn, settings, elsewhere, "learning")
-    kept_back = join_rows(judged) if judged else known.take(np.isin(known.pair, result.validation_pairs))
-    scores, trees = score_rows(network, kept_back), {}
+    # Without held-out trees the pairs of the early stopping must do, whose scores are a little too good.
+    test_rows = (
+        join_rows(test_blocks) if test_blocks else training.take(np.isin(training.pair, result.validation_pairs))
+    )
+    scores, trees = score_rows(network, test_rows), {}
     summary = {"trees": len(held_out), "test_trees": len(test), **dict(network.training), **(about or {})}
     summary["test_agreement"] = float(f"{scores[0].agreement:.4g}")
     if test:
@@ -125,8 +117,8 @@ def train_on_trees(
     return TrainedOnTrees(replace(network, training=summary), result, scores, trees)
 
 
-def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, what: str) -> NDArray[np.bool_]:
-    """Return which trees to judge by, shape (trees,), by the numbers of their starting pairs.
+def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, noun: str) -> NDArray[np.bool_]:
+    """Return which trees are held out for evaluation, shape (trees,), by the numbers of their starting pairs.
 
     Raises
     ------
@@ -136,7 +128,7 @@ def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, wh
     different = len(np.unique(numbers))
     if different < least:
         raise InputError(
-            f"the {what} come from {different} starting pairs; it takes {least}: some to learn from, some to stop by"
+            f"the {noun} come from {different} starting pairs; it takes {least}: some to learn from, some to stop by"
             f"{', and some to judge by' if least == 3 else ''}"
         )
     if settings.test_share == 0.0:
@@ -146,8 +138,8 @@ def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, wh
 
 
 @dataclass(frozen=True)
-class _Solver:
-    """What makes rows of a tree, here or in another process.
+class _TreeSolver:
+    """The function that solves a tree and returns its rows; it can be pickled.
 
     Attributes
     ----------
@@ -179,8 +171,8 @@ class _Solver:
 
 
 @dataclass(frozen=True, eq=False)
-class _Learner:
-    """What learns from rows, here or in another process; they travel with it, once."""
+class _NetworkTrainer:
+    """The function that trains a network on its rows; both are pickled together, once."""
 
     rows: Rows
     identity: GameIdentity

@@ -1,4 +1,4 @@
-"""How well a network plays: agreement with its targets, and the value that following it loses on trees it never saw.
+"""Evaluation of a network: agreement with its targets, and the value that its choices lose on held-out trees.
 
 A small error of the values can cost much, and a large one nothing; what counts is the move that they lead to.
 """
@@ -13,6 +13,7 @@ from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows
 from pcs_racing_agents.networks.targets import best_moves
 from pcs_racing_agents.networks.tree_rows import PlayedTree
+from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.solvers import (
     ExactResult,
     GameTree,
@@ -41,7 +42,7 @@ Play = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 
 
 class RowScore(NamedTuple):
-    """How a network's choices compare with the targets of rows.
+    """Comparison of a network's choices with the targets of rows.
 
     Attributes
     ----------
@@ -70,7 +71,7 @@ class RowScore(NamedTuple):
 
 
 class TreeScore(NamedTuple):
-    """What following a strategy is worth on one tree, mean of both roles, in units of the utility.
+    """The value of a strategy on one tree, mean of both roles, in units of the utility.
 
     Attributes
     ----------
@@ -94,24 +95,24 @@ def score_rows(network: RegretNetwork, rows: Rows) -> list[RowScore]:
     """Compare choices with targets: first on all rows, then on those of each step."""
     values = network(rows.observations)
     choice = network.choose(rows.observations, rows.mask)
-    good = best_moves(rows.targets, rows.mask)
+    best = best_moves(rows.targets, rows.mask)
     targets = np.maximum(rows.targets, 0.0) if network.clipped else rows.targets
-    short = np.where(rows.mask, rows.targets, -np.inf).max(axis=1) - rows.targets[np.arange(len(rows)), choice]
+    shortfall = np.where(rows.mask, rows.targets, -np.inf).max(axis=1) - rows.targets[np.arange(len(rows)), choice]
     error = np.sum(rows.mask * (values - targets) ** 2, axis=1) / rows.mask.sum(axis=1)
-    chance = np.sum(good & rows.mask, axis=1) / rows.mask.sum(axis=1)
+    chance = np.sum(best & rows.mask, axis=1) / rows.mask.sum(axis=1)
     result = []
     for step in (-1, *np.unique(rows.step)):
-        here = (rows.step == step) | (step < 0)
-        share = rows.weights[here] / (rows.weights[here].sum() or 1.0)
+        included = (rows.step == step) | (step < 0)
+        share = rows.weights[included] / (rows.weights[included].sum() or 1.0)
         result.append(
             RowScore(
                 step=int(step),
-                rows=int(here.sum()),
-                agreement=float(share @ good[here, choice[here]]),
-                chance=float(share @ chance[here]),
-                constant=float((share @ good[here]).max()),
-                shortfall=float(share @ short[here].astype(np.float64)),
-                error=float(share @ error[here].astype(np.float64)),
+                rows=int(included.sum()),
+                agreement=float(share @ best[included, choice[included]]),
+                chance=float(share @ chance[included]),
+                constant=float((share @ best[included]).max()),
+                shortfall=float(share @ shortfall[included].astype(np.float64)),
+                error=float(share @ error[included].astype(np.float64)),
             )
         )
     return result
@@ -141,20 +142,21 @@ def constant_plays(moves: Sequence[str]) -> dict[str, Play]:
 
 
 def play_profile(play: Play, race_tree: PlayedTree) -> Profile:
-    """Return what a strategy does in both roles at every node of every seed, shape (S * N_k, A) each."""
+    """Return a strategy as a profile: both roles, every node of every seed, shape (S * N_k, A) each."""
     profile = []
     for k in range(race_tree.game_tree().depth):
-        seen = race_tree.observations(k)
-        both = [np.asarray(play(seen[:, :, player].reshape(-1, seen.shape[-1])), np.float64) for player in (0, 1)]
+        observations = race_tree.observations(k)
+        size = observations.shape[-1]
+        both = [np.asarray(play(observations[:, :, player].reshape(-1, size)), np.float64) for player in (0, 1)]
         profile.append((both[0], both[1]))
     return profile
 
 
 def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | None = None) -> TreeScore:
-    """Judge a strategy on a tree.
+    """Evaluate a strategy on a tree.
 
-    With several seeds of the noise the strategy sees what it sees in each of them; the opponent that answers it, and
-    the equilibrium, know the moves made so far but not the seed.
+    With several noise seeds the strategy sees the observations of each of them; the best response to it, and the
+    equilibrium, know the moves made so far but not the seed.
 
     Parameters
     ----------
@@ -162,7 +164,7 @@ def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | Non
         See :func:`play_profile`.
     race_tree : PlayedTree
     exact : ExactResult, optional
-        Exact solution of ``race_tree.game_tree()``, if it is at hand.
+        Exact solution of ``race_tree.game_tree()``, if it is known.
     """
     tree = race_tree.game_tree()
     exact = solve_exact(tree) if exact is None else exact
@@ -197,42 +199,36 @@ def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | Non
 
 
 def score_trees(plays: dict[str, Play], race_trees: Iterable[PlayedTree]) -> dict[str, NDArray[np.float64]]:
-    """Judge strategies on several trees, shape (trees, 4) each in the order of :class:`TreeScore`.
+    """Evaluate strategies on several trees, shape (trees, 4) each in the order of :class:`TreeScore`.
 
-    The equilibrium of each tree and random moves are judged beside them.
+    The equilibrium of each tree and random moves are added for comparison.
     """
     scores: dict[str, list[TreeScore]] = {name: [] for name in (*plays, "equilibrium", "random moves")}
     for race_tree in race_trees:
         tree = race_tree.game_tree()
         exact, seeds = solve_exact(tree), len(race_tree.payoffs)
         profiles = {name: play_profile(play, race_tree) for name, play in plays.items()}
-        for name, once in (("equilibrium", exact.profile), ("random moves", uniform_profile(tree))):
-            profiles[name] = [(np.tile(first, (seeds, 1)), np.tile(second, (seeds, 1))) for first, second in once]
+        for name, one_seed in (("equilibrium", exact.profile), ("random moves", uniform_profile(tree))):
+            profiles[name] = [(np.tile(first, (seeds, 1)), np.tile(second, (seeds, 1))) for first, second in one_seed]
         for name, profile in profiles.items():
             scores[name].append(score_tree(profile, race_tree, exact))
     return {name: np.array(rows, np.float64).reshape(-1, len(TreeScore._fields)) for name, rows in scores.items()}
 
 
 def score_table(rows: Sequence[RowScore], trees: dict[str, NDArray[np.float64]]) -> str:
-    """Scores as text, for people: choices against targets by step, then what strategies lose on the trees."""
-    lines = ["choices on held-out rows:", "   step      rows  agreement  random  best constant  shortfall"]
+    """Return scores as text: choices against targets by step, then the utility of strategies on the trees."""
+    table = [["step", "rows", "agreement", "random", "best constant", "shortfall"]]
     for score in rows:
+        shares = [f"{share:.1%}" for share in (score.agreement, score.chance, score.constant)]
         step = "all" if score.step < 0 else str(score.step + 1)
-        lines.append(
-            f"  {step:>5}  {score.rows:>8}  {score.agreement:>8.1%}  {score.chance:>6.1%}  {score.constant:>13.1%}  "
-            f"{score.shortfall:>9.4g}"
-        )
+        table.append([step, str(score.rows), *shares, f"{score.shortfall:.4g}"])
+    lines = ["choices on held-out rows:", *(f"  {line}" for line in aligned(table, left=0))]
     if trees:
         count = len(next(iter(trees.values())))
-        width = max(len(name) for name in trees)
-        lines += [
-            "",
-            f"utility on {count} held-out trees, mean of both roles (standard error over trees):",
-            f"  {'strategy'.ljust(width)}  lost to a best response  lost to equilibrium  off in self-play  "
-            "  against random",
-        ]
+        lines += ["", f"utility on {count} held-out trees, mean of both roles (standard error over trees):"]
+        table = [["strategy", "lost to a best response", "lost to equilibrium", "off in self-play", "against random"]]
         for name, scores in trees.items():
             error = scores.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(scores.shape[1], np.nan)
-            cells = [f"{m:.3f} ({e:.3f})" for m, e in zip(scores.mean(axis=0), error, strict=True)]
-            lines.append(f"  {name.ljust(width)}  {cells[0]:>23}  {cells[1]:>19}  {cells[2]:>16}  {cells[3]:>16}")
+            table.append([name, *(f"{m:.3f} ({e:.3f})" for m, e in zip(scores.mean(axis=0), error, strict=True))])
+        lines += [f"  {line}" for line in aligned(table, left=1)]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""The regret approximator of the paper: a network that predicts from an observation what each move is worth.
+"""The regret approximator of the paper: a network that predicts the value of each move from an observation.
 
 It needs no torch, takes a few microseconds for a decision, and never changes. How it is trained is in
 :mod:`pcs_racing_agents.networks.training`, how it is stored in :mod:`pcs_racing_agents.networks.network_files`.
@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.dense import DenseLayers, dense_rows
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.networks.identity import GameIdentity, check_same_game, game_identity
 
 __all__ = ["RegretNetwork"]
 
@@ -67,7 +67,7 @@ class RegretNetwork:
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        def put(key: str, value: Any) -> None:
+        def assign(key: str, value: Any) -> None:
             object.__setattr__(self, key, value)
 
         for key in ("name", "target"):
@@ -77,7 +77,7 @@ class RegretNetwork:
         for key, value in self.training.items():
             if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
                 raise InputError(f"{where}: training {key!r} is {value!r:.80}; it must be texts and numbers by name")
-        put("training", MappingProxyType(dict(self.training)))
+        assign("training", MappingProxyType(dict(self.training)))
         if not isinstance(self.identity, GameIdentity):
             raise InputError(f"{where}: identity is {self.identity!r}; it must be a GameIdentity")
         sizes = self.layers.sizes
@@ -90,19 +90,19 @@ class RegretNetwork:
             if array.shape != sizes[:1] or not np.isfinite(array).all():
                 raise InputError(f"{where}: {key} is {array!r:.80}; it must be {sizes[0]} finite numbers")
             array.setflags(write=False)
-            put(key, array)
+            assign(key, array)
         if not (self.scale > 0.0).all():
             raise InputError(f"{where}: scale is {self.scale.min():g} at its smallest; it must be above 0")
         # The scaling of the inputs is part of the first layer from here on: one pass less for every decision.
         first = self.layers.weights[0].astype(np.float64) / self.scale
         bias = self.layers.biases[0] - (first * self.mean).sum(axis=1)
         scaled = DenseLayers((first, *self.layers.weights[1:]), (bias, *self.layers.biases[1:]))
-        put("_sizes", np.array(sizes, np.int64))
-        put("_flat", scaled.flat())
-        put("_widest", max(sizes))
+        assign("_sizes", np.array(sizes, np.int64))
+        assign("_flat", scaled.flat())
+        assign("_widest", max(sizes))
 
     def __repr__(self) -> str:
-        """Show what it is, not its numbers."""
+        """Show its sizes, target, archive and preset."""
         shape = "-".join(map(str, self.layers.sizes))
         return (
             f"<RegretNetwork {self.name!r}: {shape}, {self.target}, archive {self.identity.archive!r}, "
@@ -185,7 +185,7 @@ class RegretNetwork:
         return np.argmax(values, axis=-1)
 
     def check_fits(self, game: RaceGame) -> None:
-        """Check that a game shows what this network sees, and offers the moves that it values.
+        """Check that a game has the observations and the moves of this network.
 
         A game may offer the move "stay" in addition: the network never makes it. Rules of the race that the network was
         not made for (the preset, the track, the length of a step) are no error: it may be tried there.
@@ -195,15 +195,4 @@ class RegretNetwork:
         InputError
             If the observation, the moves or the archive are others.
         """
-        self.check_identity(game_identity(game), "the game")
-
-    def check_identity(self, other: GameIdentity, what: str) -> None:
-        """Check as :meth:`check_fits` does, against what is known of some game.
-
-        Parameters
-        ----------
-        other : GameIdentity
-        what : str
-            What it belongs to, for the message.
-        """
-        check_same_game(self.identity, other, f"network {self.name!r}", what)
+        check_same_game(self.identity, game_identity(game), f"network {self.name!r}")

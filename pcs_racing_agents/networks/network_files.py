@@ -7,16 +7,19 @@ from typing import Any
 from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, shipped_folder
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.networks.identity import GameIdentity
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.networks.network import RegretNetwork
 
 __all__ = ["NETWORK_FORMAT", "list_networks", "load_network", "save_network"]
 
 _SCALING = ("input.mean", "input.scale")
 
+_IDENTITY = ("elements", "moves", "epsilon", "archive", "archive_sha256", "preset")
+"""What a manifest records of the network's game; the number of decisions follows from the elements."""
+
 NETWORK_FORMAT = ArtifactFormat(
     "network",
-    ("name", "target", "clipped", "hidden", *GameIdentity._fields, "training", "weights_sha256"),
+    ("name", "target", "clipped", "hidden", *_IDENTITY, "training", "weights_sha256"),
     "save_network",
     data_file="weights.safetensors",
     digest_key="weights_sha256",
@@ -36,13 +39,13 @@ _KINDS: dict[str, tuple[Any, Any, str]] = {
 
 def save_network(network: RegretNetwork, folder: str | Path) -> Path:
     """Write a network into a folder, which is made if need be; returns the folder."""
-    identity = {key: list(v) if isinstance(v, tuple) else v for key, v in network.identity._asdict().items()}
+    recorded = {key: getattr(network.identity, key) for key in _IDENTITY}
     fields = {
         "name": network.name,
         "target": network.target,
         "clipped": network.clipped,
         "hidden": list(network.hidden),
-        **identity,
+        **{key: list(value) if isinstance(value, tuple) else value for key, value in recorded.items()},
         "training": dict(network.training),
     }
     scaling = dict(zip(_SCALING, (network.mean, network.scale), strict=True))
@@ -76,7 +79,7 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
     file = folder / NETWORK_FORMAT.data_file
     layers, scaling = layers_from_bytes(file, content, fields["hidden"], _SCALING)
     identity: dict[str, Any] = {}
-    for key in GameIdentity._fields:
+    for key in _IDENTITY:
         identity[key] = tuple(fields[key]) if isinstance(fields[key], list) else fields[key]
     try:
         return RegretNetwork(

@@ -1,4 +1,4 @@
-"""Training rows: what a driver saw, and what each of its moves was worth there.
+"""Training rows: an observation of a player, and a target for each of its moves.
 
 Rows come from game trees (:mod:`pcs_racing_agents.networks.tree_rows`), but the trainer takes them from anywhere.
 """
@@ -17,14 +17,14 @@ __all__ = ["Rows", "draw_pairs", "join_rows", "pair_number", "split_by_pair"]
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """R situations of one player each.
+    """R decisions, each of one player.
 
     Attributes
     ----------
     observations : ndarray, shape (R, D), float32
-        What the player saw (:attr:`pcs_racing.RaceGame.observation_elements`).
+        The player's observations (:attr:`pcs_racing.RaceGame.observation_elements`).
     targets : ndarray, shape (R, A), float32
-        What each move is worth, never clipped; 0 where the mask says that nothing is known.
+        Value of each move, never clipped; 0 where the mask is False.
     weights : ndarray, shape (R,), float64
         How much each row counts, 0 or more; not all 0.
     pair : ndarray, shape (R,), int64
@@ -68,50 +68,50 @@ class Rows:
             object.__setattr__(self, "targets", np.where(self.mask, self.targets, np.float32(0.0)))
 
     def _set(self, key: str, dtype: Any, shape: tuple[int | None, ...]) -> None:
-        given = np.asarray(getattr(self, key))
-        fits = given.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, given.shape, strict=True))
+        array = np.asarray(getattr(self, key))
+        fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
         kinds = {"f": "fiu", "i": "iu", "b": "b"}[np.dtype(dtype).kind]
-        if not fits or given.dtype.kind not in kinds:
+        if not fits or array.dtype.kind not in kinds:
             wanted = ", ".join("any" if n is None else str(n) for n in shape)
             raise InputError(
-                f"{key} have shape {given.shape} and type {given.dtype}; they must have ({wanted}) and "
+                f"{key} have shape {array.shape} and type {array.dtype}; they must have ({wanted}) and "
                 f"{np.dtype(dtype)}"
             )
-        if not np.isfinite(given).all():
-            row = int(np.argwhere(~np.isfinite(given))[0][0])
+        if not np.isfinite(array).all():
+            row = int(np.argwhere(~np.isfinite(array))[0][0])
             raise InputError(f"{key} are not finite in row {row}")
-        object.__setattr__(self, key, given.astype(dtype, copy=False))
+        object.__setattr__(self, key, array.astype(dtype, copy=False))
 
     def __len__(self) -> int:
         return len(self.targets)
 
     def __repr__(self) -> str:
-        """Show what it is, not its numbers."""
+        """Show the numbers of rows, inputs, moves and starting pairs."""
         size, moves = self.observations.shape[1], self.targets.shape[1]
         return f"<Rows: {len(self)} of {size} numbers, {moves} moves, {len(np.unique(self.pair))} starting pairs>"
 
     def take(self, indices: ArrayLike) -> "Rows":
         """Return some of the rows, by index or by a mask over rows."""
-        chosen = np.asarray(indices)
-        return Rows(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+        array = np.asarray(indices)
+        return Rows(**{field.name: getattr(self, field.name)[array] for field in fields(self)})
 
 
-def join_rows(parts: Sequence[Rows]) -> Rows:
+def join_rows(sources: Sequence[Rows]) -> Rows:
     """Return the rows of several sources as one.
 
     Raises
     ------
     InputError
-        If there is no part, or they are of different sizes.
+        If there is no source, or their sizes differ.
     """
-    if len(parts) == 0:
-        raise InputError("there are no rows to join; give at least one part")
-    for i, part in enumerate(parts):
+    if len(sources) == 0:
+        raise InputError("there are no rows to join; give at least one")
+    for i, source in enumerate(sources):
         for key in ("observations", "targets"):
-            found, first = (getattr(rows, key).shape[1] for rows in (part, parts[0]))
-            if found != first:
-                raise InputError(f"part {i} has {key} of {found} numbers, part 0 of {first}; they must be the same")
-    return Rows(**{field.name: np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(Rows)})
+            size, first = (getattr(rows, key).shape[1] for rows in (source, sources[0]))
+            if size != first:
+                raise InputError(f"source {i} has {key} of {size} numbers, source 0 of {first}; they must be the same")
+    return Rows(**{field.name: np.concatenate([getattr(p, field.name) for p in sources]) for field in fields(Rows)})
 
 
 def pair_number(policies: ArrayLike) -> NDArray[np.int64]:
@@ -161,9 +161,9 @@ def split_by_pair(rows: Rows, share: float, seed: int) -> tuple[NDArray[np.bool_
     InputError
         If the rows come from fewer than two pairs, or all rows on one side have weight 0.
     """
-    chosen = draw_pairs(rows.pair, share, np.random.SeedSequence(seed, spawn_key=(0,)))
-    held_out = np.isin(rows.pair, chosen)
+    validation_pairs = draw_pairs(rows.pair, share, np.random.SeedSequence(seed, spawn_key=(0,)))
+    held_out = np.isin(rows.pair, validation_pairs)
     for side in (held_out, ~held_out):
         if not rows.weights[side].any():
             raise InputError("after the split by starting pair one side has weights of 0 only; give more pairs")
-    return held_out, chosen
+    return held_out, validation_pairs

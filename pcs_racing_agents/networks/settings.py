@@ -1,4 +1,4 @@
-"""What a network is trained on, and how: declared settings."""
+"""Settings of the training of networks."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,7 +93,7 @@ class TrainSettings(Settings):
 
 
 def settings_for_trees(settings: TrainSettings) -> TrainSettings:
-    """Return settings whose open choices are made for rows of trees or ego trees."""
+    """Return settings with the defaults for rows of trees or ego trees in place of None."""
     weights = "uniform" if settings.target == "regret" else "random"
     values = settings.target != "nash"  # which are probabilities
     return replace(
@@ -112,7 +112,7 @@ def load_train_settings(source: str | Path | TrainSettings | None = None, **chan
     Raises
     ------
     ConfigError
-        If a key is unknown or a value impossible.
+        If a key is unknown or a value is out of its range.
     UnknownNameError
         If the name is no configuration and no file.
     """

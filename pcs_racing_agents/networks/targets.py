@@ -1,8 +1,8 @@
-"""What a network is to learn of a solved tree: for every node and player, a number for each move.
+"""Targets of networks: for every node of a solved tree and every player, a number for each move.
 
 The targets differ in what they assume of the opponent and in how they compare nodes:
 
-- cumulative regrets are what the paper learns; they shrink with the opponent's probability of coming to a node, so that
+- cumulative regrets are the paper's target; they shrink with the opponent's probability of coming to a node, so that
   nodes which it avoids hardly count;
 - normalised regrets have the same size at every node;
 - equilibrium advantages ask the exact solution instead of CFR;
@@ -88,7 +88,7 @@ def best_moves(targets: NDArray[np.floating], mask: NDArray[np.bool_] | None = N
 
 
 def solve_for(tree: GameTree, target: str, *, iterations: int = 1000, variant: str = "vanilla") -> Solution:
-    """Solve a tree in the way that a target asks for.
+    """Solve a tree with the solver of a target.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def node_targets(
     Raises
     ------
     InputError
-        If the solution is of another kind, or the opponent is impossible here.
+        If the solution is of another kind, or the opponent needs a move "stay" and there is none.
     """
     kind = get_target(target)
     wanted = CFRResult if kind.solver == "cfr" else ExactResult
@@ -174,6 +174,6 @@ def static_profile(tree: GameTree, opponent: str, stay: int | None) -> list[tupl
 
 
 def _normalised(regrets: Floats, reach: Floats) -> Floats:
-    """Each row over its largest magnitude; 0 where all regrets are, NaN where the opponent never came."""
+    """Return rows divided by their largest magnitude: 0 where all regrets are, NaN where the opponent never came."""
     size = np.abs(regrets).max(axis=1, keepdims=True)
     return np.where(reach[:, None] > 0.0, regrets / np.where(size > 0.0, size, 1.0), np.nan)

@@ -20,7 +20,7 @@ _TURN = threading.RLock()
 
 @contextmanager
 def torch_alone() -> Iterator[Any]:
-    """Provide torch, working in one thread, to one thread of this process; others that want it wait.
+    """Provide torch, limited to one thread, to one thread of this process at a time.
 
     Several threads gain nothing for networks as small as ours, and would change the order of sums.
 

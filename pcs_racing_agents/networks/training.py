@@ -1,4 +1,4 @@
-"""Training a network on rows: AdamW, validation on starting pairs of its own, early stopping.
+"""Training a network on rows: AdamW, validation on held-out starting pairs, early stopping.
 
 The same settings and rows give the same network: initial weights and draws come from numpy generators of the
 settings' seed, torch works in one thread meanwhile, and its own random state is neither read nor changed.
@@ -14,9 +14,9 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.jobs import Progress
 from pcs_racing_agents.networks.goals import row_goals, scale_rows
-from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, split_by_pair
 from pcs_racing_agents.networks.settings import TrainSettings
@@ -30,7 +30,7 @@ Floats = NDArray[np.float32]
 
 
 class Epoch(NamedTuple):
-    """How an epoch went.
+    """Learning rate, losses and scores of an epoch.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Epoch(NamedTuple):
 
 
 class TrainingResult(NamedTuple):
-    """A trained network and how the training went.
+    """The layers of a trained network, and the history of its training.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ def train_network(
     Parameters
     ----------
     rows : Rows
-        Whatever they come from.
+        From any source.
     identity : GameIdentity
         The game that they come from.
     settings : TrainSettings
@@ -104,7 +104,7 @@ def train_network(
     clipped : bool
         Whether the network learns and shows targets below 0 as 0.
     progress : callable, optional
-        Called after every epoch as ``progress(epoch, epochs, what)``; an early stop makes ``epochs`` smaller.
+        Called after every epoch as ``progress(epoch, epochs, label)``; an early stop makes ``epochs`` smaller.
 
     Returns
     -------
@@ -119,9 +119,9 @@ def train_network(
         If torch is not installed.
     """
     for key, names in (("observations", identity.elements), ("targets", identity.moves)):
-        found = getattr(rows, key).shape[1]
-        if found != len(names):
-            raise InputError(f"the rows' {key} have {found} numbers; the game has {len(names)}")
+        size = getattr(rows, key).shape[1]
+        if size != len(names):
+            raise InputError(f"the rows' {key} have {size} numbers; the game has {len(names)}")
     result = train_layers(rows, settings, clipped=clipped, progress=progress)
     best = result.epochs[result.best]
     summary: dict[str, str | int | float | bool] = {
@@ -159,13 +159,14 @@ def train_layers(
 
 def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progress: Progress | None) -> TrainingResult:
     held_out, pairs = split_by_pair(rows, settings.validation_share, settings.seed)
-    learned, judged = rows.take(~held_out), rows.take(held_out)
-    by = scale_rows(learned, settings, clipped)
+    training, validation = rows.take(~held_out), rows.take(held_out)
+    # The scaling comes from the training rows alone, so that validation stays independent of them.
+    by = scale_rows(training, settings, clipped)
     draws, start = (np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,))) for key in (1, 2))
 
-    def tensors(some: Rows) -> tuple[Any, Any, Any, Any]:
-        x = (some.observations - by.mean) / by.scale
-        arrays = (x, *row_goals(some, by, clipped, settings.below_zero))
+    def tensors(rows_used: Rows) -> tuple[Any, Any, Any, Any]:
+        x = (rows_used.observations - by.mean) / by.scale
+        arrays = (x, *row_goals(rows_used, by, clipped, settings.below_zero))
         return tuple(torch.from_numpy(array) for array in arrays)
 
     def loss(x: Any, goal: Any, weight: Any, one_sided: Any) -> Any:
@@ -176,39 +177,40 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
             return (weight * error * error).sum(dim=1)
         # The mean of a row's moves in units of its own spread, and the differences to it in theirs.
         mean = (weight * error).sum(dim=1, keepdim=True)
-        apart = error - mean
-        return (weight * apart * apart).sum(dim=1) + (by.level * mean[:, 0]) ** 2
+        difference = error - mean
+        return (weight * difference * difference).sum(dim=1) + (by.level * mean[:, 0]) ** 2
 
     def judge(number: int, training_loss: float) -> Epoch:
         with torch.no_grad():
-            each = loss(*judged_tensors).numpy().astype(np.float64)
-            predicted = relu_forward(layers, judged_tensors[0]).numpy() * by.size + by.centre
-        share = judged.weights / judged.weights.sum()
-        choice = np.argmax(np.where(judged.mask, predicted, -np.inf), axis=1)
-        good, short = best_moves(judged.targets, judged.mask), np.where(judged.mask, judged.targets, -np.inf)
-        picked = np.arange(len(judged)), choice
+            each = loss(*validation_tensors).numpy().astype(np.float64)
+            predicted = relu_forward(layers, validation_tensors[0]).numpy() * by.size + by.centre
+        share = validation.weights / validation.weights.sum()
+        choice = np.argmax(np.where(validation.mask, predicted, -np.inf), axis=1)
+        highest = np.where(validation.mask, validation.targets, -np.inf).max(axis=1)
+        chosen = np.arange(len(validation)), choice
         return Epoch(
             number,
             optimiser.param_groups[0]["lr"],
             training_loss,
             float(share @ each),
-            float(share @ good[picked]),
-            float(share @ (short.max(axis=1) - judged.targets[picked]).astype(np.float64)),
+            float(share @ best_moves(validation.targets, validation.mask)[chosen]),
+            float(share @ (highest - validation.targets[chosen]).astype(np.float64)),
         )
 
     layers = initial_layers([rows.observations.shape[1], *settings.hidden, rows.targets.shape[1]], start)
     optimiser = torch.optim.AdamW(layers, lr=settings.learning_rate, weight_decay=settings.weight_decay)
-    learned_tensors, judged_tensors = tensors(learned), tensors(judged)
-    odds = np.cumsum(learned.weights) / learned.weights.sum()
-    count = min(settings.rows_per_epoch, len(learned))
+    training_tensors, validation_tensors = tensors(training), tensors(validation)
+    odds = np.cumsum(training.weights) / training.weights.sum()
+    count = min(settings.rows_per_epoch, len(training))
     epochs, best, since = [judge(0, float("nan"))], 0, 0
     kept = [layer.detach().clone() for layer in layers]
     for number in range(1, settings.epochs + 1):
-        drawn = np.minimum(np.searchsorted(odds, draws.random(count), side="right"), len(learned) - 1)
+        # Inverse transform sampling, in proportion to the weights; rounding may leave the last sum below 1.
+        drawn = np.minimum(np.searchsorted(odds, draws.random(count), side="right"), len(training) - 1)
         total = 0.0
         for first in range(0, count, settings.batch_size):
             batch = torch.from_numpy(drawn[first : first + settings.batch_size])
-            each = loss(*(tensor[batch] for tensor in learned_tensors))
+            each = loss(*(tensor[batch] for tensor in training_tensors))
             optimiser.zero_grad()
             each.mean().backward()
             optimiser.step()

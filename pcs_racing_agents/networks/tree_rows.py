@@ -1,4 +1,4 @@
-"""Rows from game trees: every decision of both players, with what the solution says of it."""
+"""Rows from game trees: every decision of both players, with targets from the solution."""
 
 from typing import Any, Protocol
 
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 
 class PlayedTree(Protocol):
-    """What is needed of a tree of races with S noise seeds and ``N_k`` nodes at level k.
+    """The protocol of a tree of races with S noise seeds and ``N_k`` nodes at level k.
 
     :class:`pcs_racing_agents.trees.RaceTree` is one.
     """
@@ -27,7 +27,7 @@ class PlayedTree(Protocol):
 
     @property
     def payoffs(self) -> Any:
-        """What each leaf pays to car 0, shape (S, leaves)."""
+        """Payoff of each leaf to car 0, shape (S, leaves)."""
 
     @property
     def over(self) -> Any:
@@ -37,7 +37,7 @@ class PlayedTree(Protocol):
         """Return the tree with payoffs averaged over the seeds, which no player sees."""
 
     def observations(self, level: int) -> NDArray[np.float32]:
-        """Return what both players see at the nodes of a level, shape (S, N_k, 2, D)."""
+        """Return both players' observations at the nodes of a level, shape (S, N_k, 2, D)."""
 
 
 def tree_rows(
@@ -92,33 +92,40 @@ def tree_rows(
     payoffs = np.asarray(race_tree.payoffs, np.float64)
     seeds = len(payoffs)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(int(p) for p in race_tree.policies)))
-    parts: list[tuple[Any, ...]] = []
+    blocks: list[tuple[Any, ...]] = []
     for k, ((first, second), weight) in enumerate(zip(targets, weights, strict=True)):
         nodes = len(weight)
         over = np.asarray(race_tree.over[k], np.bool_)
-        seen = np.asarray(race_tree.observations(k), np.float32)
-        if over.shape != (seeds, nodes) or seen.shape[:3] != (seeds, nodes, 2):
+        observed = np.asarray(race_tree.observations(k), np.float32)
+        if over.shape != (seeds, nodes) or observed.shape[:3] != (seeds, nodes, 2):
             raise InputError(
-                f"level {k} has observations of shape {seen.shape} and over of shape {over.shape}; {seeds} seeds and "
-                f"{nodes} nodes need ({seeds}, {nodes}, 2, any) and ({seeds}, {nodes})"
+                f"level {k} has observations of shape {observed.shape} and over of shape {over.shape}; {seeds} seeds "
+                f"and {nodes} nodes need ({seeds}, {nodes}, 2, any) and ({seeds}, {nodes})"
             )
         if first.shape != second.shape:
             raise InputError(f"level {k}: the cars have {first.shape[1]} and {second.shape[1]} moves; rows need equal")
-        taken = np.arange(nodes)
+        sample = np.arange(nodes)
         if 0 < rows_per_step < nodes:
-            taken = np.sort(rng.permutation(nodes)[:rows_per_step])
-        share = weight[taken] * nodes / len(taken) / seeds
-        going = ~over[:, taken]
-        ended = np.where(over, payoffs.reshape(seeds, nodes, -1)[..., 0], 0.0).sum(axis=0)[taken]
+            sample = np.sort(rng.permutation(nodes)[:rows_per_step])
+        share = weight[sample] * nodes / len(sample) / seeds
+        running = ~over[:, sample]
+        ended_payoffs = np.where(over, payoffs.reshape(seeds, nodes, -1)[..., 0], 0.0).sum(axis=0)[sample]
         for player, values in enumerate((first, second)):
-            goal = values[taken]
+            goals_of_player = values[sample]
             if target in ("advantage", "static-q"):
-                offset = ended[:, None] * (1 - 2 * player) if target == "static-q" else 0.0
-                goal = (goal * seeds - offset) / np.maximum(going.sum(axis=0), 1)[:, None]
-            use = going & np.isfinite(goal).all(axis=1)
-            at = np.nonzero(use)
-            parts.append((seen[:, taken, player][at], goal[at[1]], share[at[1]], np.full(len(at[0]), k, np.int64)))
-    observations, goals, shares, steps = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+                offset = ended_payoffs[:, None] * (1 - 2 * player) if target == "static-q" else 0.0
+                goals_of_player = (goals_of_player * seeds - offset) / np.maximum(running.sum(axis=0), 1)[:, None]
+            usable = running & np.isfinite(goals_of_player).all(axis=1)
+            at = np.nonzero(usable)
+            blocks.append(
+                (
+                    observed[:, sample, player][at],
+                    goals_of_player[at[1]],
+                    share[at[1]],
+                    np.full(len(at[0]), k, np.int64),
+                )
+            )
+    observations, goals, shares, steps = (np.concatenate(arrays) for arrays in zip(*blocks, strict=True))
     if len(goals) == 0:
         raise InputError(f"a tree of policies {list(race_tree.policies)} has no node where the race goes on")
     pair = np.full(len(goals), pair_number(race_tree.policies))
@@ -126,7 +133,7 @@ def tree_rows(
 
 
 def _node_weights(tree: GameTree, solution: Solution, row_weights: str) -> list[Floats]:
-    """How much each node of a level counts, shape (N_k,) each."""
+    """Return the weights of the nodes of each level, shape (N_k,) each."""
     if row_weights not in ROW_WEIGHTS:
         raise UnknownNameError(f"unknown row weights {row_weights!r}; there are {', '.join(ROW_WEIGHTS)}")
     if row_weights == "uniform":

@@ -1,1 +1,1 @@
-"""The style of all pictures."""
+"""Style of pictures, and learning curves."""

@@ -75,12 +75,12 @@ def curves_picture(
     for axes, (name, curves) in zip(grid.ravel(), panels.items(), strict=False):
         logarithmic = log if isinstance(log, bool) else name in log
         for i, curve in enumerate(curves):
-            known = _drawable(curve, logarithmic)
+            shown = _drawable(curve, logarithmic)
             colour = COLOURS[i % len(COLOURS)]
-            axes.plot(curve.x[known], curve.y[known], color=colour, lw=1.4)
+            axes.plot(curve.x[shown], curve.y[shown], color=colour, lw=1.4)
             if curve.error is not None:
                 low, high = curve.y - curve.error, curve.y + curve.error
-                axes.fill_between(curve.x[known], low[known], high[known], color=colour, alpha=0.2, lw=0)
+                axes.fill_between(curve.x[shown], low[shown], high[shown], color=colour, alpha=0.2, lw=0)
         if logarithmic:
             axes.set_yscale("log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -111,9 +111,9 @@ def _name_ends(axes: Any, curves: Sequence[Curve], log: bool) -> None:
     low, high = (np.log10(axes.get_ylim()) if log else np.array(axes.get_ylim())).tolist()
     ends = []
     for i, curve in enumerate(curves):
-        known = np.flatnonzero(_drawable(curve, log))
-        if len(known):
-            value = float(curve.y[known[-1]])
+        shown = np.flatnonzero(_drawable(curve, log))
+        if len(shown):
+            value = float(curve.y[shown[-1]])
             ends.append((i, float(np.log10(value)) if log else value))
     heights = spread_labels([(end - low) / (high - low) for _, end in ends], 0.1)
     for (i, _), height in zip(ends, heights, strict=True):

@@ -1,4 +1,4 @@
-"""How all pictures look: colours that colour-blind people can tell apart, little ink, the same bytes every time."""
+"""The style of all pictures: colours that colour-blind readers can distinguish, and reproducible bytes."""
 
 import io
 import os
@@ -30,7 +30,7 @@ INK, SOFT, EDGE = "#17202b", "#5c6877", "#dfe4ea"
 CARS = ("#1b6fd8", "#e08700")
 """Colours of car 0 and car 1, as in replays."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#8c6d31", "#6b7480")
-"""Of anything else that is counted: the palette of Okabe and Ito (2008), then some more; grey comes last."""
+"""Colours of anything else: the palette of Okabe and Ito (2008), then some more; grey comes last."""
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -62,7 +62,7 @@ T = TypeVar("T")
 
 
 def picture(draw: Callable[P, T]) -> Callable[P, T]:
-    """Let a function draw in this style, and say what to install where matplotlib is missing."""
+    """Decorate a function so that it draws in this style; without matplotlib it raises an error."""
 
     @wraps(draw)
     def styled(*arguments: P.args, **options: P.kwargs) -> T:
@@ -93,32 +93,32 @@ def tidy(axes: Any, grid: str = "both") -> None:
 
 
 def short(name: str, longest: int = 26) -> str:
-    """Return a name that fits beside a picture: its beginning, where it is long."""
+    """Return a name, cut if it is too long for a label."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 
-def spread_labels(wanted: list[float], gap: float) -> list[float]:
-    """Move labels on a line apart until neighbours are ``gap`` apart, as little as need be; order is kept."""
-    order = sorted(range(len(wanted)), key=lambda i: wanted[i])
-    groups: list[list[float]] = []  # of each: sum of wanted places of the first label, number of labels
+def spread_labels(desired: list[float], gap: float) -> list[float]:
+    """Return positions of labels on a line, at least ``gap`` apart and as near as possible to the desired ones."""
+    order = sorted(range(len(desired)), key=lambda i: desired[i])
+    groups: list[list[float]] = []  # of each: sum of desired places of the first label, number of labels
     for i in order:
-        groups.append([wanted[i], 1.0])
+        groups.append([desired[i], 1.0])
         while len(groups) > 1:
             (total, count), (before, number) = groups[-1], groups[-2]
             if total / count - before / number >= gap * number:
                 break
             groups[-2:] = [[before + total - count * number * gap, number + count]]
     places = [total / count + gap * k for total, count in groups for k in range(int(count))]
-    found = [0.0] * len(wanted)
+    moved = [0.0] * len(desired)
     for i, place in zip(order, places, strict=True):
-        found[i] = place
-    return found
+        moved[i] = place
+    return moved
 
 
 def place_labels(
     axes: Any, points: Sequence[Any], texts: Sequence[str], colours: Sequence[str], avoid: Sequence[Any] = ()
 ) -> None:
-    """Write a name beside each point so that names cover neither points nor each other, where there is room.
+    """Write a name beside each point, where possible without covering points or other names.
 
     Limits and size of the axes must be final. Points to ``avoid`` have no names, but are not to be covered either.
     """

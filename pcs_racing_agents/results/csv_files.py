@@ -101,5 +101,5 @@ def read_csv(path: str | os.PathLike[str]) -> CsvTable:
 
 
 def _reader(data: bytes) -> Any:
-    """A reader that decodes as it goes: the text of a large table would take four times the memory of its bytes."""
+    """Return a reader that decodes line by line: the text of a large table takes four times the memory of its bytes."""
     return csv.reader(io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=""), strict=True)

@@ -1,7 +1,6 @@
 """Results files: a race table as csv, one line for every race, and back.
 
-A file of many races says the same words again and again. While it is read, each text of a column is kept once, and what
-it means (a number, a path) is found out once for all races that say it.
+The columns of a large file repeat few texts. While it is read, each text of a column is stored once and parsed once.
 """
 
 import csv
@@ -79,7 +78,7 @@ def read_results(path: str | os.PathLike[str], need: Sequence[str] = ()) -> Race
 
 
 def race_table(rows: Iterable[RaceRow]) -> RaceTable:
-    """Return races that are given in words, as they would come back from a file.
+    """Return the table of races given as rows, checked like a file.
 
     Raises
     ------
@@ -90,7 +89,7 @@ def race_table(rows: Iterable[RaceRow]) -> RaceTable:
 
 
 def _texts(row: RaceRow) -> list[str]:
-    """Lengths and times to a tenth of a millimetre or millisecond; lists with semicolons."""
+    """Return the cells of a race: lengths and times with 4 decimals, lists with semicolons."""
     return [
         f"{value:.4f}" if isinstance(value, float)
         else "; ".join(map(str, value)) if isinstance(value, tuple)
@@ -100,7 +99,7 @@ def _texts(row: RaceRow) -> list[str]:
 
 
 class _Lines(NamedTuple):
-    """Lines of text in columns.
+    """The lines of a file, stored by column.
 
     Attributes
     ----------
@@ -116,7 +115,7 @@ class _Lines(NamedTuple):
     at: NDArray[np.int32]
 
     def damaged(self, column: str, word: str, problem: str) -> InputError:
-        """Return an error about the first line that holds a word: as a line of the file, and as ``explain`` counts."""
+        """Return an error that names the first line with a word, by its number in the file and by its race."""
         words, codes = self.columns[column]
         number = int(np.argmax(codes == words.index(word)))
         return InputError(f"{self.where}, line {self.at[number]} (race {number}), is damaged: {column} is {problem}")
@@ -153,14 +152,14 @@ class _Lines(NamedTuple):
             raise self.damaged(name, word, f"{word!r:.60}; it must be a whole number")
         return narrow(values.astype(np.int64))
 
-    def choices(self, name: str, known: Sequence[str]) -> NDArray[np.int64]:
-        """Return which of a few words stand in a column."""
+    def choices(self, name: str, allowed_words: Sequence[str]) -> NDArray[np.int64]:
+        """Return the places of a column's words in a list of allowed words."""
         words, codes = self.columns[name]
         for word in words:
-            if word not in known:
-                allowed = ", ".join(choice or "nothing" for choice in known)
+            if word not in allowed_words:
+                allowed = ", ".join(choice or "nothing" for choice in allowed_words)
                 raise self.damaged(name, word, f"{word!r:.60}; it must be {allowed}")
-        return np.array([known.index(word) for word in words], np.int64)[codes]
+        return np.array([allowed_words.index(word) for word in words], np.int64)[codes]
 
     def seeds(self) -> Categorical:
         """Return the column of seeds, which are whole numbers of any size."""
@@ -173,7 +172,7 @@ class _Lines(NamedTuple):
         return Categorical(tuple(words), np.array(places, np.int64)[seeds.codes])
 
     def steps(self, name: str) -> tuple[list[list[str]], NDArray[Any]]:
-        """Return what a column lists for each different text, and the places of these texts."""
+        """Return the lists that the different texts of a column stand for, and the code of each line."""
         column = self.words(name)
         lists = [word.split("; ") if word else [] for word in column.words]
         if 2 * len(self.at) * max(map(len, lists), default=0) > MOST_STEPS:
@@ -203,23 +202,23 @@ class _Lines(NamedTuple):
 
 
 def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, list[str]]]) -> _Lines:
-    """Go through lines once, keeping every text of a column once."""
+    """Return lines by column, with every different text stored once."""
     codes, at = [array("i") for _ in names], array("i")
     words: list[dict[str, int]] = [{} for _ in names]
-    work = [(column.append, known.setdefault, known) for column, known in zip(codes, words, strict=True)]
+    work = [(column.append, codes_of.setdefault, codes_of) for column, codes_of in zip(codes, words, strict=True)]
     for number, line in lines:
         at.append(number)
-        for (append, place, known), text in zip(work, line, strict=True):
-            append(place(text, len(known)))
+        for (append, place, codes_of), text in zip(work, line, strict=True):
+            append(place(text, len(codes_of)))
     columns = {}
     for name in names:
-        known, column = words.pop(0), codes.pop(0)  # one after the other, lest all of them lie there twice
-        columns[name] = Categorical(tuple(known), np.array(column, np.min_scalar_type(len(known))))
+        codes_of, column = words.pop(0), codes.pop(0)  # column by column, so that memory never holds two copies of all
+        columns[name] = Categorical(tuple(codes_of), np.array(column, np.min_scalar_type(len(codes_of))))
     return _Lines(where, columns, np.array(at, np.int32))
 
 
 def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
-    """Turn words into numbers, checking each of them."""
+    """Return the table of a file's lines, every word checked and converted."""
     if not len(lines.at):
         raise InputError(f"{lines.where} holds no races")
     missing = [name for name in (*NEEDED, *need) if name not in lines.columns]

@@ -1,4 +1,4 @@
-"""Results of races in columns: the one form that tournaments, studies and the viewer read and write.
+"""Results of races as a columnar table, which tournaments, studies and the viewer read and write.
 
 Inside a :class:`RaceTable` stand small whole numbers; words are made for the reader (:class:`RaceRow`) and for the csv
 file (:mod:`pcs_racing_agents.results.race_files`). A race of four moves takes about 70 bytes.
@@ -175,14 +175,14 @@ class RaceTable:
 
     def take(self, rows: ArrayLike) -> "RaceTable":
         """Return some of the races: numbers, or a bool for each."""
-        chosen = np.asarray(rows)
-        if chosen.size == 0:
-            chosen = chosen.astype(np.intp)  # an empty list is one of floats
+        indices = np.asarray(rows)
+        if indices.size == 0:
+            indices = indices.astype(np.intp)  # an empty list is one of floats
 
-        def part(column: Any) -> Any:
-            return column._replace(codes=column.codes[chosen]) if isinstance(column, Categorical) else column[chosen]
+        def taken(column: Any) -> Any:
+            return column._replace(codes=column.codes[indices]) if isinstance(column, Categorical) else column[indices]
 
-        return RaceTable(**{field.name: part(getattr(self, field.name)) for field in fields(self)})
+        return RaceTable(**{field.name: taken(getattr(self, field.name)) for field in fields(self)})
 
     @property
     def crashed(self) -> Flags:
@@ -207,10 +207,10 @@ class RaceTable:
 
     @property
     def places(self) -> NDArray[np.int64]:
-        """Labels of where the races started, shape (N,): what is drawn together where intervals are made.
+        """Labels of the places where the races started, shape (N,): the clusters of confidence intervals.
 
         Short circuits have few places, so that races of different numbers, and start lines of different numbers, may
-        share one. Places are told apart to a tenth of a millimetre.
+        share one. Places count as different from a tenth of a millimetre.
         """
         lines, line = np.unique(np.stack([self.track.codes, self.start_s]), axis=1, return_inverse=True)
         labels = [f"{self.track.words[int(track)]} {start:.4f}" for track, start in lines.T.tolist()]
@@ -226,11 +226,11 @@ class RaceTable:
         pair = pair.reshape(-1)
         rows = np.split(np.argsort(pair, kind="stable"), np.cumsum(np.bincount(pair))[:-1])
         words = (self.track.words, self.agents.words, self.agents.words, self.seed.words)
-        found = {}
+        numbers = {}
         for k in np.argsort(first).tolist():
             track, ego, opponent, seed = (words[i][code] for i, code in enumerate(columns[:, first[k]].tolist()))
-            found[track, ego, opponent, seed] = rows[k]
-        return found
+            numbers[track, ego, opponent, seed] = rows[k]
+        return numbers
 
     def with_seeds(self, seeds: Collection[int]) -> "RaceTable":
         """Return the races of these seeds."""
@@ -246,9 +246,9 @@ class RaceTable:
         )  # fmt: skip
         for row in zip(*(column[rows].tolist() for column in columns), strict=True):
             preset, agents, track, race, start, side, seed, lead, winner, crash, fault = row[:11]
-            overtakes, duration, variants, path, made = row[11:]
+            overtakes, duration, variants, path, move_codes = row[11:]
             paths = [tuple(policy for policy in steps if policy >= 0) for steps in path]
-            lists = [tuple(moves[move] for move in steps if move >= 0) for steps in made]
+            lists = [tuple(moves[move] for move in steps if move >= 0) for steps in move_codes]
             yield RaceRow(
                 self.preset.words[preset], self.agents.words[agents[0]], self.agents.words[agents[1]],
                 self.track.words[track], race, start, side, int(self.seed.words[seed]), lead, WINNERS[winner],
@@ -259,10 +259,10 @@ class RaceTable:
 
 def concatenate_races(tables: Iterable[RaceTable]) -> RaceTable:
     """Join the races of at least one table, in their order."""
-    parts = list(tables)
+    members = list(tables)
 
     def joined(name: str) -> Any:
-        columns = [getattr(part, name) for part in parts]
+        columns = [getattr(member, name) for member in members]
         return Categorical.concatenate(columns) if isinstance(columns[0], Categorical) else _concatenate(columns)
 
     return RaceTable(**{field.name: joined(field.name) for field in fields(RaceTable)})

@@ -1,4 +1,4 @@
-"""Solvers of two-player zero-sum games on dense trees: exact, by regret minimisation, and judges of both."""
+"""Solvers of two-player zero-sum games on dense trees: exact and by regret minimisation, and their evaluation."""
 
 from pcs_racing_agents.solvers.backward_induction import ExactResult, solve_exact
 from pcs_racing_agents.solvers.cfr import VARIANTS, CFRResult, Variant, cfr

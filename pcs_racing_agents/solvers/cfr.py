@@ -16,7 +16,7 @@ from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 __all__ = ["VARIANTS", "CFRResult", "Variant", "cfr"]
 
 CHUNK = 200
-"""Iterations between two chances to interrupt."""
+"""Iterations of one compiled call; Ctrl-C is handled in between."""
 
 MOST_ITERATIONS = 10_000_000
 
@@ -58,7 +58,7 @@ VARIANTS = {
 
 @dataclass(frozen=True, eq=False)
 class CFRResult:
-    """Where some iterations of CFR led; all lists have a pair for each level, of car 0 and car 1.
+    """Average strategies and regrets after some iterations of CFR; lists hold a pair for each level: car 0, car 1.
 
     Attributes
     ----------
@@ -73,9 +73,9 @@ class CFRResult:
         That probability summed over the iterations, shape (rows,) each; regrets divided by it are per visit. It is
         discounted like positive regrets.
     strategy_sums : list of (ndarray, ndarray)
-        What ``average`` is made of: strategies summed with the weights of the player's own reach.
+        Numerators of ``average``: strategies summed with the weights of the player's own reach.
     iterations : int
-        How many have been made in all.
+        Of all runs together.
     variant : Variant
     """
 
@@ -119,9 +119,9 @@ def cfr(
     if resume is not None:
         done = resume.iterations
         _check_resumed(tree, resume, rules)
-        _put(tree, layout, state.regrets, layout.regret_at, resume.regrets)
-        _put(tree, layout, state.sums, layout.regret_at, resume.strategy_sums)
-        _put(tree, layout, state.opponent_reach, layout.row_at, resume.opponent_reach)
+        _copy_in(tree, layout, state.regrets, layout.regret_at, resume.regrets)
+        _copy_in(tree, layout, state.sums, layout.regret_at, resume.strategy_sums)
+        _copy_in(tree, layout, state.opponent_reach, layout.row_at, resume.opponent_reach)
     last = done + int(iterations) + 1
     with first_call(iterate, "counterfactual regret minimisation", 5):
         for begin in range(done + 1, last, CHUNK):
@@ -144,15 +144,15 @@ def _check_resumed(tree: GameTree, resume: CFRResult, variant: Variant) -> None:
     if resume.variant != variant:
         raise InputError(f"the run to resume is of {resume.variant}, not of {variant}")
     wanted = [tuple((tree.rows(k, player), tree.moves[k][player]) for player in (0, 1)) for k in range(tree.depth)]
-    found = [(first.shape, second.shape) for first, second in resume.regrets]
-    if found != wanted:
-        raise InputError(f"the run to resume is of a tree with other infosets: its regrets have shapes {found}")
+    shapes = [(first.shape, second.shape) for first, second in resume.regrets]
+    if shapes != wanted:
+        raise InputError(f"the run to resume is of a tree with other infosets: its regrets have shapes {shapes}")
 
 
 def _result(tree: GameTree, layout: Layout, state: State, iterations: int, variant: Variant) -> CFRResult:
-    regrets = _take(tree, layout, state.regrets, layout.regret_at, True)
-    sums = _take(tree, layout, state.sums, layout.regret_at, True)
-    reach = _take(tree, layout, state.opponent_reach, layout.row_at, False)
+    regrets = _copy_out(tree, layout, state.regrets, layout.regret_at, True)
+    sums = _copy_out(tree, layout, state.sums, layout.regret_at, True)
+    reach = _copy_out(tree, layout, state.opponent_reach, layout.row_at, False)
     return CFRResult(
         average=[(_shares(first), _shares(second)) for first, second in sums],
         current=[(_shares(np.maximum(r0, 0.0)), _shares(np.maximum(r1, 0.0))) for r0, r1 in regrets],
@@ -165,21 +165,21 @@ def _result(tree: GameTree, layout: Layout, state: State, iterations: int, varia
 
 
 def _shares(weights: Floats) -> Floats:
-    """Each row divided by its sum; evenly where that is 0."""
+    """Return each row divided by its sum; the uniform distribution where that is 0."""
     total = weights.sum(axis=1, keepdims=True)
     even = np.full_like(weights, 1.0 / weights.shape[1])
     return np.divide(weights, total, out=even, where=total > 0.0)
 
 
 def _order(tree: GameTree, layout: Layout, level: int, player: int) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
-    """Which row of the tree stands at each of the kernels' rows."""
+    """Return the row of the tree for each row of the kernels' arrays."""
     if layout.single[player, level]:
         return node_order(tree, level)
     return np.arange(tree.rows(level, player))
 
 
-def _take(tree: GameTree, layout: Layout, flat: Floats, at: object, moves: bool) -> list[tuple[Floats, Floats]]:
-    """Cut an array of the kernels into levels and players, with rows in the tree's order."""
+def _copy_out(tree: GameTree, layout: Layout, flat: Floats, at: object, moves: bool) -> list[tuple[Floats, Floats]]:
+    """Return an array of the kernels by level and player, with rows in the tree's order."""
     result = []
     for k in range(tree.depth):
         pair = []
@@ -193,8 +193,8 @@ def _take(tree: GameTree, layout: Layout, flat: Floats, at: object, moves: bool)
     return result
 
 
-def _put(tree: GameTree, layout: Layout, flat: Floats, at: object, pairs: list[tuple[Floats, Floats]]) -> None:
-    """The inverse of :func:`_take`."""
+def _copy_in(tree: GameTree, layout: Layout, flat: Floats, at: object, pairs: list[tuple[Floats, Floats]]) -> None:
+    """Write arrays by level and player into one of the kernels: the inverse of :func:`_copy_out`."""
     for k in range(tree.depth):
         for player in (0, 1):
             order = _order(tree, layout, k, player)

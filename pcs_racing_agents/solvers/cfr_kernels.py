@@ -19,7 +19,7 @@ BLOCK = 256
 
 
 class Layout(NamedTuple):
-    """What the kernels know about a tree; the first axis of an array is the player, where it says (2, m).
+    """A tree as arrays for the kernels; the first axis of an array is the player, where it says (2, m).
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Layout(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the iterations change.
+    """The arrays that the iterations change.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class State(NamedTuple):
 
 
 def node_order(tree: GameTree, level: int) -> Integers:
-    """For each place in the kernels' order, which node of the tree it is, shape (nodes,)."""
+    """Node of the tree at each place of the kernels' order, shape (nodes,)."""
     shape = [tree.roots, *(a * b for a, b in tree.moves[:level])]
     return np.arange(tree.nodes(level)).reshape(shape).transpose().reshape(-1)
 
@@ -213,7 +213,7 @@ def push_reach(layout, state, player):  # type: ignore[no-untyped-def]
     for k in range(layout.nodes.size - 1):
         nodes, first, second = layout.nodes[k], layout.moves[0, k], layout.moves[1, k]
         sigma = state.sigma[layout.sigma_at[player, k] :]
-        here = state.reach[player, layout.node_at[k] : layout.node_at[k] + nodes]
+        own_reach = state.reach[player, layout.node_at[k] : layout.node_at[k] + nodes]
         below = state.reach[player, layout.node_at[k + 1] :]
         for a in range(first):
             for b in range(second):
@@ -221,7 +221,7 @@ def push_reach(layout, state, player):  # type: ignore[no-untyped-def]
                 s = sigma[own * nodes : (own + 1) * nodes]
                 target = below[(a * second + b) * nodes : (a * second + b + 1) * nodes]
                 for j in range(nodes):
-                    target[j] = here[j] * s[j]
+                    target[j] = own_reach[j] * s[j]
 
 
 @kernel
@@ -265,9 +265,9 @@ def add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
             for j in range(n):
                 weight[j] = reach[j] * chance[j]
             if single:
-                seen = reached[low : low + n]
+                infoset_reach = reached[low : low + n]
                 for j in range(n):
-                    seen[j] += weight[j]
+                    infoset_reach[j] += weight[j]
                 for a in range(own_moves):
                     q = work[(a + 1) * BLOCK : (a + 1) * BLOCK + n]
                     r = regrets[a * rows + low : a * rows + low + n]

@@ -1,4 +1,4 @@
-"""All solvers on one tree, side by side: what their strategies are worth, and how far from the exact ones they are."""
+"""Comparison of solvers on one tree: value, exploitability, agreement with the exact solution, and time."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ INDIFFERENT = 1e-9
 
 
 class MethodRow(NamedTuple):
-    """How one method did on one tree.
+    """The scores of one method on one tree.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str
     UnknownNameError
         If there is no such method.
     InputError
-        If the players do not see all past moves, or the number of iterations is impossible.
+        If the players do not see all past moves, or the number of iterations is out of its range.
     """
     for method in methods:
         if method not in METHODS:
@@ -93,7 +93,7 @@ def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: 
         Its solution.
     profile : Profile
     on_path : bool
-        Whether joint histories count as often as the exact solution leads to them; by default all count alike.
+        Whether joint histories count as often as the exact solution leads to them; by default all count equally.
     """
     game = tree.averaged
     span = float(np.ptp(game.payoffs)) or 1.0
@@ -105,8 +105,8 @@ def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: 
             weight = (lost.max(axis=1) > INDIFFERENT * span).astype(np.float64)
             if on_path:
                 weight *= reach[k][0] * reach[k][1]
-            chosen = np.take_along_axis(lost, strategy.argmax(axis=1)[:, None], axis=1)[:, 0]
-            agreed += float(weight[chosen <= INDIFFERENT * span].sum())
+            loss = np.take_along_axis(lost, strategy.argmax(axis=1)[:, None], axis=1)[:, 0]
+            agreed += float(weight[loss <= INDIFFERENT * span].sum())
             decisions += float(weight.sum())
     return agreed / decisions if decisions > 0.0 else 1.0
 
@@ -132,6 +132,6 @@ def _solver(method: str, iterations: int) -> Callable[[GameTree], Profile]:
 
 
 def _ready() -> None:
-    """Load or compile what is to be timed."""
+    """Load or compile the kernels, so that compilation is not timed."""
     cfr(GameTree.from_payoffs(np.zeros((1, 1))), 1)
     solve_exact(GameTree.from_payoffs(np.zeros((1, 1))))

@@ -53,7 +53,7 @@ def efg_text(
 ) -> str:
     """Return a tree in Gambit's format: at every node car 0 moves, then car 1 without having seen it.
 
-    A player with a single move has no node there. Infosets are named by :func:`infoset_name`. Chance that nobody
+    A player with a single move has no node there. Infosets are named by :func:`infoset_name`. Chance that no player
     sees is left out: the payoffs are then expected ones.
 
     Parameters

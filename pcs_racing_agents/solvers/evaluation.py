@@ -1,4 +1,4 @@
-"""What a behaviour profile is worth: values, reach, action values, best responses and exploitability.
+"""Evaluation of behaviour profiles: values, reach, action values, best responses and exploitability.
 
 Plain array code for every tree, whatever the players see. It shares nothing with the solvers, so it judges them.
 """
@@ -33,7 +33,7 @@ SUM_TOLERANCE = 1e-5  # networks answer in float32
 
 
 class BestResponse(NamedTuple):
-    """What one player can do at best against a profile's other half.
+    """A best response to the other player's strategy of a profile.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class BestResponse(NamedTuple):
 
 
 class Exploitability(NamedTuple):
-    """How far a profile is from an equilibrium.
+    """The exploitability of a profile, by player and in total.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def check_profile(tree: GameTree, profile: list[tuple[ArrayLike, ArrayLike]] | P
     """
     if len(profile) != tree.depth or any(len(pair) != 2 for pair in profile):
         raise InputError(f"a profile of this tree has {tree.depth} pairs of strategies, one for each level")
-    made = []
+    checked = []
     for k, pair in enumerate(profile):
         both = []
         for player in (0, 1):
@@ -110,8 +110,8 @@ def check_profile(tree: GameTree, profile: list[tuple[ArrayLike, ArrayLike]] | P
                     "probabilities are at least 0 and sum up to 1"
                 )
             both.append(strategy / total[:, None])
-        made.append((both[0], both[1]))
-    return made
+        checked.append((both[0], both[1]))
+    return checked
 
 
 def reach_probabilities(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
@@ -131,7 +131,7 @@ def reach_probabilities(tree: GameTree, profile: Profile) -> list[tuple[Floats, 
 
 
 def node_values(tree: GameTree, profile: Profile) -> list[Floats]:
-    """What every node of levels 0 to m is worth to car 0 if both follow the profile, shape (nodes,) each."""
+    """Expected payoff to car 0 at every node of levels 0 to m if both follow the profile, shape (nodes,) each."""
     sigma = _at_nodes(tree, check_profile(tree, profile))
     values = [tree.payoffs.reshape(-1)]
     for first, second in reversed(sigma):
@@ -141,13 +141,13 @@ def node_values(tree: GameTree, profile: Profile) -> list[Floats]:
 
 
 def play_value(tree: GameTree, profile: Profile) -> float:
-    """What car 0 gets in expectation if both follow the profile."""
+    """Expected payoff to car 0 if both follow the profile."""
     tree = tree.averaged
     return float((tree.chance * node_values(tree, profile)[0]).sum())
 
 
 def q_values(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
-    """What every move is worth to the player who makes it, if from then on both follow the profile.
+    """Q-values: expected payoff of every move to the player who makes it, if both follow the profile afterwards.
 
     Returns
     -------
@@ -170,7 +170,7 @@ def q_values(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
 
 
 def advantages(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
-    """What every move is worth to its player above following the profile: q minus its mean under the strategy."""
+    """Advantages: the q-values of the moves minus their mean under the strategy."""
     return [
         (q0 - (q0 * s0).sum(axis=1, keepdims=True), q1 - (q1 * s1).sum(axis=1, keepdims=True))
         for (q0, q1), (s0, s1) in zip(q_values(tree, profile), check_profile(tree, profile), strict=True)
@@ -178,7 +178,7 @@ def advantages(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
 
 
 def best_response(tree: GameTree, profile: Profile, player: int) -> BestResponse:
-    """Find what a player can do at best against the other half of a profile.
+    """Compute a player's best response to the other player's strategy of a profile.
 
     From the last level up, each infoset takes the move of highest expected value, weighting its nodes with how often
     chance and the other player lead there; with perfect recall the weights do not depend on the player's own moves.
@@ -240,6 +240,7 @@ def _over_infosets(tree: GameTree, level: int, player: int, at_nodes: Floats, ot
     if count == len(rows):
         return at_nodes  # numbered in the order of the nodes
     weights = other_reach * np.repeat(tree.chance, len(rows) // tree.roots)
+    # Where the other player never comes, all nodes count equally: their weights would sum up to 0.
     never = np.bincount(rows, weights, count)[rows] == 0.0
     weights = np.where(never, 1.0, weights)
     total = np.bincount(rows, weights, count)

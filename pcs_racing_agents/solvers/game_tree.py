@@ -28,8 +28,8 @@ class GameTree:
     """A two-player zero-sum game of ``m`` simultaneous moves each; make it with :meth:`from_payoffs`.
 
     Level ``k`` (0 to m - 1) has ``roots * N_k`` nodes, one for each outcome of chance and each joint history; child
-    ``(a, b)`` of node ``j`` is node ``(j * A_k + a) * B_k + b`` of the next level. A player does not tell the nodes of
-    one *information set* (infoset) apart, so its strategy is an array with a row per infoset.
+    ``(a, b)`` of node ``j`` is node ``(j * A_k + a) * B_k + b`` of the next level. A player can not distinguish the
+    nodes of one *information set* (infoset), so its strategy is an array with a row per infoset.
 
     Attributes
     ----------
@@ -60,12 +60,12 @@ class GameTree:
             first axis is its outcome: (S, A_0, B_0, ...).
         chance : array, shape (S,), optional
             Probabilities of outcomes (seeds of the noise, say) that no player sees; they are at least 0 and sum up to
-            1. See :meth:`with_infosets` for outcomes that somebody sees.
+            1. See :meth:`with_infosets` for outcomes that a player sees.
 
         Raises
         ------
         InputError
-            If a payoff is not finite (or beyond 1e100), or a shape or probability is impossible.
+            If a payoff is not finite (or beyond 1e100), a shape does not fit, or probabilities do not sum up to 1.
         """
         table = _real(payoffs, "payoffs")
         if chance is None:
@@ -91,7 +91,7 @@ class GameTree:
         return cls(_fixed(flat), moves, _fixed(weights / weights.sum()), tuple((_fixed(r), _fixed(r)) for r in rows))
 
     def with_infosets(self, labels: Sequence[tuple[ArrayLike, ArrayLike]]) -> "GameTree":
-        """Return the tree with other infosets: nodes of equal label are one to that player.
+        """Return the tree with other infosets: a player can not distinguish nodes of equal label.
 
         Parameters
         ----------
@@ -106,30 +106,30 @@ class GameTree:
             one own move (perfect recall).
         """
         self._check_levels(labels, "labels")
-        made: list[tuple[Integers, Integers]] = []
+        infosets: list[tuple[Integers, Integers]] = []
         for k, pair in enumerate(labels):
             rows = []
             for player in (0, 1):
-                given = np.asarray(pair[player])
-                if given.dtype.kind not in "iub" or given.size != self.nodes(k) or given.ndim not in (1, 2):
+                array = np.asarray(pair[player])
+                if array.dtype.kind not in "iub" or array.size != self.nodes(k) or array.ndim not in (1, 2):
                     raise InputError(
-                        f"labels of level {k}, car {player} have shape {given.shape} and type {given.dtype}; they must "
+                        f"labels of level {k}, car {player} have shape {array.shape} and type {array.dtype}; they must "
                         f"be {self.nodes(k)} whole numbers, one for each node"
                     )
-                rows.append(_numbered(given.reshape(-1)))
+                rows.append(_numbered(array.reshape(-1)))
                 if k:
-                    self._check_recall(k, player, rows[player], self._past(k, player, made[k - 1][player]))
-            made.append((rows[0], rows[1]))
-        return replace(self, infosets=tuple(made))
+                    self._check_recall(k, player, rows[player], self._past(k, player, infosets[k - 1][player]))
+            infosets.append((rows[0], rows[1]))
+        return replace(self, infosets=tuple(infosets))
 
     def with_observations(self, observations: Sequence[tuple[ArrayLike, ArrayLike]]) -> "GameTree":
-        """Return the tree whose players see what is given here, beside their own moves, and remember all of it.
+        """Return the tree whose players see these observations and their own moves, and remember all of them.
 
         Parameters
         ----------
         observations : sequence of (array, array)
             For each level, what car 0 and car 1 see at every node: shape (roots * N_k,) or (roots * N_k, d). Nodes
-            whose numbers are all equal look alike: round measured numbers to what a player could tell apart.
+            whose numbers are all equal look the same: round measured numbers to the precision of the player's sensors.
 
         Raises
         ------
@@ -137,22 +137,22 @@ class GameTree:
             If a shape is wrong or a number is not finite.
         """
         self._check_levels(observations, "observations")
-        made: list[tuple[Integers, Integers]] = []
+        infosets: list[tuple[Integers, Integers]] = []
         for k, pair in enumerate(observations):
             rows = []
             for player in (0, 1):
-                seen = _real(pair[player], f"observations of level {k}, car {player}")
-                if seen.ndim not in (1, 2) or len(seen) != self.nodes(k) or not np.isfinite(seen).all():
+                observed = _real(pair[player], f"observations of level {k}, car {player}")
+                if observed.ndim not in (1, 2) or len(observed) != self.nodes(k) or not np.isfinite(observed).all():
                     raise InputError(
-                        f"observations of level {k}, car {player} have shape {seen.shape}; they must be finite "
+                        f"observations of level {k}, car {player} have shape {observed.shape}; they must be finite "
                         f"numbers, {self.nodes(k)} rows of them"
                     )
-                key = seen.reshape(len(seen), -1)
+                key = observed.reshape(len(observed), -1)
                 if k:
-                    key = np.column_stack([self._past(k, player, made[k - 1][player]), key])
+                    key = np.column_stack([self._past(k, player, infosets[k - 1][player]), key])
                 rows.append(_numbered(np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)))
-            made.append((rows[0], rows[1]))
-        return replace(self, infosets=tuple(made))
+            infosets.append((rows[0], rows[1]))
+        return replace(self, infosets=tuple(infosets))
 
     def __copy__(self) -> "GameTree":
         """Return the tree itself: it never changes."""
@@ -226,9 +226,9 @@ class GameTree:
 
     # Checks
 
-    def _check_levels(self, given: Sequence[tuple[ArrayLike, ArrayLike]], what: str) -> None:
-        if len(given) != self.depth or any(len(pair) != 2 for pair in given):
-            raise InputError(f"{what} must be {self.depth} pairs, one for each level: of car 0 and of car 1")
+    def _check_levels(self, pairs: Sequence[tuple[ArrayLike, ArrayLike]], name: str) -> None:
+        if len(pairs) != self.depth or any(len(pair) != 2 for pair in pairs):
+            raise InputError(f"{name} must be {self.depth} pairs, one for each level: of car 0 and of car 1")
 
     def _past(self, level: int, player: int, before: Integers) -> Integers:
         """For every node of a level: a number for the player's infoset and own move one level up."""
@@ -248,20 +248,20 @@ class GameTree:
 
 
 def _numbered(labels: Integers) -> Integers:
-    """Labels replaced by 0, 1, 2, ... in the order in which they first come."""
+    """Return labels replaced by 0, 1, 2, ... in the order of their first occurrence."""
     _, first, place = np.unique(labels, return_index=True, return_inverse=True)
     order = np.empty(len(first), dtype=np.int64)
     order[np.argsort(first)] = np.arange(len(first))
     return _fixed(order[place])
 
 
-def _real(values: ArrayLike, what: str) -> Floats:
+def _real(values: ArrayLike, name: str) -> Floats:
     try:
         array = np.asarray(values)
     except ValueError:
-        raise InputError(f"{what} do not form an array: their rows differ in length") from None
+        raise InputError(f"{name} do not form an array: their rows differ in length") from None
     if array.dtype.kind not in "fiub":
-        raise InputError(f"{what} have type {array.dtype}; they must be real numbers")
+        raise InputError(f"{name} have type {array.dtype}; they must be real numbers")
     return array.astype(np.float64)
 
 

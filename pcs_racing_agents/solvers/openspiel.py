@@ -1,4 +1,4 @@
-"""Trees as games of OpenSpiel, and strategies there and back.
+"""Conversion of trees to games of OpenSpiel, and of strategies in both directions.
 
 Two roads: :func:`efg_game` hands the tree to OpenSpiel's C++ as an extensive form file, which is fast;
 :func:`python_game` makes a simultaneous-move game in Python with names, information states and tensors, which is what
@@ -104,7 +104,7 @@ def python_game(tree: GameTree, observations: Tensors | None = None) -> Any:
     Parameters
     ----------
     tree : GameTree
-        Chance that nobody sees is averaged out.
+        Chance that no player sees is averaged out.
     observations : sequence of (ndarray, ndarray), optional
         What the two cars see at each of their infosets, shapes (rows, D), for the tensors. By default a tensor is made
         of the step, the player and, for each past step, the own move and what was seen: the other's move, or the

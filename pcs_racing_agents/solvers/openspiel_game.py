@@ -12,19 +12,19 @@ __all__ = ["information_tensors", "register"]
 
 
 def information_tensors(tree: GameTree) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """For each level and player a number for everything that a player knows there, shape (rows, D).
+    """Information-state tensors of each level and player, shape (rows, D).
 
-    The step (one of m), then for each step so far: the own last move (one of its moves) and what was seen, which is the
+    The step (one of m), then for each step so far: the own last move (one of its moves) and the observation: the
     other's last move where both see all past moves, and else the infoset's number in binary.
     """
     m = tree.depth
-    seen_moves = tree.perfect and tree.roots == 1
+    observed_moves = tree.perfect and tree.roots == 1
     pairs = []
     for player in (0, 1):
         own, other = ([moves[p] for moves in tree.moves] for p in (player, 1 - player))
         bits = [max(1, (tree.rows(k, player) - 1).bit_length()) for k in range(m)]
         blocks = [0, *own[:-1]]
-        sizes = [blocks[k] + ([0, *other[:-1]][k] if seen_moves else bits[k]) for k in range(m)]
+        sizes = [blocks[k] + ([0, *other[:-1]][k] if observed_moves else bits[k]) for k in range(m)]
         at = np.cumsum([m, *sizes])
         levels = []
         before = np.zeros((tree.roots, at[-1]), dtype=np.float32)
@@ -35,10 +35,10 @@ def information_tensors(tree: GameTree) -> list[tuple[NDArray[np.float32], NDArr
                 before = before[node // (a * b)]
                 moves = ((node // b) % a, node % b)
                 before[node, at[k] + moves[player]] = 1.0
-                if seen_moves:
+                if observed_moves:
                     before[node, at[k] + blocks[k] + moves[1 - player]] = 1.0
             rows = tree.infosets[k][player]
-            if not seen_moves:
+            if not observed_moves:
                 digits = (rows[:, None] >> np.arange(bits[k])) & 1
                 before[:, at[k] + blocks[k] : at[k + 1]] = digits
             first = np.unique(rows, return_index=True)[1]
@@ -90,8 +90,8 @@ def register(name: str, default: str, find: Callable[[str], tuple[GameTree, Any]
         """A tree; states and observers come from here."""
 
         def __init__(self, params: Any = None) -> None:
-            chosen = {"tree": default, **(params or {})}
-            tree, observations = find(chosen["tree"])
+            parameters = {"tree": default, **(params or {})}
+            tree, observations = find(parameters["tree"])
             chance = tree.roots > 1
             info = pyspiel.GameInfo(
                 num_distinct_actions=max(max(pair) for pair in tree.moves),
@@ -102,7 +102,7 @@ def register(name: str, default: str, find: Callable[[str], tuple[GameTree, Any]
                 utility_sum=0.0,
                 max_game_length=tree.depth,
             )
-            super().__init__(game_type(chance), info, chosen)
+            super().__init__(game_type(chance), info, parameters)
             self.data = _Data(tree, observations)
 
         def new_initial_state(self) -> Any:
@@ -125,7 +125,7 @@ def register(name: str, default: str, find: Callable[[str], tuple[GameTree, Any]
             self.node = 0
 
         def current_player(self) -> int:
-            """Return who acts: chance, both, or nobody any more."""
+            """Return who acts: chance, both players, or none at the end."""
             if self.level < 0:
                 return pyspiel.PlayerId.CHANCE
             return pyspiel.PlayerId.TERMINAL if self.is_terminal() else pyspiel.PlayerId.SIMULTANEOUS
@@ -172,7 +172,7 @@ def register(name: str, default: str, find: Callable[[str], tuple[GameTree, Any]
             self.dict = {"player": self.tensor[:2], "seen": self.tensor[2:]}
 
         def set_from(self, state: Any, player: int) -> None:
-            """Write what a player knows."""
+            """Write a player's information state into the tensor."""
             self.tensor[:] = 0.0
             self.tensor[player] = 1.0
             if self.private and 0 <= state.level < self.data.tree.depth:
@@ -180,7 +180,7 @@ def register(name: str, default: str, find: Callable[[str], tuple[GameTree, Any]
                 self.tensor[2:] = self.data.tensors[state.level][player][row]
 
         def string_from(self, state: Any, player: int) -> str:
-            """Return a name for what a player knows: its level and its row in a strategy."""
+            """Return the name of a player's information state: its level and its row in a strategy."""
             if not self.private or state.level < 0:
                 return f"{player}:{state.level}"
             if state.is_terminal():
@@ -191,7 +191,7 @@ def register(name: str, default: str, find: Callable[[str], tuple[GameTree, Any]
 
 
 class _Data:
-    """What all states of a game share. OpenSpiel copies states deeply; this stays one."""
+    """Data that all states of a game share; OpenSpiel's deep copies of states keep a reference to it."""
 
     def __init__(self, tree: GameTree, tensors: Any) -> None:
         self.tree = tree

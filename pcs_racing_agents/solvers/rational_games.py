@@ -1,4 +1,4 @@
-"""One zero-sum matrix game in whole numbers, without any rounding: for the rare game that floats do not solve.
+"""An exact solver of one zero-sum matrix game in rational numbers, for the rare game that rounding defeats.
 
 Every float is a fraction with a power of two below, so a game of floats can be scaled to whole numbers. The simplex
 method then runs on a tableau of whole numbers with one common denominator (Edmonds' integer pivoting; see Avis 2000,

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents.fits import save_fit
 from pcs_racing_agents.jobs.jobs import Progress, open_job, run_groups
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
-from pcs_racing_agents.networks.identity import GameIdentity
 from pcs_racing_agents.networks.network_files import load_network, save_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.synthesis.diverse import select_diverse
-from pcs_racing_agents.trees.storage import StoredTrees, load_trees, open_trees
+from pcs_racing_agents.trees.storage import StoredTrees, load_trees, open_trees, stored_identity
 from pcs_racing_agents.trees.tree import RaceTree
 
 if TYPE_CHECKING:
@@ -103,7 +103,6 @@ def stored_trees(study: Study) -> list[StoredTrees]:
 
 def train_networks(study: Study) -> None:
     """Train a network for every target, in parallel if there are processes; all have the same validation trees."""
-    from pcs_racing_agents.networks.from_trees import trees_identity
     from pcs_racing_agents.networks.training import write_epochs
 
     config = study.config
@@ -116,7 +115,7 @@ def train_networks(study: Study) -> None:
     training = _Training(
         trees=stored if elsewhere is None else [list(trees) for trees in stored],  # others may not see the files
         pairs=np.concatenate([np.asarray(trees.settings["pairs"]) for trees in stored]),
-        identity=trees_identity(stored[0].settings),
+        identity=stored_identity(stored[0].settings),
         about={"tracks": ", ".join(config.circuits)},
         progress=study.progress if elsewhere is None else None,
     )

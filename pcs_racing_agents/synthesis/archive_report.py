@@ -1,4 +1,4 @@
-"""What a synthesis leaves behind: the archive with its manifest, the course of the search, and a picture."""
+"""The files of a synthesis: the archive with its manifest, the course of the search, and a picture."""
 
 import csv
 import io
@@ -142,13 +142,13 @@ def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool
 
 
 def _versions() -> dict[str, str]:
-    found = {"package_version": package_version(), "numpy_version": np.__version__}
+    versions = {"package_version": package_version(), "numpy_version": np.__version__}
     for library in ("numba", "cma", "moocore"):
         try:
-            found[f"{library}_version"] = version(library)
+            versions[f"{library}_version"] = version(library)
         except PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
 def _rounded(value: str | float) -> str | int | float | bool:

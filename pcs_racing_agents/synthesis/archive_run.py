@@ -1,4 +1,4 @@
-"""From nothing to an archive: search, choice and measurement of policies, as one job that can be stopped at any time.
+"""The synthesis of an archive: search, choice and measurement of policies, as one resumable job.
 
 1. **Search.** Some policies at random (scouts) set the scale; then an optimiser proposes generation after generation,
    and every policy is raced in the same scenarios (Algorithm 1 of the paper).
@@ -151,12 +151,12 @@ def draw_policies(family: Planner, count: int, root: np.random.SeedSequence) -> 
 
 
 def _number(root: np.random.SeedSequence) -> int:
-    """A seed that follows from a root but not from what was drawn from it."""
+    """Return a seed derived from a root, independent of the draws from the root itself."""
     return int(root.spawn(1)[0].generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 def _check_folder(folder: Path) -> None:
-    """An archive made by something else must not be written over."""
+    """Raise an error if a folder holds files but no run of a synthesis: they must not be overwritten."""
     if folder.is_dir() and not (folder / "job").is_dir():
         others = sorted(entry.name for entry in folder.iterdir())
         if others:
@@ -164,7 +164,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def choose(races: PolicyRaces, scenarios: Scenarios) -> tuple[Floats, Notes]:
-    """Race the best of a search once more, elsewhere, and choose.
+    """Race the best policies of a search again in new scenarios, and choose among them.
 
     Returns
     -------
@@ -173,32 +173,33 @@ def choose(races: PolicyRaces, scenarios: Scenarios) -> tuple[Floats, Notes]:
         How many were left out, and why.
     """
     config = races.config
-    theta, found = races.explored()
+    theta, explored = races.explored()
     rows = np.arange(races.comparable, len(theta))
+    # Points evaluated several times race once.
     rows = rows[np.sort(np.unique(theta[rows], axis=0, return_index=True)[1])]
-    crashing = found.own_crash > config.search_crash_limit
-    allowed = rows[races.violation(found)[rows] <= 0.0]
+    crashing = explored.own_crash > config.search_crash_limit
+    allowed = rows[races.violation(explored)[rows] <= 0.0]
     if len(allowed) == 0:
         raise InputError(
             f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the races of "
             f"{config.duration:g} s, or lie below least; raise crash_limit or lower least"
         )
-    order = allowed[spread_first(_unit(found.coordinates[allowed]), 0.5 * config.spacing, config.candidates)]
+    order = allowed[spread_first(_unit(explored.coordinates[allowed]), 0.5 * config.spacing, config.candidates)]
     raced = races.race("choice", "choice", scenarios, theta[order])
-    again = summarise(raced)
-    calm = np.flatnonzero(races.violation(again) <= 0.0)
-    left = calm[~_beaten(config, raced, calm)]
-    apart = left[thin_out(_unit(again.coordinates[left]), config.spacing, config.most)]
+    remeasured = summarise(raced)
+    within_limits = np.flatnonzero(races.violation(remeasured) <= 0.0)
+    not_beaten = within_limits[~_beaten(config, raced, within_limits)]
+    distinct = not_beaten[thin_out(_unit(remeasured.coordinates[not_beaten]), config.spacing, config.most)]
     last = races.history[-1]
-    races.note("choice", last.generation, last.hypervolume, len(apart), again)
-    return theta[order[apart]], {
+    races.note("choice", last.generation, last.hypervolume, len(distinct), remeasured)
+    return theta[order[distinct]], {
         "search_over_crash_limit": int(crashing.sum()),
-        "search_hypervolume": hypervolume(races.scale(found.coordinates[rows[~crashing[rows]]]), REFERENCE),
-        "search_hypervolume_without_crash_limit": hypervolume(races.scale(found.coordinates[rows]), REFERENCE),
+        "search_hypervolume": hypervolume(races.scale(explored.coordinates[rows[~crashing[rows]]]), REFERENCE),
+        "search_hypervolume_without_crash_limit": hypervolume(races.scale(explored.coordinates[rows]), REFERENCE),
         "choice_candidates": len(order),
-        "choice_outside_limits": len(order) - len(calm),
-        "choice_beaten": len(calm) - len(left),
-        "choice_too_near_another": len(left) - len(apart),
+        "choice_outside_limits": len(order) - len(within_limits),
+        "choice_beaten": len(within_limits) - len(not_beaten),
+        "choice_too_near_another": len(not_beaten) - len(distinct),
     }
 
 
@@ -217,35 +218,35 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
         How many were left out.
     """
     limit = races.config.crash_limit
-    calm = kept = np.zeros(0, np.int64)
+    within_limits = kept = np.zeros(0, np.int64)
     if len(parameters):
         raced = races.race("measurement", "measurement", scenarios, parameters)
-        found = summarise(raced)
-        calm = np.flatnonzero(found.own_crash <= limit)
-        kept = calm[~_beaten(races.config, raced, calm)]
-        kept = kept[np.argsort(found.coordinates[kept, 0], kind="stable")]
+        measured = summarise(raced)
+        within_limits = np.flatnonzero(measured.own_crash <= limit)
+        kept = within_limits[~_beaten(races.config, raced, within_limits)]
+        kept = kept[np.argsort(measured.coordinates[kept, 0], kind="stable")]
     if len(kept) < 2:
         raise InputError(
             f"{len(kept)} policies remain below the crash limit of {limit:.0%}; an archive needs 2 at least: raise "
             "crash_limit, or search longer"
         )
     last = races.history[-1]
-    races.note("measurement", last.generation, last.hypervolume, len(kept), found)
+    races.note("measurement", last.generation, last.hypervolume, len(kept), measured)
     notes = {
-        "measurement_over_crash_limit": len(parameters) - len(calm),
-        "measurement_beaten": len(calm) - len(kept),
+        "measurement_over_crash_limit": len(parameters) - len(within_limits),
+        "measurement_beaten": len(within_limits) - len(kept),
     }
     return parameters[kept], {key: values[kept] for key, values in raced.items()}, notes
 
 
 def _beaten(config: ArchiveConfig, raced: Arrays, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of some policies another of them beats by more than the error bars."""
-    some = {key: values[rows] for key, values in raced.items()}
-    return beaten(summarise(some).coordinates, difference_errors(some), config.error_bars)
+    """Return which of the policies in ``rows`` another of them beats by more than the error bars."""
+    subset = {key: values[rows] for key, values in raced.items()}
+    return beaten(summarise(subset).coordinates, difference_errors(subset), config.error_bars)
 
 
 def _unit(points: Floats) -> Floats:
-    """Points scaled by their own range."""
+    """Return points scaled by their own range."""
     if len(points) == 0:
         return points
     low, high = points.min(axis=0), points.max(axis=0)

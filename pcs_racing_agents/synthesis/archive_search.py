@@ -1,4 +1,4 @@
-"""The races of a synthesis: what a search evaluates policies by, and the record of all of them.
+"""The races of a synthesis: the objective function of the search, and the record of its results.
 
 The opponents are random policies, fixed for the run as in the paper, whose limitation is that random policies are no
 competition. As an option, some of them give way to policies of the archive before stated generations. The archive is
@@ -34,7 +34,7 @@ REFERENCE = -0.1  # worst point of a hypervolume: a tenth of the scouts' range b
 
 
 class ArchiveProgress(NamedTuple):
-    """How far a synthesis is.
+    """The progress of a synthesis.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ ArchiveCallback = Callable[[ArchiveProgress], object]
 
 @dataclass
 class PolicyRaces:
-    """Races of policies as work of a job: called with parameters, it is what ``synthesize`` evaluates them by.
+    """The objective function of a synthesis: called with parameters, it races the policies as tasks of a job.
 
     Attributes
     ----------
@@ -102,18 +102,18 @@ class PolicyRaces:
 
     def __call__(self, parameters: Floats) -> Evaluated:
         """Race policies in the scenarios of the search; own crashes above the limit violate it."""
-        found = summarise(self.race("search", self._names.popleft(), self.scenarios, parameters))
-        if not self.raced:
-            low, high = found.coordinates.min(axis=0), found.coordinates.max(axis=0)
+        evaluation = summarise(self.race("search", self._names.popleft(), self.scenarios, parameters))
+        if not self.raced:  # the first policies are the scouts, whose range is the unit of hypervolumes
+            low, high = evaluation.coordinates.min(axis=0), evaluation.coordinates.max(axis=0)
             for axis, least, largest in zip(self.config.axes, low, high, strict=True):
                 if not least < largest:
                     raise InputError(f"all {len(parameters)} scouts have {axis} {least:g}: no scale follows from them")
             self.scale = Scale(high, low)
-        self.raced.append((parameters, found))
-        return Evaluated(found.coordinates, self.violation(found))
+        self.raced.append((parameters, evaluation))
+        return Evaluated(evaluation.coordinates, self.violation(evaluation))
 
     def after_generation(self, generation: Generation) -> bool:
-        """Note how far the search is, and replace opponents where this is due; return whether that was so."""
+        """Record the progress, and replace opponents if this is due; return whether they were replaced."""
         self.note("search", generation.generation, generation.hypervolume, generation.archive_size, self.raced[-1][1])
         following = generation.generation + 1
         replaced = following in self.config.refresh_generations and self._replace_opponents(generation)
@@ -123,7 +123,7 @@ class PolicyRaces:
         return replaced
 
     def _replace_opponents(self, generation: Generation) -> bool:
-        """Put policies spread along the front in the place of the last opponents."""
+        """Replace the last opponents by policies spread along the front; return whether there were any."""
         share = round(self.config.refresh_share * len(self.scenarios.opponents))
         count = min(share, generation.archive_size)
         if count == 0:
@@ -145,13 +145,13 @@ class PolicyRaces:
         tasks = [(scenarios, parameters[first : first + BLOCK]) for first in range(0, len(parameters), BLOCK)]
         return join(self.job.run(name, on_worker(self.executor), tasks, executor=self.executor, progress=progress))
 
-    def violation(self, found: Evaluation) -> Floats:
-        """By how much policies violate the limits, shape (K,): own crashes per race, or parts of the scouts' range."""
-        crashes = found.own_crash - self.config.search_crash_limit
+    def violation(self, evaluation: Evaluation) -> Floats:
+        """Return by how much policies violate the limits, shape (K,): in crashes per race, or in the scouts' range."""
+        crashes = evaluation.own_crash - self.config.search_crash_limit
         if self.config.least is None:
             return crashes
-        short = (np.array(self.config.least) - found.coordinates) / (self.scale.ideal - self.scale.nadir)
-        return np.maximum(crashes, short.max(axis=1))
+        shortfall = (np.array(self.config.least) - evaluation.coordinates) / (self.scale.ideal - self.scale.nadir)
+        return np.maximum(crashes, shortfall.max(axis=1))
 
     @property
     def evaluations(self) -> int:
@@ -161,17 +161,19 @@ class PolicyRaces:
     def explored(self) -> tuple[Floats, Evaluation]:
         """Everything raced in the search, in that order."""
         parameters, results = zip(*self.raced, strict=True)
-        return np.concatenate(parameters), Evaluation(*(np.concatenate(part) for part in zip(*results, strict=True)))
+        return np.concatenate(parameters), Evaluation(
+            *(np.concatenate(arrays) for arrays in zip(*results, strict=True))
+        )
 
-    def note(self, stage: str, number: int, volume: float, front: int, found: Evaluation) -> None:
-        """Keep in the history how far the synthesis is, and call the callback."""
-        crash, done = float(found.own_crash.mean()), self._done(stage, 1.0)
+    def note(self, stage: str, number: int, volume: float, front: int, evaluation: Evaluation) -> None:
+        """Add the progress to the history, and call the callback."""
+        crash, done = float(evaluation.own_crash.mean()), self._done(stage, 1.0)
         progress = ArchiveProgress(stage, number, self.config.generations, self.evaluations, volume, front, crash, done)
         self.history.append(progress)
         self.callback(progress)
 
     def _done(self, stage: str, share: float) -> float:
-        """Share of all racing that is done when a share of a stage is."""
+        """Return the share of all racing that is done after a share of a stage."""
         search, choice, measurement = self.config.work
         raced = search if stage != "search" else self.evaluations / self.config.evaluations * search
         raced += {"search": 0.0, "choice": share * choice, "measurement": choice + share * measurement}[stage]

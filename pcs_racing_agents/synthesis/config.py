@@ -1,4 +1,4 @@
-"""What the synthesis of an archive depends on, as data."""
+"""Settings of the synthesis of an archive."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -191,7 +191,7 @@ def load_archive_config(source: str | Path | ArchiveConfig | None = None, **chan
     Raises
     ------
     ConfigError
-        If a key is unknown or a value impossible.
+        If a key is unknown or a value is out of its range.
     InputError
         If a name stands for nothing.
     """

@@ -1,7 +1,7 @@
-"""Choosing a few policies of an archive that differ: determinantal point processes and their greedy maximum.
+"""The choice of a few diverse policies of an archive: determinantal point processes and their greedy maximum.
 
 A k-DPP draws a set Y of k items with probability proportional to det(L_Y), the squared volume spanned by the items'
-features: the more alike two items are, the less often they appear together (A. Kulesza and B. Taskar, Determinantal
+features: the more similar two items are, the less often they appear together (A. Kulesza and B. Taskar, Determinantal
 point processes for machine learning, 2012).
 """
 
@@ -17,9 +17,9 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 METHODS = {
-    "kdpp": "random, alike ones seldom together",
+    "kdpp": "random, similar ones seldom together",
     "map": "the set found by adding the item that enlarges the determinant most; not random",
-    "random": "random, all sets alike",
+    "random": "random, all sets equally likely",
 }
 
 
@@ -43,7 +43,7 @@ def select_diverse(
     rng : numpy.random.Generator or int
         Where the random choice comes from.
     scale : float
-        Distance over which policies are taken to be alike, in normalised units (:func:`similarity`); above 0.
+        Distance over which policies count as similar, in normalised units (:func:`similarity`); above 0.
 
     Returns
     -------
@@ -53,18 +53,18 @@ def select_diverse(
     Raises
     ------
     InputError
-        If ``k``, ``method`` or ``scale`` is impossible.
+        If ``k`` or ``scale`` is out of its range, or there is no such method.
     """
     check_whole("k", k, 1, len(archive))
     check_choice("method", method, METHODS)
     generator = np.random.default_rng(rng)
     if method == "random":
-        chosen = generator.choice(len(archive), int(k), replace=False)
+        indices = generator.choice(len(archive), int(k), replace=False)
     elif method == "map":
-        chosen = greedy_map(similarity(archive.normalised, scale), int(k))
+        indices = greedy_map(similarity(archive.normalised, scale), int(k))
     else:
-        chosen = sample_kdpp(similarity(archive.normalised, scale), int(k), generator)
-    return np.sort(chosen).astype(np.int64)
+        indices = sample_kdpp(similarity(archive.normalised, scale), int(k), generator)
+    return np.sort(indices).astype(np.int64)
 
 
 def similarity(points: ArrayLike, scale: float) -> Floats:
@@ -101,16 +101,16 @@ def sample_kdpp(kernel: Floats, k: int, rng: np.random.Generator) -> Indices:
         if np.log(rng.uniform()) < logs[n - 1] + table[left - 1, n - 1] - table[left, n]:
             basis.append(n - 1)
     space = vectors[:, basis]
-    chosen = np.empty(k, np.int64)
+    items = np.empty(k, np.int64)
     for i in range(k):
         weights = np.sum(space**2, axis=1)
-        weights[chosen[:i]] = 0.0  # exactly, not but for rounding
-        chosen[i] = rng.choice(len(weights), p=weights / weights.sum())
-        pivot = int(np.argmax(np.abs(space[chosen[i]])))
-        column = space[:, pivot] / space[chosen[i], pivot]
-        space = np.delete(space - np.outer(column, space[chosen[i]]), pivot, axis=1)
+        weights[items[:i]] = 0.0  # exactly 0, which rounding would not give
+        items[i] = rng.choice(len(weights), p=weights / weights.sum())
+        pivot = int(np.argmax(np.abs(space[items[i]])))
+        column = space[:, pivot] / space[items[i], pivot]
+        space = np.delete(space - np.outer(column, space[items[i]]), pivot, axis=1)
         space = np.linalg.qr(space)[0]  # an orthonormal basis of what is orthogonal to the item
-    return chosen
+    return items
 
 
 def log_elementary_symmetric(logs: Floats, k: int) -> Floats:
@@ -134,11 +134,11 @@ def greedy_map(kernel: Floats, k: int) -> Indices:
     """
     gains = np.diag(kernel).astype(np.float64)
     rows = np.zeros((k, len(kernel)))
-    chosen = np.empty(k, np.int64)
+    items = np.empty(k, np.int64)
     for i in range(k):
-        chosen[i] = np.argmax(gains)
-        best = chosen[i]
+        items[i] = np.argmax(gains)
+        best = items[i]
         rows[i] = (kernel[best] - rows[:i, best] @ rows[:i]) / np.sqrt(max(gains[best], 1e-300))
         gains = gains - rows[i] ** 2
-        gains[chosen[: i + 1]] = -np.inf
-    return chosen
+        gains[items[: i + 1]] = -np.inf
+    return items

@@ -1,4 +1,4 @@
-"""Racing policies: the ``eval`` of Algorithm 1, in blocks that any worker can race."""
+"""Evaluation of policies by races: the ``eval`` of Algorithm 1, in tasks for any worker."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -16,13 +16,13 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies, loaded
 
-__all__ = ["Evaluation", "Task", "evaluate", "join", "on_worker", "race_policies", "summarise"]
+__all__ = ["Evaluation", "PolicyTask", "evaluate", "join", "on_worker", "race_policies", "summarise"]
 
 Floats = NDArray[np.float64]
 
 RACES_AT_ONCE = 4096  # bounded memory
 
-Task: TypeAlias = tuple[Scenarios, Floats]
+PolicyTask: TypeAlias = tuple[Scenarios, Floats]
 """Scenarios, and parameters of the policies that race in them, shape (k, P)."""
 
 
@@ -44,7 +44,7 @@ class Evaluation(NamedTuple):
     spread: Floats
 
 
-def race_policies(task: Task, threads: int | None = None) -> Arrays:
+def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     """Race some policies in some scenarios; a policy's result does not depend on the others of the task.
 
     Returns
@@ -69,11 +69,11 @@ def race_policies(task: Task, threads: int | None = None) -> Arrays:
     length = round(scenarios.segment_seconds * 100.0)
     for index, source in enumerate(scenarios.tracks):
         setup = RaceSetup(loaded(source), scenarios.config, (planner, planner))
-        here = np.flatnonzero(scenarios.track == index)
-        step = max(1, RACES_AT_ONCE // len(here))
+        numbers = np.flatnonzero(scenarios.track == index)
+        step = max(1, RACES_AT_ONCE // len(numbers))
         for first in range(0, count, step):
             egos = np.arange(first, min(first + step, count))
-            ego, which = (part.ravel() for part in np.meshgrid(egos, here, indexing="ij"))
+            ego, which = (indices.ravel() for indices in np.meshgrid(egos, numbers, indexing="ij"))
             state = start_races(setup, Starts(scenarios.start_s[which], scenarios.side[which]), scenarios.seed[which])
             rivals = scenarios.opponents[scenarios.opponent[which]]
             theta = np.ascontiguousarray(np.stack([parameters[ego], rivals], axis=1))
@@ -145,11 +145,11 @@ def evaluate(
     return summarise(join(list(run(on_worker(executor), tasks))))
 
 
-def on_worker(executor: Executor | None) -> Callable[[Task], Arrays]:
+def on_worker(executor: Executor | None) -> Callable[[PolicyTask], Arrays]:
     """Return :func:`race_policies` for workers: with one thread each where an executor runs several of them."""
     return race_policies if executor is None else partial(race_policies, threads=1)
 
 
-def join(parts: Sequence[Arrays]) -> Arrays:
-    """Put the results of tasks together."""
-    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+def join(results: Sequence[Arrays]) -> Arrays:
+    """Join the results of tasks along the policies."""
+    return {key: np.concatenate([result[key] for result in results]) for key in results[0]}

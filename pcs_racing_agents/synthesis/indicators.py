@@ -1,4 +1,4 @@
-"""Hypervolume and what follows from it: how good a set of points is, and what one more point would add.
+"""Hypervolume indicators: the quality of a set of points, and what one more point would add.
 
 All objectives are **maximised**. The hypervolume of a set is the volume of the region that its points dominate, above a
 reference point: what lies below the set and above the reference on every axis. ``pip install "pcs-racing[synthesis]"``

@@ -1,17 +1,17 @@
-"""MO-CMA-ES, Algorithm 1 of the paper: one CMA-ES that hunts for points that add hypervolume to an archive.
+"""MO-CMA-ES, Algorithm 1 of the paper: a CMA-ES whose loss is the hypervolume that a point adds to an archive.
 
 The comments in :meth:`MOCMAES.ask` and :meth:`MOCMAES.tell` are the lines of the algorithm. Where it leaves room:
 
 - Line 8: a point's loss is minus the hypervolume that it would add to the archive or, where it would add none, its
   distance to the nearest place where it would (``loss="uhvi"``). The literal reading, the hypervolume of archive and
-  point together (``loss="total_hypervolume"``), does not tell one dominated point from another.
+  point together (``loss="total_hypervolume"``), is the same for all dominated points.
 - Line 8: objectives are normalised by the front as it is then, this generation included, since no other range is known;
   the reference point lies a tenth of that range below its nadir.
 - Line 13: the mean moves to the recombined elite of this generation, as in CMA-ES (``mean="generation"``). The literal
   reading is the mean of the archive's Pareto set (``mean="archive"``): where that set is no straight line, it is the
   mean of points far from each other.
-- Parameters have bounds, of which the paper says nothing. Samples outside are moved to the border, and CMA-ES is told
-  that they were where it drew them: so its mean can settle beyond a border and keep a parameter at its limit. The mean
+- Parameters have bounds, of which the paper says nothing. Samples outside are moved to the border, and CMA-ES learns
+  from where it drew them: so its mean can settle beyond a border and keep a parameter at its limit. The mean
   stays within three standard deviations of the box, and the step size within twice its first value.
 - The paper never restarts. Here, once the step size has collapsed or the archive has stopped growing, the search starts
   again at a point of the front, the likelier the more hypervolume it contributes: there the front is thin.
@@ -56,7 +56,7 @@ LEAST_GAIN = 1e-5  # of the normalised hypervolume, in a generation
 
 @dataclass(frozen=True, eq=False)
 class OptimiserOptions:
-    """What an optimiser knows beforehand. Optimisers work in the unit cube and maximise.
+    """Options of an optimiser. Optimisers work in the unit cube and maximise.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class CubeCMAES:
 
     @property
     def degenerate(self) -> bool:
-        """Whether nothing more can come of it."""
+        """Whether the distribution has collapsed or diverged."""
         return not SMALLEST_STEP < self.step_size < np.inf or self._es.condition_number > 1e14
 
     def ask(self) -> Floats:
@@ -146,7 +146,7 @@ class CubeCMAES:
         return np.stack(self._samples)
 
     def tell(self, ranks: Floats) -> None:
-        """Learn which of them are best, by their ranks: CMA-ES asks for nothing else."""
+        """Update the distribution from the points' ranks, which are all that CMA-ES uses."""
         self._es.tell(self._samples, ranks.tolist())
         self._es.sigma = min(self._es.sigma, self._largest)
         self.move(self._es.mean)
@@ -158,17 +158,17 @@ class CubeCMAES:
 
 
 def cma_options(rng: np.random.Generator) -> dict[str, Any]:
-    """Options with which pycma draws from a generator, leaves numpy's global one alone, and keeps quiet."""
+    """Options with which pycma draws from a generator, leaves numpy's global one alone, and prints nothing."""
     return {
         "seed": np.nan,
         "randn": lambda *shape: rng.standard_normal(shape),
-        "verbose": -10,  # says nothing and reads no file of signals
+        "verbose": -10,  # prints nothing and reads no file of signals
         "verb_log": 0,
     }
 
 
 class MOCMAES:
-    """Algorithm 1, asked for points and told how good they are.
+    """Algorithm 1 of the paper, with the ask-and-tell protocol.
 
     Attributes
     ----------
@@ -226,8 +226,10 @@ class MOCMAES:
         # As long as nothing feasible is known, there is no hypervolume to stand still.
         if len(after.front):
             old, new = (
-                hypervolume(scale(known.objectives[known.front]), self._setting.reference) if len(known.front) else 0.0
-                for known in (before, after)
+                hypervolume(scale(archive.objectives[archive.front]), self._setting.reference)
+                if len(archive.front)
+                else 0.0
+                for archive in (before, after)
             )
             self._stalled = 0 if new - old > LEAST_GAIN else self._stalled + 1
         if not self._es.degenerate and self._stalled < PATIENCE:
@@ -240,8 +242,8 @@ class MOCMAES:
             return
         share = contributions(scale(after.objectives[after.front]), setting.reference)
         share = share + max(1e-9, 1e-3 * float(share.mean()))  # points below the reference have a chance too
-        chosen = self._rng.choice(after.front, p=share / share.sum())
-        self._es = self._started(after.parameters[chosen], 0.5 * setting.step_size)
+        row = self._rng.choice(after.front, p=share / share.sum())
+        self._es = self._started(after.parameters[row], 0.5 * setting.step_size)
 
     def _started(self, mean: Floats, step_size: float) -> CubeCMAES:
         largest = 2.0 * self._setting.step_size
@@ -250,8 +252,8 @@ class MOCMAES:
 
 def latin_hypercube(count: int, dimension: int, rng: np.random.Generator) -> Floats:
     """Return points of the unit cube, shape (count, dimension), of which every axis has one in each of equal parts."""
-    parts = np.stack([rng.permutation(count) for _ in range(dimension)], axis=1)
-    return np.asarray((parts + rng.random((count, dimension))) / count, np.float64)
+    intervals = np.stack([rng.permutation(count) for _ in range(dimension)], axis=1)
+    return np.asarray((intervals + rng.random((count, dimension))) / count, np.float64)
 
 
 def middle_of_the_best(explored: ParetoArchive) -> Floats:
@@ -271,7 +273,7 @@ def hypervolume_loss(
 ) -> Floats:
     """Loss of points against the Pareto front of an archive (line 8 of Algorithm 1), shape (n,).
 
-    Infeasible points have no place among the others: infinite.
+    That of infeasible points is infinite.
 
     Parameters
     ----------

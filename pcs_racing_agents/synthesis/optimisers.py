@@ -1,6 +1,6 @@
-"""Optimisers of other libraries behind the same two calls, for comparison.
+"""Optimisers of other libraries behind one ask-and-tell protocol, for comparison.
 
-All are given the same information: the number of parameters, the size of a generation, a seed, and after every
+All get the same information: the number of parameters, the size of a generation, a seed, and after every
 generation its objectives and violations. None knows the ideal or the nadir point beforehand unless the caller states
 them.
 
@@ -31,15 +31,15 @@ Floats = NDArray[np.float64]
 
 
 class Optimiser(Protocol):
-    """An optimiser in the unit cube: asked for points and told what came of them."""
+    """An ask-and-tell optimiser in the unit cube."""
 
     @property
     def restarts(self) -> int:
-        """How often it began anew."""
+        """Number of restarts."""
 
     @property
     def step_size(self) -> float:
-        """Largest standard deviation of a parameter, as a share of its range; NaN where there is no such thing."""
+        """Largest standard deviation of a parameter, as a share of its range; NaN for methods without one."""
 
     def ask(self) -> Floats:
         """Return a generation of points, shape (n, P); those outside the unit cube are moved to its border."""
@@ -49,7 +49,7 @@ class Optimiser(Protocol):
 
 
 class Random:
-    """Points at random."""
+    """Random search: points drawn uniformly."""
 
     restarts = 0
     step_size = np.nan
@@ -63,7 +63,7 @@ class Random:
         return self._rng.random(self._shape)
 
     def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
-        """Learn nothing."""
+        """Return the archive with the points added; nothing is learned."""
         return archive.joined(points, objectives, violation)
 
 
@@ -92,7 +92,7 @@ class NSGA2:
     def ask(self) -> Floats:
         """Return the first population (drawn uniformly) or the children of the present one."""
         if self._algorithm is None:
-            self._set_up(2)  # how many objectives there are makes no difference before the first are told
+            self._set_up(2)  # the number of objectives has no influence before the first results
         self._asked = self._algorithm.ask()
         return np.asarray(self._asked.get("X"), np.float64)
 
@@ -102,8 +102,8 @@ class NSGA2:
         from pymoo.problems.static import StaticProblem
 
         self._algorithm.problem.n_obj = objectives.shape[1]
-        told = StaticProblem(self._algorithm.problem, F=-objectives, G=violation[:, None])
-        Evaluator().eval(told, self._asked)
+        evaluated = StaticProblem(self._algorithm.problem, F=-objectives, G=violation[:, None])
+        Evaluator().eval(evaluated, self._asked)
         self._algorithm.tell(infills=self._asked)
         return archive.joined(points, objectives, violation)
 
@@ -127,14 +127,14 @@ class COMO:
         self._setting = setting
         rng = np.random.default_rng(setting.seed)
         count = max(1, setting.population // (4 + int(3 * np.log(setting.dimension)) + 1))
-        sizes = [len(part) - 1 for part in np.array_split(np.arange(setting.population), count)]
+        sizes = [len(points) - 1 for points in np.array_split(np.arange(setting.population), count)]
         options = {**cma_options(rng), "bounds": [0.0, 1.0], "BoundaryHandler": cma.BoundPenalty}
         kernels = [
             comocma.CmaKernel(rng.random(setting.dimension), setting.step_size, {**options, "popsize": size})
             for size in sizes
         ]
         for kernel in kernels:
-            kernel.stop = _never
+            kernel.stop = _no_stop
         quiet = {"archive": False, "verb_log": 0, "verb_disp": 0, "update_order": lambda _: rng.random()}
         if np.size(setting.reference) > 2:
             raise InputError(f"method 'comocma' handles 2 objectives; the reference has {np.size(setting.reference)}")
@@ -225,10 +225,10 @@ class CMAMAE:
                 ranker="imp",
                 selection_rule="mu",
                 restart_rule="basic",
-                batch_size=len(part),
+                batch_size=len(points),
                 seed=seed,
             )
-            for part, seed in zip(np.array_split(np.arange(self._setting.population), count), seeds[1:], strict=False)
+            for points, seed in zip(np.array_split(np.arange(self._setting.population), count), seeds[1:], strict=False)
         ]
 
     def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
@@ -240,28 +240,30 @@ class CMAMAE:
             self._scale = _whole_range(everything, self._setting)
         assert self._scale is not None
         values = self._scale(_worst(self._scale, objectives, violation))
-        total, ways = values.sum(axis=1), values[:, :-1] - values[:, 1:]
+        total, directions = values.sum(axis=1), values[:, :-1] - values[:, 1:]
         if first:
             start = middle_of_the_best(grown) if self._setting.start is None else self._setting.start
             self._set_up(objectives.shape[1], float(total.min()), start)
-            self._archive.add(points, total, ways)
+            self._archive.add(points, total, directions)
             return grown
-        news = self._archive.add(points, total, ways)
+        insertion = self._archive.add(points, total, directions)
         begin = 0
         for emitter in self._emitters:
             rows = slice(begin, begin + emitter.batch_size)
             begin += emitter.batch_size
-            emitter.tell(points[rows], total[rows], ways[rows], {key: value[rows] for key, value in news.items()})
+            emitter.tell(
+                points[rows], total[rows], directions[rows], {key: value[rows] for key, value in insertion.items()}
+            )
         return grown
 
 
-def _never(**_: Any) -> dict[str, Any]:
-    """Kernels go on for ever: as many are asked in every generation."""
+def _no_stop(**_: Any) -> dict[str, Any]:
+    """Return no reason to stop: every generation asks all kernels."""
     return {}
 
 
 def _worst(scale: Scale, objectives: Floats, violation: Floats) -> Floats:
-    """Objectives with those of infeasible points worse than any feasible one's, by how much they violate."""
+    """Return objectives, those of infeasible points below all feasible ones, the lower the more they violate."""
     infeasible = violation > 0.0
     if not infeasible.any():
         return objectives

@@ -1,4 +1,4 @@
-"""The archive of a search: everything evaluated, and which of its points no other beats."""
+"""The archive of a search: all evaluated points, and the Pareto front of its members."""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -32,7 +32,7 @@ class Scale(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ParetoArchive:
-    """All points of a search so far. A value: adding points gives a new one.
+    """All points of a search so far; adding points returns a new archive.
 
     Attributes
     ----------

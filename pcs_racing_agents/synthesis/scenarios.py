@@ -112,7 +112,8 @@ def draw_scenarios(
     Raises
     ------
     InputError
-        If a number is impossible, a track has no place for the start, or the duration is no multiple of the pieces.
+        If a number is out of its range, a track has no place for the start, or the duration is no multiple of the
+        pieces.
     """
     pieces = round(config.duration / segment_seconds) if segment_seconds > 0.0 else 0
     if pieces < 1 or abs(pieces * segment_seconds - config.duration) > 1e-9:
@@ -123,7 +124,7 @@ def draw_scenarios(
         raise InputError("there are no tracks; name at least one")
     get_characteristics(characteristics)
     rules = replace(config, start_lines=starts)
-    line, opponent, side = (part.ravel() for part in np.mgrid[:starts, : len(opponents), :2])
+    line, opponent, side = (indices.ravel() for indices in np.mgrid[:starts, : len(opponents), :2])
     start_s, seeds = [], []
     for index, track in enumerate(tracks):
         root = np.random.SeedSequence(seed, spawn_key=(index,))

@@ -1,7 +1,7 @@
-"""A search for the Pareto set of any function, asked for points and told what came of them.
+"""Multi-objective search with an ask-and-tell interface.
 
 All objectives are maximised. A search is replayable: the same seed and the same results lead to the same state, so one
-that stopped is taken up by telling it again what it was told.
+that was stopped resumes when it receives the same results again.
 """
 
 from dataclasses import dataclass
@@ -108,11 +108,11 @@ class Synthesis:
     def hypervolumes(self) -> Floats:
         """Hypervolume of the archive's front after each generation, all in the final normalisation, shape (T,)."""
         scale = Scale(self.ideal, self.nadir)
-        return np.array([hypervolume(scale(news.front), self.reference) for news in self.generations])
+        return np.array([hypervolume(scale(generation.front), self.reference) for generation in self.generations])
 
 
 class Search:
-    """A search to ask and tell.
+    """A search for a Pareto set: ``ask`` returns points, ``tell`` takes their objectives.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class Search:
     Raises
     ------
     InputError
-        If one of them is impossible.
+        If an argument is out of its range.
     UnknownNameError
         If there is no such method.
     ModuleNotFoundError
@@ -218,9 +218,9 @@ class Search:
         Raises
         ------
         InputError
-            If the last points were not told yet.
+            If the last points have no results yet.
         """
-        self._check_told()
+        self._check_results_in()
         self._new = np.clip(self._optimiser.ask(), 0.0, 1.0)
         # Rounding may lead beyond the upper bound.
         self._asked = np.minimum(self._low + self._new * (self._high - self._low), self._high)
@@ -232,27 +232,27 @@ class Search:
 
         As many as a generation has, the front's points in turn: those evaluated least often first, and of these the
         ones that contribute most hypervolume, which are the likeliest to be there by luck. Their objectives become
-        means; the optimiser is told nothing of it.
+        means; the optimiser does not see these results.
 
         Raises
         ------
         InputError
-            If the last points were not told yet, or there is no feasible point.
+            If the last points have no results yet, or there is no feasible point.
         """
-        self._check_told()
-        known, front = self._explored, self._explored.front
+        self._check_results_in()
+        explored, front = self._explored, self._explored.front
         if len(front) == 0:
             raise InputError("no point of the archive is feasible; there is nothing to evaluate again")
-        lost = contributions(known.scale(*self._scale_from)(known.objectives[front]), self._reference)
-        order = front[np.lexsort((-lost, known.evaluations[front]))]
+        lost = contributions(explored.scale(*self._scale_from)(explored.objectives[front]), self._reference)
+        order = front[np.lexsort((-lost, explored.evaluations[front]))]
         places = np.arange(self.population)
         self._rows = order[places % len(order)]
-        self.repeats = known.evaluations[self._rows] + places // len(order)
+        self.repeats = explored.evaluations[self._rows] + places // len(order)
         self._asked = self._parameters[self._rows]
         return self._asked.copy()
 
     def tell(self, objectives: ArrayLike, violation: ArrayLike | None = None) -> Generation:
-        """Tell what came of the points asked for.
+        """Take the results of the points asked for.
 
         Parameters
         ----------
@@ -279,9 +279,9 @@ class Search:
             self._parameters = np.concatenate([self._parameters, asked])
         self._new, self._asked = None, asked[:0]
         self._evaluations += len(asked)
-        news = self._generation(len(self._generations) + 1, asked, values, violations)
-        self._generations.append(news)
-        return news
+        generation = self._generation(len(self._generations) + 1, asked, values, violations)
+        self._generations.append(generation)
+        return generation
 
     def add(self, parameters: ArrayLike, objectives: ArrayLike, violation: ArrayLike | None = None) -> Generation:
         """Add points that were evaluated elsewhere to the archive, at any time between ``tell`` and ``ask``.
@@ -294,25 +294,25 @@ class Search:
         InputError
             If the points lie outside the bounds, or values have another shape or are not finite.
         """
-        given = self.check_points("parameters", parameters)
-        self._check_told()
-        values, violations = self._checked(objectives, violation, given)
-        unit = (given - self._low) / (self._high - self._low)
+        points = self.check_points("parameters", parameters)
+        self._check_results_in()
+        values, violations = self._checked(objectives, violation, points)
+        unit = (points - self._low) / (self._high - self._low)
         self._explored = self._explored.joined(unit, values, violations)
-        self._parameters = np.concatenate([self._parameters, given])
-        self._evaluations += len(given)
-        self.repeats = np.zeros(len(given), np.int64)
-        return self._generation(len(self._generations), given, values, violations)
+        self._parameters = np.concatenate([self._parameters, points])
+        self._evaluations += len(points)
+        self.repeats = np.zeros(len(points), np.int64)
+        return self._generation(len(self._generations), points, values, violations)
 
     def check_points(self, name: str, points: ArrayLike) -> Floats:
         """Return points, shape (n, P), all of them within the bounds."""
-        given = check_array(name, points, (None, len(self._low)))
-        if not (np.all(given >= self._low) and np.all(given <= self._high)):
+        values = check_array(name, points, (None, len(self._low)))
+        if not (np.all(values >= self._low) and np.all(values <= self._high)):
             raise InputError(f"{name} lie outside the bounds")
-        return given
+        return values
 
     def replace(self, objectives: ArrayLike, violation: ArrayLike | None = None) -> None:
-        """State other values of the archive's front (``archive``, in its order), between ``tell`` and ``ask``.
+        """Replace the values of the archive's front (``archive``, in its order), between ``tell`` and ``ask``.
 
         For objectives that change their meaning during the search, such as results against other opponents. Everything
         else evaluated so far stays explored, but can't return to the archive: its values are of the old kind.
@@ -322,23 +322,23 @@ class Search:
         InputError
             If values have another shape or are not finite.
         """
-        self._check_told()
+        self._check_results_in()
         values, violations = self._checked(objectives, violation, self.archive)
         self._evaluations += len(values)
         self._explored = self._explored.replaced(values, violations)
 
     def result(self) -> Synthesis:
         """Return the archive and everything evaluated so far."""
-        known, front = self._explored, self._explored.front
-        scale = known.scale(*self._scale_from)
+        explored, front = self._explored, self._explored.front
+        scale = explored.scale(*self._scale_from)
         return Synthesis(
             parameters=self._parameters[front],
-            objectives=known.objectives[front],
-            evaluations=known.evaluations[front],
+            objectives=explored.objectives[front],
+            evaluations=explored.evaluations[front],
             explored_parameters=self._parameters,
-            explored_objectives=known.objectives,
-            explored_violation=known.violation,
-            explored_evaluations=known.evaluations,
+            explored_objectives=explored.objectives,
+            explored_violation=explored.violation,
+            explored_evaluations=explored.evaluations,
             generations=tuple(self._generations),
             ideal=scale.ideal,
             nadir=scale.nadir,
@@ -346,7 +346,7 @@ class Search:
         )
 
     def _generation(self, number: int, points: Floats, objectives: Floats, violation: Floats) -> Generation:
-        """The archive as it is now, with the points evaluated last."""
+        """Return the archive as it is now, with the points evaluated last."""
         front = self._explored.objectives[self._explored.front]
         scale = self._explored.scale(*self._scale_from)
         return Generation(
@@ -378,9 +378,9 @@ class Search:
             raise InputError(f"start is {first.tolist()}; it must lie within the bounds")
         return (first - self._low) / (self._high - self._low)
 
-    def _check_told(self) -> None:
+    def _check_results_in(self) -> None:
         if len(self._asked):
-            raise InputError("the points asked for last were not told yet; tell what came of them first")
+            raise InputError("the points asked for last were not told yet; tell their results first")
 
     def _checked(self, objectives: ArrayLike, violation: ArrayLike | None, asked: Floats) -> tuple[Floats, Floats]:
         try:

@@ -1,4 +1,4 @@
-"""Which of many policies make an archive: those that no other clearly beats, at a distance from each other.
+"""The choice of an archive's policies: those that no other clearly beats, at a distance from each other.
 
 Coordinates are means over races and carry errors. A policy that another one beats by less than the error of their
 difference may well belong to the front, so it stays; all policies drive the same races, which makes that error small.
@@ -25,8 +25,8 @@ def front_layers(points: Floats) -> Indices:
     layer = np.full(len(points), -1, np.int64)
     depth = 0
     while (layer < 0).any():
-        left = np.flatnonzero(layer < 0)
-        layer[left[~better[np.ix_(left, left)].any(axis=0)]] = depth
+        remaining = np.flatnonzero(layer < 0)
+        layer[remaining[~better[np.ix_(remaining, remaining)].any(axis=0)]] = depth
         depth += 1
     return layer
 
@@ -59,7 +59,8 @@ def beaten(coordinates: Floats, errors: Floats, error_bars: float) -> NDArray[np
     errors : ndarray, shape (K, K, G)
         Of the differences.
     error_bars : float
-        How many standard errors count as nothing; with 0 every policy that is smaller on all axes is beaten.
+        Smaller differences, in standard errors, do not count; with 0 every policy that is smaller on all axes is
+        beaten.
     """
     ahead = coordinates[None] - coordinates[:, None]  # of j over i, at (i, j)
     return np.asarray(np.all(ahead > error_bars * errors, axis=-1).any(axis=1))
@@ -77,12 +78,12 @@ def spread_first(points: Floats, spacing: float, count: int) -> Indices:
     spacing : float
     count : int
     """
-    chosen: list[int] = []
+    kept: list[int] = []
     for candidate in np.lexsort((np.arange(len(points)), front_layers(points))).tolist():
-        away = np.sqrt(np.sum((points[chosen] - points[candidate]) ** 2, axis=1))
-        if len(chosen) < count and not (away < spacing).any():
-            chosen.append(candidate)
-    return np.array(chosen, np.int64)
+        away = np.sqrt(np.sum((points[kept] - points[candidate]) ** 2, axis=1))
+        if len(kept) < count and not (away < spacing).any():
+            kept.append(candidate)
+    return np.array(kept, np.int64)
 
 
 def thin_out(points: Floats, spacing: float, most: int) -> Indices:
@@ -97,6 +98,6 @@ def thin_out(points: Floats, spacing: float, most: int) -> Indices:
     spacing : float
     most : int
     """
-    while len(chosen := spread_first(points, spacing, len(points))) > most:
+    while len(kept := spread_first(points, spacing, len(points))) > most:
         spacing = max(1.05 * spacing, 1e-4)
-    return np.sort(chosen)
+    return np.sort(kept)

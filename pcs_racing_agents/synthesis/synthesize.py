@@ -1,4 +1,4 @@
-"""Searching the Pareto set of any function: Algorithm 1 of the paper, or another method behind the same call."""
+"""Search for the Pareto set of any function, by Algorithm 1 of the paper or another method."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -13,11 +13,11 @@ from pcs_racing_agents.synthesis.search import Generation, Search, Synthesis
 
 __all__ = ["Evaluated", "synthesize"]
 
-PARTS = 16  # of a generation, when an executor evaluates them
+BLOCKS = 16  # of a generation, when an executor evaluates them
 
 
 class Evaluated(NamedTuple):
-    """What came of evaluating n points.
+    """Objectives of n points, and by how much they violate the constraint.
 
     Attributes
     ----------
@@ -67,11 +67,11 @@ def synthesize(
     evaluations : int, optional
         Most points to evaluate in all: a generation that would exceed them is not begun.
     executor : Executor, optional
-        Evaluates a generation in up to 16 parts at once. It has no influence on the result.
+        Evaluates a generation in up to 16 blocks at once. It has no influence on the result.
     evaluated : sequence
         Results of the first evaluations, where they are known from an earlier run with the same arguments: objectives,
-        ``(objectives, violation)`` or :class:`Evaluated` each, such as a :class:`Generation` holds. They are told
-        instead of calling ``evaluate``, and the search goes on from there as if it had never stopped.
+        ``(objectives, violation)`` or :class:`Evaluated` each, such as a :class:`Generation` holds. They stand in
+        for calls of ``evaluate``, and the search goes on from there as if it had never stopped.
     callback : callable, optional
         Called with the :class:`Generation` after each, and after the initial sample. If it returns True, objectives
         have changed their meaning (opponents were replaced, say): the archive's front is evaluated again, and other
@@ -90,8 +90,8 @@ def synthesize(
     Raises
     ------
     InputError
-        If an argument is impossible, a result has another shape or is not finite, or stored results belong to other
-        points than this search asks for.
+        If an argument is out of its range, a result has another shape or is not finite, or stored results belong to
+        other points than this search asks for.
     UnknownNameError
         If there is no such method.
     ModuleNotFoundError
@@ -103,61 +103,61 @@ def synthesize(
     most_results = (generations + (initial is not None)) * (1 if callback is None else 2)
     if len(evaluated) > most_results:
         raise InputError(f"evaluated holds {len(evaluated)} results; this search needs at most {most_results}")
-    search = Search(bounds, **options)  # refuses impossible options before anything is evaluated
+    search = Search(bounds, **options)  # checks the options before anything is evaluated
     stored = iter(evaluated)
     spent = 0
 
     def results(points: NDArray[np.float64], repeats: NDArray[np.int64]) -> Evaluated:
-        """Evaluate points, or take what is stored of them."""
+        """Evaluate points, or return their stored results."""
         nonlocal spent
         spent += len(points)
-        known = next(stored, None)
-        if known is None:
+        stored_value = next(stored, None)
+        if stored_value is None:
             return _evaluate(evaluate, (points, repeats) if reevaluation > 0.0 else (points,), executor)
-        found = _evaluated(known)
-        if found.parameters is not None and not np.array_equal(np.asarray(found.parameters), points):
+        result = _evaluated(stored_value)
+        if result.parameters is not None and not np.array_equal(np.asarray(result.parameters), points):
             raise InputError(
                 f"stored results belong to other points than those after {spent - len(points)} evaluations: they were "
                 "made with other arguments, another seed or other versions of the libraries"
             )
-        return found
+        return result
 
     def changed(generation: Generation) -> bool:
         return callback is not None and callback(generation) is True
 
-    renew = False
+    renew = False  # whether objectives have changed their meaning since the archive was evaluated
     if initial is not None:
         sample = search.check_points("initial", initial)
-        found = results(sample, np.zeros(len(sample), np.int64))
-        if options.get("ideal") is None:
-            values = check_array("objectives", found.objectives, (len(sample), None))
+        result = results(sample, np.zeros(len(sample), np.int64))
+        if options.get("ideal") is None:  # the range of the sample normalises all that follows
+            values = check_array("objectives", result.objectives, (len(sample), None))
             search = Search(bounds, **{**options, "ideal": values.max(axis=0), "nadir": values.min(axis=0)})
-        renew = changed(search.add(sample, found.objectives, found.violation))
+        renew = changed(search.add(sample, result.objectives, result.violation))
     proposing = generations - round(reevaluation * generations)
     for number in range(generations):
         if renew and len(search.archive):
-            found = results(search.archive, np.zeros(len(search.archive), np.int64))
-            search.replace(found.objectives, found.violation)
+            result = results(search.archive, np.zeros(len(search.archive), np.int64))
+            search.replace(result.objectives, result.violation)
         if spent + search.population > most:
             break
         old = number >= max(proposing, 1) and len(search.archive) > 0
         asked = search.ask_again() if old else search.ask()
-        found = results(asked, search.repeats)
-        renew = changed(search.tell(found.objectives, found.violation))
+        result = results(asked, search.repeats)
+        renew = changed(search.tell(result.objectives, result.violation))
     return search.result()
 
 
 def _evaluate(evaluate: Callable[..., Any], arguments: tuple[Any, ...], executor: Executor | None) -> Evaluated:
     if executor is None:
         return _evaluated(evaluate(*arguments))
-    count = min(PARTS, len(arguments[0]))
-    parts = [_evaluated(part) for part in executor.map(evaluate, *(np.array_split(a, count) for a in arguments))]
-    stated = [part.violation is not None for part in parts]
+    count = min(BLOCKS, len(arguments[0]))
+    blocks = [_evaluated(block) for block in executor.map(evaluate, *(np.array_split(a, count) for a in arguments))]
+    stated = [block.violation is not None for block in blocks]
     try:
-        values = np.concatenate([np.asarray(part.objectives, np.float64) for part in parts])
+        values = np.concatenate([np.asarray(block.objectives, np.float64) for block in blocks])
         if not any(stated):
             return Evaluated(values)
-        return Evaluated(values, np.concatenate([np.asarray(part.violation, np.float64) for part in parts]))
+        return Evaluated(values, np.concatenate([np.asarray(block.violation, np.float64) for block in blocks]))
     except (TypeError, ValueError):
         raise InputError("evaluate returned results of different shapes for different points") from None
 

@@ -195,7 +195,7 @@ def play_tournament(
     executor : Executor, optional
         Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
-        Called as ``progress(done, total, what)``, counting races; :func:`pcs_racing_agents.jobs.jobs.show_progress`
+        Called as ``progress(done, total, label)``, counting races; :func:`pcs_racing_agents.jobs.jobs.show_progress`
         prints a line.
 
     Returns
@@ -232,8 +232,8 @@ def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
         "seed": plan.seed,
         "races_per_pair": plan.races_per_pair,
         "game": setting.config,
-        "archive": setting.archive.name,
-        "archive_sha256": setting.archive.content_hash,
+        "archive": setting.identity.archive,
+        "archive_sha256": setting.identity.archive_sha256,
         "tracks": {track.name: track.content_hash for track in plan.tracks},
         "agents": {competitor_name(competitor): competitor_hash(competitor) for competitor in plan.competitors},
     }

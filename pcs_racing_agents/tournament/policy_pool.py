@@ -89,7 +89,7 @@ def pool_payoffs(
     executor : Executor, optional
         Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
-        Called as ``progress(done, total, what)``, counting blocks of pairs.
+        Called as ``progress(done, total, label)``, counting blocks of pairs.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Game trees of races: played once, kept in files, and the data that solvers and networks are made of."""
+"""Game trees of races: the data of solvers and networks, simulated once and stored in files."""
 
 from pcs_racing_agents.trees.build import build_tree
 from pcs_racing_agents.trees.ego import EgoTrees, play_ego

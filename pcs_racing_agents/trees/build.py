@@ -1,4 +1,4 @@
-"""Playing a game tree: level by level, all nodes of a level in one batch."""
+"""Construction of a game tree by simulation, level by level, all nodes of a level in one batch."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -27,7 +27,7 @@ def build_tree(
     *,
     share: bool = True,
 ) -> RaceTree:
-    """Play everything that can happen in a game from one start.
+    """Build the tree of all moves in a game from one start.
 
     Histories of moves that pass through the same policies are driven once, a crash ends its branch, and the last step
     of two cars that are out of each other's sight is put together from their single drives
@@ -49,7 +49,7 @@ def build_tree(
     Raises
     ------
     InputError
-        If a policy, start or seed is impossible, the tree would be too large, or the game has drivers from outside the
+        If a policy, start or seed does not exist, the tree would be too large, or the game has drivers from outside the
         archive.
     """
     check_game(game)
@@ -88,7 +88,7 @@ def build_tree(
 
 
 def check_game(game: RaceGame) -> None:
-    """Refuse games of which no tree can be played.
+    """Check that trees of a game can be built.
 
     Raises
     ------
@@ -114,7 +114,7 @@ Grown = tuple[
 
 
 def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: bool) -> Grown:
-    """Play the tree of one seed: payoffs, and for each level leads, estimates and which races are over."""
+    """Build the tree of one seed: payoffs, and for each level leads, estimates and which races are over."""
     moves, axes = game.config.moves, len(game.characteristics)
     races = root.race  # those of the level that go on
     row = np.where(races.crashed, -1, 0).reshape(1, 1)  # of each pair of paths in ``races``, -1 where it is over
@@ -124,6 +124,7 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
     over = [row < 0]
     driven = live = 1
     for k in range(1, moves + 1):
+        # A pair of paths continues the race of the pair of their parents.
         above = np.ix_(*(path.parent[k] for path in paths))
         parents, worth = row[above], worth[above]
         at = np.nonzero(parents >= 0)
@@ -144,11 +145,13 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
         leads.append(_scatter(below.lead, at, parents.shape))
         estimates.append(_scatter(measured.astype(np.float32), at, parents.shape))
         over.append(crashed)
+        # A crash ends its branch: only the other races have children.
         go_on = np.flatnonzero(~below.crashed)
         row = np.full(parents.shape, -1)
         row[at[0][go_on], at[1][go_on]] = np.arange(len(go_on))
         races = type(below)._make(array[go_on] for array in below)
         driven += len(rows)
+    # A pair of paths counts once for every joint history that goes along it.
     weights = [np.bincount(path.history[moves]) for path in paths]
     crashes = int(weights[0] @ crashed.astype(np.int64) @ weights[1])
     return worth.astype(np.float32), leads, estimates, over, (driven, live, crashes)

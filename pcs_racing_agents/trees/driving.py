@@ -1,4 +1,4 @@
-"""Driving the nodes of a tree's level: from the states above, with other policies, in chunks of bounded memory."""
+"""Simulation of the nodes of a tree's level from the states of the level above, in chunks of bounded memory."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -21,7 +21,7 @@ CHUNK = 4096
 
 
 class Ends(NamedTuple):
-    """How races ended: what of a :class:`RaceState` decides what they are worth.
+    """The ends of races: those parts of a :class:`RaceState` that decide the payoff.
 
     Attributes
     ----------
@@ -35,10 +35,10 @@ class Ends(NamedTuple):
 
     @classmethod
     def empty(cls, races: int) -> "Ends":
-        """Return room for so many races."""
+        """Return arrays of zeros for so many races."""
         return cls(np.zeros((races, 2)), np.zeros((races, 2), np.int8), np.zeros((races, 2), np.int8))
 
-    def put(self, rows: Indices | slice, ends: "Ends") -> None:
+    def write(self, rows: Indices | slice, ends: "Ends") -> None:
         """Overwrite some races, in place."""
         self.progress[rows] = ends.progress
         self.crash[rows] = ends.crash
@@ -59,12 +59,12 @@ class Ends(NamedTuple):
 
 def _chunks(parents: RaceState, rows: Indices) -> Iterator[tuple[slice, RaceState]]:
     for first in range(0, len(rows), CHUNK):
-        part = slice(first, first + CHUNK)
-        yield part, take(parents, rows[part])
+        races = slice(first, first + CHUNK)
+        yield races, take(parents, rows[races])
 
 
 def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: Indices) -> tuple[RaceState, Floats]:
-    """Drive a step of the game from some states.
+    """Simulate a step of the game from some states.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: 
     rows : array of int, shape (B,)
         State that each child goes on from.
     policies : array of int, shape (B, 2)
-        What drives there.
+        Policies of the two cars.
 
     Returns
     -------
@@ -84,8 +84,8 @@ def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: 
         What was measured in that step (:meth:`RaceGame.drive`).
     """
     races, estimates = [take(parents, rows[:0])], [np.zeros((0, 2, len(game.characteristics)))]
-    for part, chunk in _chunks(parents, rows):
-        estimates.append(game.drive(chunk, policies[part]))
+    for chunk_rows, chunk in _chunks(parents, rows):
+        estimates.append(game.drive(chunk, policies[chunk_rows]))
         races.append(chunk)
     return concatenate(races), np.concatenate(estimates)
 
@@ -93,7 +93,7 @@ def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: 
 def drive_to_the_end(
     game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, trace: bool = False
 ) -> tuple[Ends, NDArray[np.float32]]:
-    """Drive the last step of the game, of which nobody measures anything.
+    """Simulate the last step of the game, in which no characteristics are measured.
 
     Parameters
     ----------
@@ -114,14 +114,14 @@ def drive_to_the_end(
     moments = ticks // PLAN_EVERY + 1 if trace else 0
     ends = Ends.empty(len(rows))
     traces = np.zeros((len(rows), moments, 2), np.float32)
-    for part, chunk in _chunks(parents, rows):
-        theta = game.theta(policies[part])
+    for chunk_rows, chunk in _chunks(parents, rows):
+        theta = game.theta(policies[chunk_rows])
         if trace:
-            traces[part, 0] = chunk.progress
+            traces[chunk_rows, 0] = chunk.progress
             for moment in range(1, moments):
                 advance(game.setup, chunk, theta, PLAN_EVERY, threads=game.threads, ittc=False)
-                traces[part, moment] = chunk.progress
+                traces[chunk_rows, moment] = chunk.progress
         else:
             advance(game.setup, chunk, theta, ticks, threads=game.threads, ittc=False)
-        ends.put(part, Ends(chunk.progress, chunk.crash, chunk.fault))
+        ends.write(chunk_rows, Ends(chunk.progress, chunk.crash, chunk.fault))
     return ends, traces

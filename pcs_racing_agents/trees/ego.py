@@ -1,9 +1,8 @@
-"""Ego trees: all moves of one player against one sequence of moves of the other; cheap, and many of them teach as much.
+"""Ego trees: all moves of one player against one sequence of moves of the other, at a fraction of a tree's cost.
 
 A full tree tries all pairs of moves, ``A**(2 m)`` of them. An ego tree tries the ``A**m`` sequences of car 0 against a
 sequence of car 1 that is drawn, and many roots are driven in one batch. As in full trees, histories that pass through
 the same policies are driven once, and a crash ends its branch.
-
 """
 
 from collections.abc import Mapping
@@ -33,7 +32,7 @@ OPPONENTS = {
     "random": "moves drawn for each root",
     "static": "keeps the policy that it starts with",
 }
-"""Who drives car 1."""
+"""Opponents in car 1."""
 
 KEEP = -1
 """In place of an opponent's move: keep the policy."""
@@ -88,7 +87,7 @@ class EgoTrees:
         return len(self.seeds)
 
     def __repr__(self) -> str:
-        """Show what it is, not its numbers."""
+        """Show the numbers of roots, moves and options."""
         return f"<EgoTrees: {len(self)} roots, {self.moves} moves of {self.options}>"
 
     @property
@@ -102,9 +101,9 @@ class EgoTrees:
         return round(self.payoffs.shape[1] ** (1.0 / self.moves))
 
     def observations(self, level: int) -> NDArray[np.float32]:
-        """Return what car 0 saw when move ``level`` was due, shape (R, A**level, D), float32.
+        """Return the observations of car 0 before move ``level``, shape (R, A**level, D), float32.
 
-        Where the race was over by then, what was seen when it ended.
+        Where the race was over by then, the observation at its end.
 
         Raises
         ------
@@ -115,7 +114,7 @@ class EgoTrees:
             raise InputError(f"move {level} is none of the trees'; it must lie in 0 to {self.moves - 1}")
         steps, axes = self.moves + 1, self.own[0].shape[2]
         nodes = self.options**level
-        own = np.zeros((len(self), nodes, 2, steps, axes))  # what car 1 saw is of no interest: its half stays 0
+        own = np.zeros((len(self), nodes, 2, steps, axes))  # car 1's observations are not used: its half stays 0
         estimates = np.zeros_like(own)
         leads = np.zeros((len(self), nodes, steps))
         step = np.full((len(self), nodes), level)
@@ -126,8 +125,8 @@ class EgoTrees:
             leads[:, :, k] = self.leads[k][:, above]
             step[self.over[k][:, above]] = k
         flat_own, flat_estimates = (array.reshape(-1, 2, steps, axes) for array in (own, estimates))
-        seen = encode_observation(flat_own, flat_estimates, leads.reshape(-1, steps), step.reshape(-1))[:, 0]
-        return seen.reshape(len(self), nodes, -1)
+        observations = encode_observation(flat_own, flat_estimates, leads.reshape(-1, steps), step.reshape(-1))[:, 0]
+        return observations.reshape(len(self), nodes, -1)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the trees as arrays by name, for files."""
@@ -142,7 +141,7 @@ class EgoTrees:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], where: str) -> "EgoTrees":
-        """Make trees of what :meth:`arrays` returned; ``where`` is what errors begin with.
+        """Return the trees of arrays from :meth:`arrays`; messages of errors begin with ``where``.
 
         Raises
         ------
@@ -165,7 +164,7 @@ class EgoTrees:
 
 
 def _check_shapes(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) -> None:
-    """Refuse arrays from which no situation could be told."""
+    """Raise an error unless the arrays have the shapes and types of ego trees."""
     payoffs, own = arrays["payoffs"].shape, arrays["own_0"].shape if moves else ()
     roots = len(arrays["seeds"]) if arrays["seeds"].ndim == 1 else 0
     options = round(payoffs[1] ** (1.0 / moves)) if moves and len(payoffs) == 2 else 0
@@ -190,7 +189,7 @@ def _check_shapes(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) ->
             raise InputError(f"{where}: {name} holds NaN or infinity; every number of a tree must be finite")
 
 
-def join_ego(parts: list[EgoTrees]) -> EgoTrees:
+def join_ego(batches: list[EgoTrees]) -> EgoTrees:
     """Return the roots of several batches as one.
 
     Raises
@@ -198,10 +197,12 @@ def join_ego(parts: list[EgoTrees]) -> EgoTrees:
     InputError
         If there are none.
     """
-    if not parts:
+    if not batches:
         raise InputError("there are no ego trees to join; give at least one batch")
-    every = [part.arrays() for part in parts]
-    return EgoTrees.from_arrays({key: np.concatenate([one[key] for one in every]) for key in every[0]}, "the batch")
+    arrays = [batch.arrays() for batch in batches]
+    return EgoTrees.from_arrays(
+        {key: np.concatenate([batch_arrays[key] for batch_arrays in arrays]) for key in arrays[0]}, "the batch"
+    )
 
 
 def play_ego(
@@ -236,7 +237,7 @@ def play_ego(
     Raises
     ------
     InputError
-        If a number or shape is impossible.
+        If a number is out of its range or an array has another shape.
     UnknownNameError
         If there is no such opponent.
     """
@@ -259,19 +260,19 @@ def play_ego(
 
     return join_ego(
         [
-            _play(game, pairs[part], keys[part], replies[part], [paths_from(int(p)) for p in pairs[part, 0]])
-            for part in (slice(at, at + BLOCK) for at in range(0, roots, BLOCK))
+            _play(game, pairs[rows], keys[rows], replies[rows], [paths_from(int(p)) for p in pairs[rows, 0]])
+            for rows in (slice(at, at + BLOCK) for at in range(0, roots, BLOCK))
         ]
     )
 
 
 def check_ego(game: RaceGame, roots: int, opponent: str | ArrayLike, seed: int, first: int = 0) -> None:
-    """Refuse what :func:`play_ego` can't play, before any of it is played.
+    """Check the arguments of :func:`play_ego`.
 
     Raises
     ------
     InputError
-        If a number is impossible, or the game has drivers from outside the archive.
+        If a number is out of its range, or the game has drivers from outside the archive.
     UnknownNameError
         If there is no such opponent.
     """
@@ -283,13 +284,13 @@ def check_ego(game: RaceGame, roots: int, opponent: str | ArrayLike, seed: int, 
         raise UnknownNameError(f"opponent {opponent!r} is unknown; there are {', '.join(OPPONENTS)}")
 
 
-def _whole(values: ArrayLike, what: str, shape: tuple[int, ...], least: int, below: int) -> Indices:
+def _whole(values: ArrayLike, name: str, shape: tuple[int, ...], least: int, below: int) -> Indices:
     array = np.asarray(values)
     if array.dtype.kind not in "iu" or array.shape not in (shape, shape[1:]):
-        raise InputError(f"{what} have shape {array.shape} and type {array.dtype}; they must be whole numbers {shape}")
+        raise InputError(f"{name} have shape {array.shape} and type {array.dtype}; they must be whole numbers {shape}")
     if ((array < least) | (array >= below)).any():
         wrong = array[(array < least) | (array >= below)].flat[0]
-        raise InputError(f"{what}: {wrong} is impossible; they must lie in {least} to {below - 1}")
+        raise InputError(f"{name}: {wrong} is impossible; they must lie in {least} to {below - 1}")
     return np.array(np.broadcast_to(array, shape), np.int64)
 
 
@@ -309,6 +310,7 @@ def _play(
     at[0][:, 0] = begins = np.arange(len(pairs))
     driven = np.ones(len(pairs), np.int64)
     for k in range(1, moves + 1):
+        # Races belong to paths, not to histories: histories through the same policies share one race.
         counts = np.array([path.count(k) for path in paths])
         which = np.repeat(np.arange(len(pairs)), counts)
         above = np.concatenate([path.parent[k] for path in paths]) + begins[which]
@@ -316,10 +318,10 @@ def _play(
         at.append(np.stack([path.history[k] for path in paths]) + begins[:, None])
         second = np.where(replies[:, k - 1] < 0, second, game.table[second, replies[:, k - 1]])
         policies = np.stack([np.concatenate([path.policy[k] for path in paths]), second[which]], axis=1)
-        live = np.flatnonzero(row[above] >= 0)
+        live = np.flatnonzero(row[above] >= 0)  # paths whose race has not ended in a crash
         driven += np.bincount(which[live], minlength=len(pairs))
         rows, worth = row[above], worth[above]
-        if k == moves:
+        if k == moves:  # no move follows: only the ends of the races matter, not what is measured
             ends, _ = finish(game, races, rows[live], policies[live], share=False)
             worth[live] = reward(game.config, ends.as_races(), k)
             break
@@ -333,6 +335,7 @@ def _play(
         estimates.append(np.zeros((len(above), 2, axes)))
         estimates[k][live] = measured
         over.append(row < 0)
+    # From paths to histories: each history takes the values of its path.
     return EgoTrees(
         policies=pairs,
         seeds=keys,

@@ -1,4 +1,4 @@
-"""Many ego trees in a folder: made as a job that any executor runs and that resumes."""
+"""Ego trees in a folder: built by a resumable job on any executor."""
 
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ ROOTS = 32  # of a chunk
 
 
 @dataclass(frozen=True)
-class _Task:
+class _EgoTask:
     first: int
     roots: int
     opponent: str
@@ -30,11 +30,11 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Player:
-    """What a worker does; it travels to other processes together with the game."""
+    """The function of a task; it is pickled together with the game."""
 
     game: RaceGame
 
-    def __call__(self, task: _Task) -> dict[str, NDArray[Any]]:
+    def __call__(self, task: _EgoTask) -> dict[str, NDArray[Any]]:
         trees = play_ego(self.game, task.roots, opponent=task.opponent, seed=task.seed, first=task.first)
         return trees.arrays()
 
@@ -49,7 +49,7 @@ def build_ego_trees(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> EgoTrees:
-    """Play ego trees, and keep them in a folder; work of the same kind that was left there is taken up.
+    """Build ego trees and store them in a folder; in a folder of the same settings the work resumes.
 
     Parameters
     ----------
@@ -62,18 +62,20 @@ def build_ego_trees(
         Where they are played, 32 at a time, each on one core; by default one after the other, each on all cores. It
         does not change the result.
     progress : callable, optional
-        Called as ``progress(done, total, what)`` after every 32 roots.
+        Called as ``progress(done, total, label)`` after every 32 roots.
 
     Raises
     ------
     InputError
-        If a number is impossible, or the folder holds something else.
+        If a number is out of its range, or the folder holds something else.
     UnknownNameError
         If there is no such opponent.
     """
     check_ego(game, roots, opponent, seed)
     settings = {**game_settings(game), "roots": int(roots), "opponent": opponent, "seed": int(seed)}
-    tasks = [_Task(first, min(ROOTS, int(roots) - first), opponent, int(seed)) for first in range(0, int(roots), ROOTS)]
+    tasks = [
+        _EgoTask(first, min(ROOTS, int(roots) - first), opponent, int(seed)) for first in range(0, int(roots), ROOTS)
+    ]
     player = _Player(game if executor is None else replace(game, threads=1))
     with open_job(folder, KIND, settings) as job:
         job.run(NAME, player, tasks, executor=executor, progress=progress, keep=False)
@@ -93,22 +95,22 @@ def load_ego_trees(folder: str | Path) -> EgoTrees:
         raise InputError(
             f"{Path(folder) / 'job.yaml'}: roots are {roots!r:.80}; they must be a whole number from 1 to {MOST_ROOTS}"
         )
-    parts: list[EgoTrees] = []
+    batches: list[EgoTrees] = []
     for i in range(-(-roots // ROOTS)):
         file = chunk_file(folder, NAME, i)
         try:
             arrays = read_chunk(file)
         except InputError as error:
             raise InputError(f"{error}; {MAKE_AGAIN}") from None
-        part = EgoTrees.from_arrays(arrays, str(file))
+        batch = EgoTrees.from_arrays(arrays, str(file))
         wanted = min(ROOTS, roots - i * ROOTS)
-        if len(part) != wanted:
-            raise InputError(f"{file} holds {len(part)} roots; there should be {wanted}: {MAKE_AGAIN}")
-        if parts and (part.moves, part.options, part.own[0].shape[2]) != (
-            parts[0].moves,
-            parts[0].options,
-            parts[0].own[0].shape[2],
+        if len(batch) != wanted:
+            raise InputError(f"{file} holds {len(batch)} roots; there should be {wanted}: {MAKE_AGAIN}")
+        if batches and (batch.moves, batch.options, batch.own[0].shape[2]) != (
+            batches[0].moves,
+            batches[0].options,
+            batches[0].own[0].shape[2],
         ):
-            raise InputError(f"{file} holds {part!r}, the files before {parts[0]!r}: {MAKE_AGAIN}")
-        parts.append(part)
-    return join_ego(parts)
+            raise InputError(f"{file} holds {batch!r}, the files before {batches[0]!r}: {MAKE_AGAIN}")
+        batches.append(batch)
+    return join_ego(batches)

@@ -1,9 +1,9 @@
-"""Races of two cars too far apart to see each other: each drive of a car is driven once, whatever the other does.
+"""The last step of games whose cars are out of each other's sight: each car's drive is simulated only once.
 
 A driver that promises a limited ``sight`` (:class:`pcs_racing.Planner`) drives the same whatever happens beyond it.
 From a moment at which the cars are that far apart, ``n`` policies of one car and ``n`` of the other make ``n * n``
 races, but only ``2 n`` different drives: ``n`` races show them all. The others are put together from them, if the cars
-would not have come near each other and nobody crashed; otherwise they are driven, too. The result is the same to the
+would not have come near each other and neither crashed; otherwise they are driven, too. The result is the same to the
 last bit. Steering noise changes nothing of that, since it depends on the race's seed, the car and the time alone.
 
 That holds for progress and crashes, which is what the end of a game counts. The minimum time to collision sees the
@@ -30,7 +30,7 @@ UNKNOWN, KNOWN, CRASHES = range(3)
 def finish(
     game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, share: bool = True
 ) -> tuple[Ends, int]:
-    """Find out how the last step of the game ends from some states.
+    """Compute how the last step of the game ends from some states.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def finish(
     rows : array of int, shape (B,)
         State that each race goes on from.
     policies : array of int, shape (B, 2)
-        What drives there.
+        Policies of the two cars.
     share : bool
         Whether to put races together where that is possible; it does not change the result.
 
@@ -58,49 +58,49 @@ def finish(
     far = np.flatnonzero(apart[rows])
     drives = _different_drives(parents, rows[far], policies[far])
     status = np.full((2, int(drives.max(initial=-1)) + 1), UNKNOWN)
-    source = np.zeros_like(status)  # where a known drive was seen: row of ``seen`` and ``traces``
-    seen = Ends.empty(0)
+    source = np.zeros_like(status)  # row of a known drive in ``known_ends`` and ``traces``
+    known_ends = Ends.empty(0)
     traces = np.zeros((0, 1, 2), np.float32)
-    waiting = np.arange(len(far))
+    waiting = np.arange(len(far))  # races whose end is not known yet
     count = 0
-    alone = [np.flatnonzero(~apart[rows])]
+    not_shared = [np.flatnonzero(~apart[rows])]  # races that must be driven themselves
     while len(waiting):
-        chosen = waiting[_cover(drives[:, waiting], status)]
-        if len(chosen) == 0:
+        batch = waiting[_cover(drives[:, waiting], status)]
+        if len(batch) == 0:
             break
-        found, trace = drive_to_the_end(game, parents, rows[far[chosen]], policies[far[chosen]], trace=True)
-        ends.put(far[chosen], found)
-        fine = _stay_apart(trace[:, :, 0], trace[:, :, 1], length, sight)
+        batch_ends, batch_trace = drive_to_the_end(game, parents, rows[far[batch]], policies[far[batch]], trace=True)
+        ends.write(far[batch], batch_ends)
+        apart_throughout = _stay_apart(batch_trace[:, :, 0], batch_trace[:, :, 1], length, sight)
         for car in range(2):
             # A race stands still after a crash: what the other car would have done is not known then. Where the cars
             # came near each other nothing is known of either, and another race may show it.
-            shown = drives[car, chosen]
-            known = fine & ~found.crash.any(axis=1)
-            status[car, shown[fine & (found.crash[:, car] != 0)]] = CRASHES
-            status[car, shown[known]] = KNOWN
-            source[car, shown[known]] = len(traces) + np.flatnonzero(known)
-        seen = seen.and_then(found)
-        traces = trace if len(traces) == 0 else np.concatenate([traces, trace])
-        count += len(chosen)
-        waiting = np.setdiff1d(waiting, chosen, assume_unique=True)
+            shown = drives[car, batch]
+            complete = apart_throughout & ~batch_ends.crash.any(axis=1)
+            status[car, shown[apart_throughout & (batch_ends.crash[:, car] != 0)]] = CRASHES
+            status[car, shown[complete]] = KNOWN
+            source[car, shown[complete]] = len(traces) + np.flatnonzero(complete)
+        known_ends = known_ends.and_then(batch_ends)
+        traces = batch_trace if len(traces) == 0 else np.concatenate([traces, batch_trace])
+        count += len(batch)
+        waiting = np.setdiff1d(waiting, batch, assume_unique=True)
         crashing = (status[0, drives[0, waiting]] == CRASHES) | (status[1, drives[1, waiting]] == CRASHES)
-        alone.append(far[waiting[crashing]])
+        not_shared.append(far[waiting[crashing]])
         waiting = waiting[~crashing]
     for first in range(0, len(waiting), 4096):  # bounded memory
-        part = waiting[first : first + 4096]
-        from0, from1 = (source[car, drives[car, part]] for car in range(2))
-        good = _stay_apart(traces[from0, :, 0], traces[from1, :, 1], length, sight)
-        together = Ends.empty(len(part))
-        together.progress[:] = np.stack([seen.progress[from0, 0], seen.progress[from1, 1]], axis=1)
-        ends.put(far[part], together)
-        alone.append(far[part[~good]])
-    rest = np.concatenate(alone)
-    ends.put(rest, drive_to_the_end(game, parents, rows[rest], policies[rest])[0])
+        block = waiting[first : first + 4096]
+        from0, from1 = (source[car, drives[car, block]] for car in range(2))
+        apart_in_block = _stay_apart(traces[from0, :, 0], traces[from1, :, 1], length, sight)
+        combined = Ends.empty(len(block))
+        combined.progress[:] = np.stack([known_ends.progress[from0, 0], known_ends.progress[from1, 1]], axis=1)
+        ends.write(far[block], combined)
+        not_shared.append(far[block[~apart_in_block]])
+    rest = np.concatenate(not_shared)
+    ends.write(rest, drive_to_the_end(game, parents, rows[rest], policies[rest])[0])
     return ends, count + len(rest)
 
 
 def _apart(lead: NDArray[np.floating], length: float) -> NDArray[np.floating]:
-    """How far apart cars stand along the track, the shorter way round, m."""
+    """Return the distance between cars along the track, the shorter way round, m."""
     round_ = np.mod(lead, length)
     return np.asarray(np.minimum(round_, length - round_))
 
@@ -113,7 +113,7 @@ def _stay_apart(
 
 
 def _different_drives(parents: RaceState, rows: Indices, policies: Indices) -> Indices:
-    """Number each car's drives so that equal numbers stand for the same car, state and policy, shape (2, B)."""
+    """Return numbers of each car's drives, shape (2, B): equal ones have the same car, state and policy."""
     numbers = np.zeros((2, len(rows)), np.int64)
     if len(rows) == 0:
         return numbers
@@ -134,14 +134,14 @@ def _different_drives(parents: RaceState, rows: Indices, policies: Indices) -> I
 
 
 def _cover(drives: Indices, status: Indices) -> Indices:
-    """Choose few races that show every unknown drive that is still wanted: those that show two first."""
-    wanted = [(status[car] == UNKNOWN).tolist() for car in range(2)]
+    """Select few races that contain every unknown drive: first those that contain two, then the others."""
+    unknown = [(status[car] == UNKNOWN).tolist() for car in range(2)]
     pairs = list(zip(*drives.tolist(), strict=True))
-    chosen = []
+    selected = []
     for both in (True, False):
         for i, (first, second) in enumerate(pairs):
-            new0, new1 = wanted[0][first], wanted[1][second]
+            new0, new1 = unknown[0][first], unknown[1][second]
             if (new0 and new1) if both else (new0 or new1):
-                wanted[0][first] = wanted[1][second] = False
-                chosen.append(i)
-    return np.array(sorted(chosen), np.int64)
+                unknown[0][first] = unknown[1][second] = False
+                selected.append(i)
+    return np.array(sorted(selected), np.int64)

@@ -1,4 +1,4 @@
-"""Policy paths: which sequences of policies a player's moves lead through, each of them once.
+"""Policy paths: the different sequences of policies that a player's moves lead through.
 
 Moves of an archive often lead to the same policy, and a race knows only policies, not the names of the moves. So two
 histories of moves that pass through the same policies are one race, and only one of them has to be driven.
@@ -79,7 +79,7 @@ def own_histories(level: int, options: int) -> tuple[Indices, Indices]:
 
 
 def check_size(options: int, moves: int) -> None:
-    """Refuse trees that nobody could drive or keep.
+    """Check that a tree is not too large.
 
     Raises
     ------

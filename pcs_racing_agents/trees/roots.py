@@ -1,4 +1,4 @@
-"""Where games begin: starting policies that differ, start lines, sides and noise."""
+"""Roots of trees: diverse starting policies, start lines, sides and noise seeds."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ NOISY_SEEDS = 4
 
 
 class Root(NamedTuple):
-    """Where a tree begins.
+    """The root of a tree: policies, start and noise.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
     Raises
     ------
     InputError
-        If a number is impossible.
+        If a number is out of its range.
     """
     from pcs_racing_agents.synthesis.diverse import select_diverse
 
@@ -75,9 +75,9 @@ def default_seeds(game: RaceGame) -> int:
 
 
 def draw_root(game: RaceGame, policies: Indices, seeds: int, rng: np.random.Generator) -> Root:
-    """Draw start line, side and noise for a pair of policies, so that nobody crashes before the first move.
+    """Draw start line, side and noise for a pair of policies, so that neither car crashes before the first move.
 
-    Like :meth:`RaceGame.reset`, it draws again where somebody does, and gives up after some attempts: a pair that
+    Like :meth:`RaceGame.reset`, it draws again where one does, and gives up after some attempts: a pair that
     always crashes has a tree of nothing but crashes.
 
     Parameters

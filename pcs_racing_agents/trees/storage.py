@@ -1,4 +1,4 @@
-"""Many trees in a folder: made as a job that any executor runs and that resumes, and read back one by one."""
+"""Game trees in a folder: built by a resumable job on any executor, and read one by one."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.jobs.folders import read_job
 from pcs_racing_agents.jobs.jobs import Progress, TaskGroup, chunk_file, open_job, read_chunk, run_groups
@@ -20,7 +21,15 @@ from pcs_racing_agents.trees.build import build_tree, check_game
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
 
-__all__ = ["StoredTrees", "build_trees", "game_settings", "load_trees", "open_trees", "read_settings"]
+__all__ = [
+    "StoredTrees",
+    "build_trees",
+    "game_settings",
+    "load_trees",
+    "open_trees",
+    "read_settings",
+    "stored_identity",
+]
 
 KIND = "game trees"
 NAME = "tree"
@@ -28,7 +37,7 @@ MAKE_AGAIN = "run the command that made the folder again, and it is made anew"
 
 
 @dataclass(frozen=True)
-class _Task:
+class _TreeTask:
     policies: NDArray[np.int64]
     index: int
     seeds: int
@@ -37,11 +46,11 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Builder:
-    """What a worker does; it travels to other processes together with the game."""
+    """The function of a task; it is pickled together with the game."""
 
     game: RaceGame
 
-    def __call__(self, task: _Task) -> dict[str, NDArray[Any]]:
+    def __call__(self, task: _TreeTask) -> dict[str, NDArray[Any]]:
         rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(1, task.index)))
         root = draw_root(self.game, task.policies, task.seeds, rng)
         return build_tree(self.game, root.policies, (root.start_s, root.side), root.seeds).arrays()
@@ -57,10 +66,9 @@ def build_trees(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> "StoredTrees":
-    """Play a game tree for each of several pairs of starting policies, and keep them in a folder.
+    """Build a game tree for each of several pairs of starting policies, and store them in a folder.
 
-    A folder in which the same work was left is taken up; trees that are there already are not played again, and those
-    whose file is damaged are.
+    In a folder of the same settings the work resumes: only missing and damaged trees are built.
 
     Parameters
     ----------
@@ -77,12 +85,13 @@ def build_trees(
         Where the trees are played, each on one core; by default one after the other, each on all cores. It does not
         change the result.
     progress : callable, optional
-        Called as ``progress(done, total, what)`` after every tree.
+        Called as ``progress(done, total, label)`` after every tree.
 
     Raises
     ------
     InputError
-        If a number, pair or game is impossible, or the folder holds something else.
+        If a number is out of its range, a pair is not in the archive, no tree of the game can be built, or the folder
+        holds something else.
     """
     with open_trees(
         game, folder, pairs=pairs, seeds_per_pair=seeds_per_pair, seed=seed, one_thread=executor is not None
@@ -122,45 +131,61 @@ def open_trees(
         As for :func:`build_trees`.
     """
     check_game(game)
-    chosen = _checked_pairs(game.archive, pairs, seed)
+    start_pairs = _checked_pairs(game.archive, pairs, seed)
     seeds = default_seeds(game) if seeds_per_pair is None else seeds_per_pair
     check_whole("seeds_per_pair", seeds, 1, 1000)
     if seeds > 1 and game.config.race.steering_noise == 0.0:
         raise InputError(f"seeds_per_pair is {seeds}, but there is no steering noise: every seed drives the same")
-    settings = {**game_settings(game), "pairs": chosen, "seeds_per_pair": int(seeds), "seed": int(seed)}
-    tasks = [_Task(pair, i, int(seeds), int(seed)) for i, pair in enumerate(chosen)]
+    settings = {**game_settings(game), "pairs": start_pairs, "seeds_per_pair": int(seeds), "seed": int(seed)}
+    tasks = [_TreeTask(pair, i, int(seeds), int(seed)) for i, pair in enumerate(start_pairs)]
     builder = _Builder(replace(game, threads=1) if one_thread else game)
     with open_job(folder, KIND, settings) as job:
         yield TaskGroup(job, NAME, builder, tasks)
 
 
 def game_settings(game: RaceGame) -> dict[str, Any]:
-    """Everything that decides how a game goes and what its observations mean, as plain values for a manifest."""
+    """Return the identity, the track and the rules of a game as plain values for a manifest."""
+    identity = game_identity(game)
     return {
-        "archive": {"name": game.archive.name, "sha256": game.archive.content_hash},
+        "archive": {"name": identity.archive, "sha256": identity.archive_sha256},
         "track": {"name": game.track.name, "sha256": game.track.content_hash},
-        "preset": game.config.race.name,
+        "preset": identity.preset,
         "speed_range": [float(speed) for speed in game.setup.speed_range],
         "rules": asdict(game.config),
-        "move_names": list(game.move_names),
-        "encoding": [element.name for element in game.observation_elements],
+        "move_names": list(identity.moves),
+        "encoding": list(identity.elements),
     }
+
+
+def stored_identity(settings: Mapping[str, Any]) -> GameIdentity:
+    """Return the identity of the game that stored trees belong to, out of :func:`game_settings`."""
+    rules, archive = settings["rules"], settings["archive"]
+    epsilon = rules["epsilon"]
+    return GameIdentity(
+        elements=tuple(settings["encoding"]),
+        moves=tuple(settings["move_names"]),
+        epsilon=tuple(epsilon) if isinstance(epsilon, list | tuple) else (epsilon,),
+        archive=archive["name"],
+        archive_sha256=archive["sha256"],
+        preset=settings["preset"],
+        decisions=rules["moves"],
+    )
 
 
 def _checked_pairs(archive: PolicyArchive, pairs: int | ArrayLike, seed: int) -> NDArray[np.int64]:
     if isinstance(pairs, int | np.integer):
         return choose_pairs(archive, int(pairs), seed)
-    given = np.asarray(pairs)
-    if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0 or given.dtype.kind not in "iu":
-        raise InputError(f"pairs have shape {given.shape} and type {given.dtype}; they must be whole numbers (N, 2)")
-    wrong = np.argwhere((given < 0) | (given >= len(archive)))
+    array = np.asarray(pairs)
+    if array.ndim != 2 or array.shape[1] != 2 or len(array) == 0 or array.dtype.kind not in "iu":
+        raise InputError(f"pairs have shape {array.shape} and type {array.dtype}; they must be whole numbers (N, 2)")
+    wrong = np.argwhere((array < 0) | (array >= len(archive)))
     if len(wrong):
         i, car = (int(at) for at in wrong[0])
         raise InputError(
-            f"pair {i}: policy {given[i, car]} is not in archive {archive.name!r}; it must lie in 0 to "
+            f"pair {i}: policy {array[i, car]} is not in archive {archive.name!r}; it must lie in 0 to "
             f"{len(archive) - 1}"
         )
-    return given.astype(np.int64)
+    return array.astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -171,7 +196,7 @@ class StoredTrees(Sequence[RaceTree]):
     ----------
     folder : Path
     settings : Mapping
-        What they were made with: the game (:func:`game_settings`), pairs and seeds.
+        Settings of the job: the game (:func:`game_settings`), pairs and seeds.
     """
 
     folder: Path
@@ -181,7 +206,7 @@ class StoredTrees(Sequence[RaceTree]):
         return len(self.settings["pairs"])
 
     def __repr__(self) -> str:
-        """Show what they are."""
+        """Show where they are, and their archive and track."""
         archive, track = (self.settings[key]["name"] for key in ("archive", "track"))
         return f"<StoredTrees: {len(self)} in {self.folder}, archive {archive!r}, track {track!r}>"
 
@@ -238,12 +263,12 @@ class StoredTrees(Sequence[RaceTree]):
             If they were played with another archive, track, rules or encoding; the first difference is named.
         """
         for key, wanted in _plain(game_settings(game)).items():
-            found = self.settings.get(key)
-            if found != wanted:
-                if isinstance(wanted, dict) and isinstance(found, dict):
-                    part = next(k for k in {**found, **wanted} if found.get(k, self) != wanted.get(k, self))
-                    key, found, wanted = f"{key} {part}", found.get(part), wanted.get(part)
-                raise InputError(f"the trees in {self.folder} are of another game: {key} is {found!r}, not {wanted!r}")
+            stored = self.settings.get(key)
+            if stored != wanted:
+                if isinstance(wanted, dict) and isinstance(stored, dict):
+                    inner = next(k for k in {**stored, **wanted} if stored.get(k, self) != wanted.get(k, self))
+                    key, stored, wanted = f"{key} {inner}", stored.get(inner), wanted.get(inner)
+                raise InputError(f"the trees in {self.folder} are of another game: {key} is {stored!r}, not {wanted!r}")
 
 
 def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> StoredTrees:
@@ -262,11 +287,11 @@ def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> Stor
         If the folder holds no trees, or some are missing, or they are of another archive.
     """
     trees = StoredTrees(Path(folder), _checked(read_settings(folder, KIND), Path(folder) / "job.yaml"))
-    found = trees.settings["archive"]
-    if archive is not None and found["sha256"] != archive.content_hash:
+    archive_settings = trees.settings["archive"]
+    if archive is not None and archive_settings["sha256"] != archive.content_hash:
         raise InputError(
-            f"the trees in {folder} were played with archive {found['name']!r} (sha256 {found['sha256'][:12]}...), not "
-            f"with {archive.name!r} ({archive.content_hash[:12]}...)"
+            f"the trees in {folder} were played with archive {archive_settings['name']!r} (sha256 "
+            f"{archive_settings['sha256'][:12]}...), not with {archive.name!r} ({archive.content_hash[:12]}...)"
         )
     missing = trees.missing()
     if missing:
@@ -276,7 +301,7 @@ def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> Stor
 
 
 def read_settings(folder: str | Path, kind: str) -> dict[str, Any]:
-    """Read what the results in a job's folder were made with.
+    """Read the settings of the job in a folder.
 
     Raises
     ------
@@ -297,11 +322,11 @@ def read_settings(folder: str | Path, kind: str) -> dict[str, Any]:
 
 
 def _checked(settings: dict[str, Any], file: Path) -> dict[str, Any]:
-    """Settings whose parts are what the rest takes them for, whatever they say."""
+    """Return settings after a check of the types of all entries that are used."""
     for key in ("archive", "track"):
-        part = settings.get(key)
-        if not isinstance(part, dict) or not all(isinstance(part.get(name), str) for name in ("name", "sha256")):
-            raise InputError(f"{file}: {key} is {part!r:.80}; it must have the texts name and sha256")
+        entry = settings.get(key)
+        if not isinstance(entry, dict) or not all(isinstance(entry.get(name), str) for name in ("name", "sha256")):
+            raise InputError(f"{file}: {key} is {entry!r:.80}; it must have the texts name and sha256")
     rules, pairs = settings.get("rules"), settings.get("pairs")
     if not isinstance(rules, dict) or type(rules.get("moves")) is not int or not 1 <= rules["moves"] <= 100:
         raise InputError(f"{file}: rules are {rules!r:.80}; they must have moves, a whole number from 1 to 100")
@@ -314,7 +339,7 @@ def _checked(settings: dict[str, Any], file: Path) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Tuples as lists, as a YAML file holds them."""
+    """Return a value with tuples as lists, as a YAML file holds them."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

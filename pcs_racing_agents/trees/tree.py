@@ -1,4 +1,4 @@
-"""RaceTree: everything that can happen in one game, from one start, as plain arrays."""
+"""The game tree of one start: all races that the players' moves can lead to, as plain arrays."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 class TreeStatistics(NamedTuple):
-    """What a tree cost, and what it saved; segments are steps of driving, the first one included.
+    """The cost of a tree in driven segments (steps of the game, the first one included), and what sharing saved.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class TreeStatistics(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RaceTree:
-    """One game from one start, with every move that the players could make.
+    """The tree of all moves in one game from one start.
 
     It is kept by policy paths (:mod:`pcs_racing_agents.trees.paths`): ``U0_k`` and ``U1_k`` different ones of the two
     players after ``k`` moves. The properties ``payoffs``, ``leads``, ``estimates``, ``over`` and ``policy`` spread it
@@ -79,7 +79,7 @@ class RaceTree:
     points : ndarray, shape (K, G)
         Normalised coordinates of the policies as the players see them.
     path_payoffs : ndarray, shape (S, U0_m, U1_m), float32
-        What the end is worth to car 0; car 1 gets minus that.
+        Payoffs to car 0; car 1 gets minus that.
     path_leads : tuple of ndarray, shape (S, U0_k, U1_k)
         Lead of car 0 at the end of step ``k``, m, for ``k`` below ``m``; 0 where the race was over before.
     path_estimates : tuple of ndarray, shape (S, U0_k, U1_k, 2, G), float32
@@ -105,7 +105,7 @@ class RaceTree:
     crashed: Indices
 
     def __repr__(self) -> str:
-        """Show what it is, not its numbers."""
+        """Show the start, and the numbers of moves and seeds."""
         first, second = self.policies
         return (
             f"<RaceTree: policies {first} and {second} from {self.start_s:.2f} m, side {self.side}, {self.moves} moves "
@@ -136,7 +136,7 @@ class RaceTree:
 
     @cached_property
     def payoffs(self) -> NDArray[np.float32]:
-        """What the end is worth to car 0, shape (S, N_m)."""
+        """Payoffs to car 0, shape (S, N_m)."""
         return self._spread(self.path_payoffs, self.moves)
 
     @cached_property
@@ -167,12 +167,12 @@ class RaceTree:
         return array[:, first, second]
 
     def observations(self, level: int) -> NDArray[np.float32]:
-        """Return what the players saw when move ``level`` was due: what ``RaceGame.observation`` gives there.
+        """Return the players' observations before move ``level``, as of ``RaceGame.observation``.
 
         Returns
         -------
         ndarray, shape (S, N_k, 2, D), float32
-            Where the race was over by then, what was seen when it ended.
+            Where the race was over by then, the observation at its end.
 
         Raises
         ------
@@ -193,13 +193,13 @@ class RaceTree:
             leads[:, :, k] = self.leads[k][:, above]
             step[self.over[k][:, above]] = k
         flat_own, flat_estimates = (array.reshape(-1, 2, self.moves + 1, width) for array in (own, estimates))
-        seen = encode_observation(flat_own, flat_estimates, leads.reshape(-1, self.moves + 1), step.reshape(-1))
-        return seen.reshape(seeds, nodes, *seen.shape[1:])
+        observations = encode_observation(flat_own, flat_estimates, leads.reshape(-1, self.moves + 1), step.reshape(-1))
+        return observations.reshape(seeds, nodes, *observations.shape[1:])
 
     def game_tree(self) -> "GameTree":
-        """Return the game of what the ends are worth on average over the seeds, for the solvers.
+        """Return the tree for the solvers, with payoffs averaged over the seeds.
 
-        The seeds share their information sets: who solves it knows the history of moves, but not the noise to come.
+        The seeds share their information sets: players know the history of moves, but not the noise to come.
         """
         from pcs_racing_agents.solvers import GameTree
 
@@ -208,7 +208,7 @@ class RaceTree:
 
     @property
     def statistics(self) -> TreeStatistics:
-        """What the tree cost, and what it saved."""
+        """The cost of the tree in driven segments."""
         seeds, ends = len(self.seeds), (self.options**2) ** self.moves
         different = self.path_payoffs.shape[1] * self.path_payoffs.shape[2]
         return TreeStatistics(
@@ -258,7 +258,7 @@ def _check_plain(arrays: Mapping[str, NDArray[Any]], wanted: list[str], moves: i
 
 
 def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) -> RaceTree:
-    """Make a tree of arrays that :meth:`RaceTree.arrays` returned.
+    """Return the tree of arrays from :meth:`RaceTree.arrays`.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str)
     moves : int
         Moves of each player.
     where : str
-        What errors begin with.
+        Beginning of the messages of errors.
 
     Raises
     ------
@@ -283,9 +283,9 @@ def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str)
     plain.update(start_s=float(plain["start_s"]), side=int(plain["side"]))
     tree = RaceTree(path_payoffs=arrays["payoffs"], **plain, **levels)
     policies = len(tree.table)
-    good = tree.table.dtype.kind in "iu" and ((tree.table >= 0) & (tree.table < policies)).all()
-    good = good and tree.policies.shape == (2,) and ((tree.policies >= 0) & (tree.policies < policies)).all()
-    if not good:
+    valid = tree.table.dtype.kind in "iu" and ((tree.table >= 0) & (tree.table < policies)).all()
+    valid = valid and tree.policies.shape == (2,) and ((tree.policies >= 0) & (tree.policies < policies)).all()
+    if not valid:
         raise InputError(f"{where} names a policy that it does not hold; there are {policies}")
     seeds, axes = len(tree.seeds), tree.points.shape[-1]
     for name, array in tree.arrays().items():

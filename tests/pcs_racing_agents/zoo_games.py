@@ -4,8 +4,9 @@ import numpy as np
 
 from pcs_racing import GameConfig, PolicyArchive, get_planner
 from pcs_racing.base.dense import DenseLayers
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents import Setting
-from pcs_racing_agents.networks import GameIdentity, RegretNetwork
+from pcs_racing_agents.networks import RegretNetwork
 
 CONFIG = GameConfig(step_seconds=0.8, epsilon=0.5)
 

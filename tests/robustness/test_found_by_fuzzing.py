@@ -13,6 +13,7 @@ from pcs_racing.envs.batch import check_seed
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
 from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing.track.map_files import CENTERLINE_COLUMNS, parse_csv, parse_grid
 from pcs_racing_agents.agents.fits import Fit, load_fit
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
@@ -59,8 +60,8 @@ def test_long_values_make_short_messages():
         lambda: load_ppo_settings(None),
         lambda: load_train_settings(b"study"),
         lambda: ArchiveConfig(tracks=None),
-        lambda: Fit(["best-fixed"], 1, "a", "b", "c", [0.5], 4),
-        lambda: Fit("best-fixed", 1, "a", "b", "c", 0.5, 4),
+        lambda: Fit(["best-fixed"], 1, GameIdentity((), (), (0.5,), "a", "b", "c")),
+        lambda: Fit("best-fixed", 1, ("a", "b", "c", 0.5, 4)),
         lambda: load_fit(-1),
         lambda: load_fit({"a": 1}),
         lambda: check_seed(-126),

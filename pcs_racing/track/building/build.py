@@ -35,7 +35,7 @@ LEAK = 1.4  # a region larger than this many times length x mean width is more t
 
 
 def check_grid(
-    occupied: ArrayLike, resolution: float, origin: ArrayLike, what: str
+    occupied: ArrayLike, resolution: float, origin: ArrayLike, label: str
 ) -> tuple[Grid, float, tuple[float, float]]:
     """Check an occupancy grid, its cell size and its lower left corner, and convert them to the right types.
 
@@ -47,23 +47,23 @@ def check_grid(
     """
     grid = np.ascontiguousarray(occupied)
     if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 8:
-        raise MapError(f"{what}: the grid must be a boolean array of at least 8 x 8, got {grid.dtype} {grid.shape}")
+        raise MapError(f"{label}: the grid must be a boolean array of at least 8 x 8, got {grid.dtype} {grid.shape}")
     if not (math.isfinite(resolution) and 0.0 < resolution <= 1.0):
-        raise MapError(f"{what}: resolution must be in (0, 1] metres per cell, got {resolution}")
+        raise MapError(f"{label}: resolution must be in (0, 1] metres per cell, got {resolution}")
     corner = np.asarray(origin, dtype=np.float64).ravel()
     if corner.shape != (2,) or not (np.abs(corner) <= 1e6).all():
-        raise MapError(f"{what}: origin must be two coordinates in metres, got {origin!r}")
+        raise MapError(f"{label}: origin must be two coordinates in metres, got {origin!r}")
     return grid, float(resolution), (float(corner[0]), float(corner[1]))
 
 
-def check_line(points: ArrayLike, what: str) -> Floats:
+def check_line(points: ArrayLike, label: str) -> Floats:
     """Check the points of a closed line and remove repeated points.
 
     Parameters
     ----------
     points : array_like, shape (K, 2)
         In m.
-    what : str
+    label : str
         Name of the line in errors.
 
     Returns
@@ -77,48 +77,48 @@ def check_line(points: ArrayLike, what: str) -> Floats:
     """
     xy = np.array(points, dtype=np.float64)
     if xy.ndim != 2 or xy.shape[1] != 2:
-        raise MapError(f"{what} must be an array of shape (K, 2), got {xy.shape}")
+        raise MapError(f"{label} must be an array of shape (K, 2), got {xy.shape}")
     bad = ~(np.abs(xy) <= 1e6).all(axis=1)
     if bad.any():
-        raise MapError(f"{what} holds the impossible point {_at(xy[bad][0])}: coordinates must be finite, in metres")
+        raise MapError(f"{label} holds the impossible point {_at(xy[bad][0])}: coordinates must be finite, in metres")
     xy = clean_closed(xy)
     if len(xy) < 10:
-        raise MapError(f"{what} has {len(xy)} different points: at least 10 are needed")
+        raise MapError(f"{label} has {len(xy)} different points: at least 10 are needed")
     step = lengths(np.roll(xy, -1, axis=0) - xy)
     if step[-1] > max(3.0 * step[:-1].max(), 1.0):
         raise MapError(
-            f"{what} is open: from its last point {_at(xy[-1])} to its first {_at(xy[0])} it is {step[-1]:.2f} m, more "
-            f"than three of its longest steps; it must lead all the way round"
+            f"{label} is open: from its last point {_at(xy[-1])} to its first {_at(xy[0])} it is {step[-1]:.2f} m, "
+            f"more than three of its longest steps; it must lead all the way round"
         )
     if step.sum() > MAX_LENGTH:
         raise MapError(
-            f"{what} is {step.sum():.0f} m long: at most {MAX_LENGTH:.0f} m are supported (is it in metres?)"
+            f"{label} is {step.sum():.0f} m long: at most {MAX_LENGTH:.0f} m are supported (is it in metres?)"
         )
     samples = sample_closed(xy, 2.0 * LINE_SPACING)
     crossing = _first_crossing(samples.xy, samples.length / len(samples.xy))
     if crossing >= 0:
-        raise MapError(f"{what} crosses itself near {_at(samples.xy[crossing])}: it must be a simple closed line")
+        raise MapError(f"{label} crosses itself near {_at(samples.xy[crossing])}: it must be a simple closed line")
     return xy
 
 
-def check_centerline(centerline: ArrayLike, what: str) -> Floats:
+def check_centerline(centerline: ArrayLike, label: str) -> Floats:
     """Check a centre line with its widths; see `check_line`."""
     rows = np.array(centerline, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 4:
-        raise MapError(f"{what} must have 4 columns (x, y, width to the right, to the left), got shape {rows.shape}")
-    check_line(rows[:, :2], what)
+        raise MapError(f"{label} must have 4 columns (x, y, width to the right, to the left), got shape {rows.shape}")
+    check_line(rows[:, :2], label)
     bad = ~((rows[:, 2:] > 0.0) & (rows[:, 2:] < MAX_LENGTH)).all(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
         raise MapError(
-            f"{what}: the track is {rows[row, 2]} m wide to the right and {rows[row, 3]} m to the left of point "
+            f"{label}: the track is {rows[row, 2]} m wide to the right and {rows[row, 3]} m to the left of point "
             f"{_at(rows[row])}: both must be positive"
         )
     return rows
 
 
 def drivable_region(
-    occupied: Grid, resolution: float, origin: tuple[float, float], samples: LineSamples, what: str
+    occupied: Grid, resolution: float, origin: tuple[float, float], samples: LineSamples, label: str
 ) -> tuple[Grid, int, int]:
     """Return the region that is connected with a line without crossing walls, cropped to its box and a margin.
 
@@ -129,7 +129,7 @@ def drivable_region(
     origin : tuple of float
     samples : LineSamples
         The race line.
-    what : str
+    label : str
         Name of the track in errors.
 
     Returns
@@ -144,7 +144,7 @@ def drivable_region(
     MapError
         If the line leaves the map or crosses a wall, or if the region is larger than the track.
     """
-    rows, cols = _cells(samples.xy, occupied, resolution, origin, f"{what}: the race line")
+    rows, cols = _cells(samples.xy, occupied, resolution, origin, f"{label}: the race line")
     reached, (bottom, top, left, right) = flood(occupied, rows, cols)
     height, width = occupied.shape
     open_to_border = bottom == 0 or left == 0 or top == height - 1 or right == width - 1
@@ -162,7 +162,7 @@ def drivable_region(
         i, j = way[int(np.argmin(free))]
         gap = np.array([origin[0] + (j + 0.5) * resolution, origin[1] + (i + 0.5) * resolution])
         raise MapError(
-            f"{what}: the walls have a gap, probably near {_at(gap)}: from the race line one gets "
+            f"{label}: the walls have a gap, probably near {_at(gap)}: from the race line one gets "
             + (
                 "to the border of the picture"
                 if open_to_border
@@ -174,7 +174,7 @@ def drivable_region(
 
 
 def build_arrays(
-    occupied: Grid, resolution: float, origin: tuple[float, float], raceline: Floats, what: str
+    occupied: Grid, resolution: float, origin: tuple[float, float], raceline: Floats, label: str
 ) -> tuple[TrackArrays, Grid]:
     """Build the arrays of a track for compiled kernels.
 
@@ -184,7 +184,7 @@ def build_arrays(
         Results of `check_grid`.
     raceline : ndarray, shape (K, 2)
         Result of `check_line`.
-    what : str
+    label : str
         Name of the track in errors.
 
     Returns
@@ -204,10 +204,10 @@ def build_arrays(
     sharpest = int(np.argmax(np.abs(samples.kappa)))
     if abs(samples.kappa[sharpest]) > MAX_CURVATURE:
         raise MapError(
-            f"{what}: the race line has a kink at {_at(samples.xy[sharpest])}, its radius there is "
+            f"{label}: the race line has a kink at {_at(samples.xy[sharpest])}, its radius there is "
             f"{1.0 / abs(samples.kappa[sharpest]):.2f} m; it must be at least {1.0 / MAX_CURVATURE} m everywhere"
         )
-    drivable, row, col = drivable_region(occupied, resolution, origin, samples, what)
+    drivable, row, col = drivable_region(occupied, resolution, origin, samples, label)
     corner = np.array([origin[0] + col * resolution, origin[1] + row * resolution])
     x, y, tangent = _in_cells(samples, resolution, origin, row, col)
     ds = samples.length / len(x)
@@ -252,7 +252,7 @@ def _at(point: NDArray[Any]) -> str:
 
 
 def _cells(
-    xy: Floats, occupied: Grid, resolution: float, origin: tuple[float, float], what: str
+    xy: Floats, occupied: Grid, resolution: float, origin: tuple[float, float], label: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the rows and columns of the free cells that contain the points."""
     cols, rows = np.floor((xy - np.asarray(origin)) / resolution).astype(np.int64).T.copy()
@@ -260,11 +260,11 @@ def _cells(
     outside = (rows < 0) | (cols < 0) | (rows >= height) | (cols >= width)
     if outside.any():
         raise MapError(
-            f"{what} leaves the map at {_at(xy[outside][0])}: do resolution, origin and the line fit together?"
+            f"{label} leaves the map at {_at(xy[outside][0])}: do resolution, origin and the line fit together?"
         )
     hit = occupied[rows, cols]
     if hit.any():
-        raise MapError(f"{what} runs through a wall at {_at(xy[hit][0])}: it must stay between the walls")
+        raise MapError(f"{label} runs through a wall at {_at(xy[hit][0])}: it must stay between the walls")
     return rows, cols
 
 

@@ -180,7 +180,7 @@ def straightest(line: np.ndarray) -> int:
     half = max(int(0.5 * START_STRAIGHT * len(line) / curve_length(line)), 1)
     window = np.arange(-half, half + 1)
     blame = (turn**2)[(np.arange(len(line))[:, None] + window) % len(line)].sum(axis=1)
-    # On a long straight without a bend all points are alike but for rounding errors: then one in their middle.
+    # On a long straight without a bend all points are equal up to rounding errors: then one in their middle.
     best = np.flatnonzero(blame <= blame.min() + ROUNDING)
     return int(best[len(best) // 2])
 

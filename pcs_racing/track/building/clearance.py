@@ -11,7 +11,7 @@ __all__ = ["checked_grid", "corridor", "room_at", "wall_clearance"]
 def checked_grid(
     occupied: np.ndarray, resolution: float, origin: np.ndarray | tuple[float, float]
 ) -> tuple[np.ndarray, float, np.ndarray]:
-    """Occupancy grid, cell size and origin as arrays of the right kind, or one clear error.
+    """Return occupancy grid, cell size and origin as arrays, after a check of their types and shapes.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def checked_grid(
     Raises
     ------
     MapError
-        If the grid isn't a two-dimensional boolean array, or the resolution or the origin is impossible.
+        If the grid isn't a two-dimensional boolean array, the resolution is not above 0, or the origin is not finite.
     """
     grid = np.ascontiguousarray(occupied)
     if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 3:
@@ -52,7 +52,7 @@ def wall_clearance(points, occupied, resolution, origin, reach):  # type: ignore
     origin : ndarray, shape (2,), float64
         Lower left corner of cell [0, 0] in m.
     reach : float
-        Distances beyond this one are not told apart, m.
+        Larger distances are returned as this one, m.
 
     Returns
     -------
@@ -147,25 +147,25 @@ def corridor(line, normal, room, resolution, corner, need, reach):  # type: igno
         du = normal[k, 0] / resolution
         dv = normal[k, 1] / resolution
         base = 0.0
-        found = _look_up(room, u, v) >= need
+        enough = _look_up(room, u, v) >= need
         free_left = True
         free_right = True
         m = 0
-        while not found and m * step < reach and (free_left or free_right):
+        while not enough and m * step < reach and (free_left or free_right):
             m += 1
             if free_left:
                 r = _look_up(room, u + m * step * du, v + m * step * dv)
                 free_left = r > 0.0
                 if r >= need:
                     base = m * step
-                    found = True
-            if free_right and not found:
+                    enough = True
+            if free_right and not enough:
                 r = _look_up(room, u - m * step * du, v - m * step * dv)
                 free_right = r > 0.0
                 if r >= need:
                     base = -m * step
-                    found = True
-        if not found:
+                    enough = True
+        if not enough:
             low[k] = 1.0
             high[k] = -1.0
             continue

@@ -11,14 +11,14 @@ from pcs_racing.track.building.splines import sample_closed
 __all__ = ["checked_curve", "curve_length", "first_crossing", "resample", "signed_area", "smooth"]
 
 
-def checked_curve(points: np.ndarray, what: str) -> np.ndarray:
+def checked_curve(points: np.ndarray, label: str) -> np.ndarray:
     """Points of a closed curve as an (N, 2) array, without repeated neighbours and without a repeated first point.
 
     Parameters
     ----------
     points : array_like, shape (N, 2) or wider
         Further columns are ignored.
-    what : str
+    label : str
         Name of the curve in error messages, for instance "centre line".
 
     Raises
@@ -29,18 +29,18 @@ def checked_curve(points: np.ndarray, what: str) -> np.ndarray:
     """
     xy = np.asarray(points, dtype=np.float64)
     if xy.ndim != 2 or xy.shape[1] < 2:
-        raise MapError(f"the {what} has shape {xy.shape}: rows that begin with x and y are needed")
+        raise MapError(f"the {label} has shape {xy.shape}: rows that begin with x and y are needed")
     xy = xy[:, :2]
     if not np.isfinite(xy).all():
         raise MapError(
-            f"the {what} holds a coordinate that is not finite, in row {int(np.argwhere(~np.isfinite(xy))[0, 0])}"
+            f"the {label} holds a coordinate that is not finite, in row {int(np.argwhere(~np.isfinite(xy))[0, 0])}"
         )
     xy = xy[lengths(xy - np.roll(xy, 1, axis=0)) > 1e-9]
     if len(xy) < 4:
-        raise MapError(f"the {what} has {len(xy)} different points: a closed curve needs at least 4")
+        raise MapError(f"the {label} has {len(xy)} different points: a closed curve needs at least 4")
     steps = lengths(np.roll(xy, -1, axis=0) - xy)
     if steps[-1] > 10.0 * np.median(steps) and steps[-1] > 0.1 * steps.sum():
-        raise MapError(f"the {what} is open: its last point lies {steps[-1]:.2f} m from its first")
+        raise MapError(f"the {label} is open: its last point lies {steps[-1]:.2f} m from its first")
     return xy
 
 

@@ -75,7 +75,7 @@ def minimum_curvature_raceline(
     Raises
     ------
     InputError
-        If a parameter is impossible.
+        If a parameter is out of its range.
     MapError
         If the line can't keep that clearance somewhere; the message says where.
     """
@@ -91,7 +91,7 @@ def minimum_curvature_raceline(
     room = distance_to_walls(~grid, resolution)
 
     line = _reference(start, room, resolution, corner, clearance)
-    # Between the points that it moves, and against the field, the line loses a little: what it lost is asked for anew.
+    # Between the moved points the line loses a little clearance: the next rounds require that much more.
     slack, trust = 0.005, TRUST
     shortfall = math.inf
     for _ in range(rounds):
@@ -100,8 +100,8 @@ def minimum_curvature_raceline(
         if moved > SETTLED:
             continue
         result = resample(line, spacing)
-        fine = resample(result, 0.25 * resolution)
-        free = wall_clearance(fine, grid, resolution, corner, clearance + 0.1)
+        dense = resample(result, 0.25 * resolution)
+        free = wall_clearance(dense, grid, resolution, corner, clearance + 0.1)
         # Between two fine points the wall can be nearer by about (spacing / 2)^2 / (2 clearance): less than RESERVE.
         shortfall = clearance + RESERVE - float(free.min())
         if shortfall <= 0.0:
@@ -112,7 +112,7 @@ def minimum_curvature_raceline(
         slack += shortfall + 0.001
     if math.isinf(shortfall):
         raise MapError(f"no race line was found in {rounds} rounds: the centre line may not follow the circuit")
-    x, y = fine[int(np.argmin(free))]
+    x, y = dense[int(np.argmin(free))]
     raise MapError(
         f"no line keeps {clearance:.3f} m from the walls near ({x:.2f}, {y:.2f}): {free.min():.3f} m is the best found "
         f"in {rounds} rounds"
@@ -173,15 +173,15 @@ def _crop(grid: np.ndarray, resolution: float, corner: np.ndarray, line: np.ndar
     more = math.ceil(REACH / resolution)
     col, row = np.maximum(cells.min(axis=0) - more, 0)
     last_col, last_row = cells.max(axis=0) + more + 1
-    # A rim of walls, one cell wide, closes the part: outside the map there is no track.
-    part = np.pad(grid[row:last_row, col:last_col], 1, constant_values=True)
-    return part, corner + resolution * (np.array([col, row]) - 1)
+    # A rim of walls, one cell wide, closes the crop: outside the map there is no track.
+    crop = np.pad(grid[row:last_row, col:last_col], 1, constant_values=True)
+    return crop, corner + resolution * (np.array([col, row]) - 1)
 
 
 def _reference(
     start: np.ndarray, room: np.ndarray, resolution: float, corner: np.ndarray, clearance: float
 ) -> np.ndarray:
-    """First reference: the centre line, as smooth as it can be without coming near a wall."""
+    """Return the first reference: the centre line, as smooth as possible without coming near a wall."""
     even = resample(start, STEP)
     for wavelength in (4.0, 2.0, 1.0):
         line = smooth(even, wavelength)
@@ -199,7 +199,7 @@ def _improve(
     length_weight: float,
     trust: float,
 ) -> tuple[np.ndarray, float]:
-    """One round: the moved line, and the longest move in m."""
+    """Return the line after one round, and the longest move in m."""
     line = resample(line, STEP)
     ahead = np.roll(line, -1, axis=0) - line
     step = curve_length(line) / len(line)
@@ -237,11 +237,11 @@ def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray, le
     from scipy import sparse
 
     n = len(kappa)
-    one = sparse.identity(n, format="csc")
+    identity = sparse.identity(n, format="csc")
     shift = sparse.csc_matrix((np.ones(n), (np.arange(n), (np.arange(n) + 1) % n)), shape=(n, n))
-    slope = (shift - one) / step
-    bend = sparse.diags(kappa**2) + (shift - 2.0 * one + shift.T) / step**2
-    metric = one + CHATTER * (slope.T @ slope)
+    slope = (shift - identity) / step
+    bend = sparse.diags(kappa**2) + (shift - 2.0 * identity + shift.T) / step**2
+    metric = identity + CHATTER * (slope.T @ slope)
     P = 2.0 * bend.T @ metric @ bend + length_weight * slope.T @ slope
     q = 2.0 * bend.T @ (metric @ kappa) - kappa * kappa * kappa - length_weight * kappa
     settings = clarabel.DefaultSettings()
@@ -252,7 +252,7 @@ def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray, le
     solver = clarabel.DefaultSolver(
         sparse.triu(P, format="csc"),
         q,
-        sparse.vstack([one, -one], format="csc"),
+        sparse.vstack([identity, -identity], format="csc"),
         np.concatenate([high, -low]),
         [clarabel.NonnegativeConeT(2 * n)],
         settings,

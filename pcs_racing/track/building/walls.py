@@ -319,40 +319,40 @@ def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth
     distance = np.empty(seen.shape[0])
     size = 0
     marks = np.zeros((3, count), dtype=np.bool_)
-    chosen = np.empty(count, dtype=np.bool_)
+    visible = np.empty(count, dtype=np.bool_)
     for v in range(sections.shape[1]):
         _mark(drivable, number, faces, owner, sections[0, v, 0], sections[0, v, 1], rays, depth, marks[2])
     for m in range(stretches):
         # The section at the end of the last stretch begins this one.
         marks[0] = marks[2]
         marks[1:] = False
-        for part in range(1, 3):
-            view = sections[(2 * m + part) % (2 * stretches)]
+        for section in range(1, 3):
+            view = sections[(2 * m + section) % (2 * stretches)]
             for v in range(view.shape[0]):
-                _mark(drivable, number, faces, owner, view[v, 0], view[v, 1], rays, depth, marks[part])
-        chosen[:] = False
+                _mark(drivable, number, faces, owner, view[v, 0], view[v, 1], rays, depth, marks[section])
+        visible[:] = False
         for loop in range(start.shape[0] - 1):
             first, last = start[loop], start[loop + 1]
             for k in range(first, last):
                 if marks[0, k] or marks[1, k] or marks[2, k]:
-                    chosen[k] = True
-                    chosen[k - 1 if k > first else last - 1] = True
-                    chosen[k + 1 if k + 1 < last else first] = True
-        found = np.nonzero(chosen)[0]
+                    visible[k] = True
+                    visible[k - 1 if k > first else last - 1] = True
+                    visible[k + 1 if k + 1 < last else first] = True
+        indices = np.nonzero(visible)[0]
         middle = sections[2 * m + 1]
-        away = np.empty(found.shape[0])
-        for k in range(found.shape[0]):
-            away[k] = _nearest_squared(segments[found[k]], middle[:, 0].mean(), middle[:, 1].mean())
-        if size + found.shape[0] > seen.shape[0]:
-            larger = np.empty(2 * (size + found.shape[0]), dtype=np.int32)
+        away = np.empty(indices.shape[0])
+        for k in range(indices.shape[0]):
+            away[k] = _nearest_squared(segments[indices[k]], middle[:, 0].mean(), middle[:, 1].mean())
+        if size + indices.shape[0] > seen.shape[0]:
+            larger = np.empty(2 * (size + indices.shape[0]), dtype=np.int32)
             larger[:size] = seen[:size]
             seen = larger
             longer = np.empty(larger.shape[0])
             longer[:size] = distance[:size]
             distance = longer
         order = np.argsort(away, kind="mergesort")
-        seen[size : size + found.shape[0]] = found[order]
-        distance[size : size + found.shape[0]] = np.sqrt(away[order])
-        size += found.shape[0]
+        seen[size : size + indices.shape[0]] = indices[order]
+        distance[size : size + indices.shape[0]] = np.sqrt(away[order])
+        size += indices.shape[0]
         seen_start[m + 1] = size
     return seen_start, seen[:size].copy(), distance[:size].copy()

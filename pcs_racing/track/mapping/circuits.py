@@ -107,7 +107,7 @@ def generate_circuit(
     UnknownNameError
         If there is no such style.
     InputError
-        If another parameter is impossible.
+        If another parameter is out of its range.
     MapError
         If no draft was accepted; the message counts the reasons.
     """
@@ -208,13 +208,13 @@ def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np
     origin : ndarray, shape (2,)
         Lower left corner of cell [0, 0] in m, a multiple of the resolution.
     """
-    fine = resample(line, resolution)
+    dense = resample(line, resolution)
     border = 0.5 * width + WALL + 0.5
-    low = np.floor((fine.min(axis=0) - border) / resolution)
-    cols, rows = (np.ceil((fine.max(axis=0) + border) / resolution) - low).astype(int)
+    low = np.floor((dense.min(axis=0) - border) / resolution)
+    cols, rows = (np.ceil((dense.max(axis=0) + border) / resolution) - low).astype(int)
     # At least two cells, else a car could slip between the corners of two.
     wall = max(WALL, 2.0 * resolution)
-    distance = _distance_to_points(fine / resolution - low, int(rows), int(cols), (0.5 * width + wall) / resolution)
+    distance = _distance_to_points(dense / resolution - low, int(rows), int(cols), (0.5 * width + wall) / resolution)
     return (distance >= 0.5 * width / resolution) & np.isfinite(distance), low * resolution
 
 

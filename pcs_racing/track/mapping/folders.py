@@ -1,4 +1,4 @@
-"""From a seed, or from a picture of the walls, to a complete map folder."""
+"""Complete map folders, generated from a seed or completed from a picture of the walls."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,7 +53,7 @@ def generate_map(
     Raises
     ------
     InputError
-        If a parameter is impossible, before anything is written.
+        If a parameter is out of its range, before anything is written.
     MapError
         If the seed gives no circuit, or the folder can't be written.
     """
@@ -69,8 +69,8 @@ def generate_map(
     circuit = generate_circuit(**settings)
     x, y = circuit.origin.tolist()
     rows = raceline_rows(circuit.raceline)
-    made = (circuit.occupied, circuit.resolution, (x, y), circuit.centerline, rows, info | settings)
-    return _save(Path(folder), name, made, picture)
+    values = (circuit.occupied, circuit.resolution, (x, y), circuit.centerline, rows, info | settings)
+    return _save(Path(folder), name, values, picture)
 
 
 def import_map(
@@ -115,23 +115,23 @@ def import_map(
     target = Path(destination)
     if target.resolve() == Path(source).resolve():
         raise MapError(f"destination {target} is the source itself: choose another folder")
-    found = read_map(Path(source))
-    if found.centerline is not None:
-        # The shipped line tells where the circuit begins and which way round it goes.
-        line = found.centerline[:, :2]
+    content = read_map(Path(source))
+    if content.centerline is not None:
+        # The given centre line decides the start and the driving direction.
+        line = content.centerline[:, :2]
         seed_point = line[0].tolist() if seed_point is None else seed_point
         direction = ("counterclockwise", "clockwise")[signed_area(line) < 0.0] if direction is None else direction
     center = centerline_from_grid(
-        found.occupied, found.resolution, found.origin, seed_point=seed_point, direction=direction
+        content.occupied, content.resolution, content.origin, seed_point=seed_point, direction=direction
     )
-    race = minimum_curvature_raceline(center, found.occupied, found.resolution, found.origin, clearance=clearance)
-    made = (found.occupied, found.resolution, found.origin, center, raceline_rows(race), dict(found.info))
-    return _save(target, name, made, picture)
+    race = minimum_curvature_raceline(center, content.occupied, content.resolution, content.origin, clearance=clearance)
+    values = (content.occupied, content.resolution, content.origin, center, raceline_rows(race), dict(content.info))
+    return _save(target, name, values, picture)
 
 
-def _save(folder: Path, name: str | None, made: tuple[Any, ...], picture: bool) -> Track:
+def _save(folder: Path, name: str | None, values: tuple[Any, ...], picture: bool) -> Track:
     name = folder.name if name is None else name
-    occupied, resolution, origin, center, rows, info = made
+    occupied, resolution, origin, center, rows, info = values
     # Nothing is written unless the result can be raced on.
     track = build_track(name, occupied, resolution, origin, center, rows[:-1, 1:3], folder=folder)
     write_map(MapFolder(name, folder, occupied, resolution, origin, center, rows, info))

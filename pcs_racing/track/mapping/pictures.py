@@ -85,13 +85,13 @@ def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8
 
     target = Path(path)
     suffix = target.suffix.lstrip(".") or "png"
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        figure.savefig(part, format=suffix, dpi=dpi)
+        figure.savefig(partial, format=suffix, dpi=dpi)
         if suffix == "png":
             # A palette makes the file three times smaller, and nothing in it names the program that drew it.
-            with Image.open(part) as image:
-                image.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(part, format="png", optimize=True)
-        os.replace(part, target)
+            with Image.open(partial) as image:
+                image.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(partial, format="png", optimize=True)
+        os.replace(partial, target)
     finally:
-        part.unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)

@@ -63,19 +63,19 @@ def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
         if a in inner and b in inner:
             neighbours[a].add(b)
             neighbours[b].add(a)
-    chosen = [int(rng.choice(sorted(inner)))]
+    selected = [int(rng.choice(sorted(inner)))]
     for _ in range(int(rng.integers(4, 9))):
         # Cells that touch few chosen ones make long, winding unions.
-        around = {k: len(neighbours[k] & set(chosen)) for c in chosen for k in neighbours[c] if k not in chosen}
+        around = {k: len(neighbours[k] & set(selected)) for c in selected for k in neighbours[c] if k not in selected}
         names = sorted(around)
         weights = np.array([math.prod([0.3] * around[k]) for k in names])
-        chosen.append(int(rng.choice(names, p=weights / weights.sum())))
+        selected.append(int(rng.choice(names, p=weights / weights.sum())))
     # A side of the union belongs to one chosen cell; it runs with that cell on its left.
     after: dict[int, int] = {}
     for (a, b), (p, q) in zip(diagram.ridge_points.tolist(), diagram.ridge_vertices, strict=True):
-        if (a in chosen) == (b in chosen):
+        if (a in selected) == (b in selected):
             continue
-        site = sites[a if a in chosen else b]
+        site = sites[a if a in selected else b]
         (px, py), (qx, qy) = diagram.vertices[p] - site, diagram.vertices[q] - site
         first, second = (p, q) if px * qy - py * qx > 0.0 else (q, p)
         if first in after:

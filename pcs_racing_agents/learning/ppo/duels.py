@@ -17,12 +17,12 @@ from pcs_racing.envs.opponents import parse_opponents
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.identity import game_identity
 from pcs_racing.game.rules import RaceGame, make_game
 from pcs_racing.track.track import Track, load_track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score, score_races
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.learning.ppo.tasks import group_seeds, split_envs
-from pcs_racing_agents.networks.identity import game_identity
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import save_network
 

@@ -11,6 +11,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.state import RaceState
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv, write_csv
+from pcs_racing_agents.results.text_table import aligned
 
 __all__ = [
     "EvaluationCurve",
@@ -113,17 +114,16 @@ def mean_score(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> S
 
 def score_table(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> str:
     """Return a text table: a line for each circuit and rules (mean over opponents), and one for all."""
-    lines = [f"{'':28} {'worth':>8} {'+-':>6} {'won':>6} {'lost':>6} {'crashed':>8} {'at fault':>9} {'lead':>7}"]
+    table = [["", "worth", "+-", "won", "lost", "crashed", "at fault", "lead"]]
     groups = list(dict.fromkeys((matchup.track, matchup.race) for matchup in scores))
     for group in [*groups, None]:
         mean = mean_score(
             {matchup: score for matchup, score in scores.items() if group in (None, matchup[:2])}, weights
         )
-        lines.append(
-            f"{' '.join(group) if group else 'all':28} {mean.worth:8.3f} {mean.error:6.3f} {mean.won:6.1%} "
-            f"{mean.lost:6.1%} {mean.crashed:8.1%} {mean.at_fault:9.1%} {mean.lead:5.1f} m"
-        )
-    return "\n".join(lines)
+        shares = [f"{share:.1%}" for share in (mean.won, mean.lost, mean.crashed, mean.at_fault)]
+        name = " ".join(group) if group else "all"
+        table.append([name, f"{mean.worth:.3f}", f"{mean.error:.3f}", *shares, f"{mean.lead:.1f} m"])
+    return "\n".join(aligned(table, left=1))
 
 
 # Learning curves

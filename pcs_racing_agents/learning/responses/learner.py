@@ -18,6 +18,7 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.base.settings import Settings, choice, load_settings, number, setting, whole, wholes
+from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import ConstantStrategy
@@ -28,7 +29,7 @@ from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.branches import WORTH, branch_games
 from pcs_racing_agents.learning.responses.ensemble import merge_networks
-from pcs_racing_agents.networks import GameIdentity, RegretNetwork, Rows, game_identity, join_rows, train_network
+from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows, train_network
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.tournament.matches import game_between
 

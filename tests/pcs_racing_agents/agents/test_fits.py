@@ -26,7 +26,7 @@ def test_a_fit_is_kept_and_followed(setting, tmp_path, kind, seen):
 
 def test_a_fit_of_another_game_is_refused(setting, archive):
     fit = make_fit("best-fixed", 3, setting, {})
-    for change, message in [({"epsilon": 0.7}, "epsilon"), ({"moves": 3}, "number of moves 4; the game has 3")]:
+    for change, message in [({"epsilon": 0.7}, "epsilon"), ({"moves": 3}, "games of 4 moves; the game has 3")]:
         with pytest.raises(InputError, match=message):
             find_fit("best-fixed", make_setting(archive, replace(setting.config, **change)), fit)
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
@@ -62,11 +62,11 @@ def test_files_that_are_no_fit_are_refused(setting, tmp_path, change, message):
         load_fit(path)
 
 
-def test_files_that_are_nothing_are_refused(tmp_path):
+def test_files_that_are_nothing_are_refused(setting, tmp_path):
     with pytest.raises(InputError, match=r"can't read .*nothing"):
         load_fit(tmp_path / "nothing")
     (tmp_path / "odd.yaml").write_bytes(b"\x80: [")
     with pytest.raises(InputError, match="not valid YAML"):
         load_fit(tmp_path / "odd.yaml")
     with pytest.raises(UnknownNameError, match="there are fits of"):
-        Fit("x", 3, "a", "b", "paper", [0.35], 4)
+        Fit("x", 3, setting.identity)

@@ -13,7 +13,8 @@ from toy_networks import MOVES, identity, random_network
 
 from pcs_racing import InputError, UnknownNameError, make_game
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing_agents.networks import GameIdentity, RegretNetwork, game_identity, list_networks, load_network
+from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing_agents.networks import RegretNetwork, list_networks, load_network
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, save_network
 
 
@@ -262,7 +263,7 @@ def test_a_network_of_the_game_fits(game):
 @pytest.mark.parametrize(
     ("other", "message"),
     [
-        ({"moves": 3}, r"sees 31 \(own_aggressiveness_0 to step\); the game has 25"),
+        ({"moves": 3}, "made for games of 4 moves; the game has 3"),
         ({"characteristics": ("restraint", "aggressiveness")}, "sees 'own_aggressiveness_0' at place 0; the game has"),
         ({"epsilon": 0.7}, "made for moves of epsilon 0.35; the game has 0.7"),
         ({"epsilon": (0.2, 0.4)}, r"values moves 4 \(.*\); the game has 8"),
@@ -287,4 +288,4 @@ def test_an_identity_says_what_the_game_is(game):
     assert isinstance(known, GameIdentity)
     assert len(known.elements) == 31
     assert known.moves == MOVES
-    assert known[2:] == ((0.35,), "default", game.archive.content_hash, "paper")
+    assert known[2:] == ((0.35,), "default", game.archive.content_hash, "paper", 4)

@@ -6,14 +6,16 @@ import yaml
 from toy_trees import random_tree
 
 from pcs_racing import InputError, make_game
+from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.networks import GameIdentity, game_identity, load_network, load_train_settings
+from pcs_racing_agents.networks import load_network, load_train_settings
 from pcs_racing_agents.networks.from_ego import score_ego, train_on_ego
-from pcs_racing_agents.networks.from_trees import train_on_trees, trees_identity
+from pcs_racing_agents.networks.from_trees import train_on_trees
 from pcs_racing_agents.networks.metrics import TreeScore
 from pcs_racing_agents.networks.rows import pair_number
 from pcs_racing_agents.networks.training import Epoch
 from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees, load_trees
+from pcs_racing_agents.trees.storage import stored_identity
 
 pytest.importorskip("torch")
 
@@ -79,7 +81,7 @@ def test_the_same_command_gives_the_same_bytes(folder, tmp_path):
 
 
 def test_stored_trees_know_their_game(game, folder):
-    assert trees_identity(load_trees(folder).settings) == game_identity(game)
+    assert stored_identity(load_trees(folder).settings) == game_identity(game)
 
 
 @pytest.mark.parametrize(

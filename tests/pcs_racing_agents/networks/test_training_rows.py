@@ -60,7 +60,7 @@ def test_rows_can_be_taken_and_joined():
     again = join_rows([made.take(np.arange(12) < 5), made.take(np.arange(12) >= 5)])
     for key in ("observations", "targets", "weights", "pair", "step", "mask"):
         np.testing.assert_array_equal(getattr(again, key), getattr(made, key))
-    with pytest.raises(InputError, match="part 1 has targets of 2 numbers, part 0 of 3"):
+    with pytest.raises(InputError, match="source 1 has targets of 2 numbers, source 0 of 3"):
         join_rows([made, rows(targets=np.ones((12, 2)))])
     with pytest.raises(InputError, match="no rows to join"):
         join_rows([])

@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing_agents.networks import GameIdentity, RegretNetwork
+from pcs_racing.game.identity import GameIdentity
+from pcs_racing_agents.networks import RegretNetwork
 
 MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
 

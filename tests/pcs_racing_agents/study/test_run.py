@@ -13,12 +13,12 @@ from repository import load_tool
 from pcs_racing import load_archive, save_archive
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.identity import game_identity
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.jobs import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
-from pcs_racing_agents.networks.network import game_identity
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.reporting import best_blind

@@ -5,8 +5,9 @@ import pytest
 
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.learning.responses import merge_networks
-from pcs_racing_agents.networks import GameIdentity, RegretNetwork
+from pcs_racing_agents.networks import RegretNetwork
 
 GAME = GameIdentity(("a", "b", "c"), ("left", "right"), (0.35,), "toy", "0" * 64, "paper")
 
