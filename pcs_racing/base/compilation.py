@@ -59,10 +59,10 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 
 def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function as :func:`kernel` does, for other kernels alone.
+    """Compile a private function as :func:`kernel` does, for other kernels of its module alone.
 
     It is left without the wrapper through which Python would call it, half the time of compiling a small one. A call
-    from Python crashes the process.
+    from Python would crash the process, so that its name must begin with an underscore.
 
     Parameters
     ----------
@@ -71,7 +71,12 @@ def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> 
     **options
         Further options of :func:`numba.njit`.
     """
-    return kernel(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        assert function.__name__.startswith("_"), f"{function.__name__} is public: Python may call it"
+        return kernel(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
+
+    return decorate if function is None else decorate(function)
 
 
 _sources: set[Path] = set()

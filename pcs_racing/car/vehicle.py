@@ -141,7 +141,7 @@ class Handling(NamedTuple):
     slip_gain: float
 
 
-@inner_kernel(forceinline=True)
+@kernel(forceinline=True)
 def handling(p):  # type: ignore[no-untyped-def]
     """Work out :class:`Handling` from a row of parameters."""
     slip_gain = p[MU] / (p[LF] + p[LR])
@@ -217,7 +217,7 @@ def _derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  #
     return v * cosine, v * sine, rate, a, psi_dot, yaw_dot, beta_dot
 
 
-@inner_kernel(forceinline=True)
+@kernel(forceinline=True)
 def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow):  # type: ignore[no-untyped-def]
     """One classic Runge-Kutta step of a car with its inputs held; returns its new state.
 
@@ -290,7 +290,7 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
     )
 
 
-@inner_kernel(forceinline=True)
+@kernel(forceinline=True)
 def target_inputs(delta, v, steer, speed, car, dt):  # type: ignore[no-untyped-def]
     """Inputs that lead to a target steering angle and speed without chatter or overshoot.
 
@@ -303,7 +303,7 @@ def target_inputs(delta, v, steer, speed, car, dt):  # type: ignore[no-untyped-d
     return rate, _limited_acceleration(v, 10.0 * (speed - v), car)
 
 
-@inner_kernel
+@kernel
 def step_to_target(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
     """Advance one vehicle in place by one step towards a target steering angle (rad) and speed (m/s)."""
     rate, acceleration = target_inputs(state[DELTA], state[V], steer, speed, handling(p), dt)
