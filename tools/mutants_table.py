@@ -148,7 +148,7 @@ MODULES = {
         headroom: headroom
         policy_pool: ; policy_pool
         best_response: ; best_response
-        table: ; tournament
+        table: ; tournament_table
         statistics/clusters: statistics
         statistics/comparison: statistics
         statistics/student_t: statistics

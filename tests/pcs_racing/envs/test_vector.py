@@ -109,7 +109,7 @@ WRAPPERS = {
     "VectorizeTransformReward": {"wrapper": wrappers.TransformReward, "func": lambda reward: reward},
     "NumpyToTorch": {},
 }
-NEEDS = {"NumpyToTorch": "torch"}
+NEEDS = {"NumpyToTorch": ("torch", "array_api_compat")}
 ELSEWHERE = {
     "RecordVideo",  # below
     "HumanRendering",  # opens a window with opencv
@@ -130,8 +130,8 @@ def test_every_wrapper_of_gymnasium_is_tried_or_named():
 @pytest.mark.parametrize("name", IDS)
 @pytest.mark.parametrize("wrapper", WRAPPERS)
 def test_the_wrappers_of_gymnasium_run(name, wrapper):
-    if wrapper in NEEDS:
-        pytest.importorskip(NEEDS[wrapper])
+    for library in NEEDS.get(wrapper, ()):
+        pytest.importorskip(library)
     if wrapper in CONTINUOUS and "Duel" in name:
         pytest.skip("for actions that are no moves")
     envs = gym.make_vec(name, num_envs=2, **IDS[name])

@@ -13,7 +13,6 @@ from repository import load_tool
 from pcs_racing import load_archive, save_archive
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing.base.settings import plain_settings
-from pcs_racing.game.identity import game_identity
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.jobs import make_executor
@@ -125,7 +124,7 @@ def test_ppo_learns_the_game_that_is_studied(finished):
     network = load_network(finished.network("ppo"))
     assert network.training["setting_tracks"] == "Pipkin"
     assert network.training["setting_opponents"] == "1 never-switch, 1 lane-switcher:1"
-    assert network.identity == game_identity(finished.game("Pipkin"))  # two moves, not the four of the settings
+    network.check_fits(finished.game("Pipkin"))  # two moves, not the four of the settings
     assert len(read_evaluations(finished.network("ppo") / "curve.csv")[0].steps) == 3
     ppo = finished.agent("ppo")
     seen = np.random.default_rng(1).random((50, len(network.identity.elements)), np.float32)
