@@ -83,7 +83,7 @@ _sources: set[Path] = set()
 """Files with compiled functions whose cached code was looked at in this process."""
 
 _begun: set[str] = set()
-"""What this process has compiled, or waited for."""
+"""What this process has looked for: compiled, loaded or waited for."""
 
 
 @contextmanager
@@ -108,11 +108,12 @@ def first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
         Whether the function is about to be compiled. A caller whose work takes long can then call it without any work,
         so that other processes wait for the compilation alone.
     """
+    known = what in _begun
+    _begun.add(what)  # asking numba what it has compiled costs more than a short race
     # Without compilation (NUMBA_DISABLE_JIT) it is an ordinary function.
-    if what in _begun or not hasattr(dispatcher, "signatures") or dispatcher.signatures or _on_disk(dispatcher):
+    if known or not hasattr(dispatcher, "signatures") or dispatcher.signatures or _on_disk(dispatcher):
         yield False
         return
-    _begun.add(what)
     with ExitStack() as turn:
         with suppress(OSError):  # nowhere to write to: then nothing is kept either, and every process compiles
             _wait_for_turn(turn, dispatcher, what)

@@ -10,6 +10,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.registry import get_planner
 
 __all__ = ["DRAW", "as_array", "check_policies", "driver_parameters", "game_keys", "random_bits"]
 
@@ -104,7 +105,7 @@ def driver_parameters(
     if len(given) != games:
         raise InputError(f"there are {games} games but {len(given)} {role}s; give one {role} for each game")
     theta = np.zeros((games, size))
-    in_archive = planner is archive.family()
+    in_archive = planner is get_planner(archive.planner)
     for i, driver in enumerate(given):
         if driver is None and not in_archive:
             raise InputError(
