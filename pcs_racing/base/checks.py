@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -31,12 +31,12 @@ __all__ = [
 Error = type[InputError]
 
 
-def is_whole(value: object) -> bool:
+def is_whole(value: object) -> TypeGuard[int]:
     """Whether a value is a whole number of Python or numpy; truth values are none."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a finite number of Python or numpy; truth values are none."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
@@ -54,7 +54,7 @@ def check_whole(
     name: str, value: Any, least: int | None = 0, most: int | None = None, error: Error = InputError
 ) -> int:
     """Return a whole number within a range, both ends included, as an ``int``."""
-    if not is_whole(value) or value < least or (most is not None and value > most):
+    if not is_whole(value) or (least is not None and value < least) or (most is not None and value > most):
         raise error(f"{name} is {value!r}; it must be a whole number{within(least, most)}")
     return int(value)
 

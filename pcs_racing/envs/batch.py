@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.race.rendering import MODES, VIEWS, Renderer
 
@@ -116,11 +117,9 @@ def check_batch_size(episodes: int, threads: int | None) -> None:
     InputError
         If there are none or too many.
     """
-    whole = isinstance(episodes, int | np.integer) and not isinstance(episodes, bool)
-    if not whole or not 1 <= episodes <= MOST_EPISODES:
-        raise InputError(f"num_envs is {episodes!r}; it must be a whole number from 1 to {MOST_EPISODES}")
-    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
-        raise InputError(f"threads is {threads!r}; it must be a whole number from 1, or None")
+    check_whole("num_envs", episodes, 1, MOST_EPISODES)
+    if threads is not None:
+        check_whole("threads", threads, 1)
 
 
 def check_seed(seed: Any, name: str = "seed") -> int | None:
@@ -133,9 +132,7 @@ def check_seed(seed: Any, name: str = "seed") -> int | None:
     """
     if seed is None:
         return None
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"{name} is {seed!r}; it must be None or a whole number from 0")
-    return int(seed)
+    return check_whole(name, seed)
 
 
 def check_rendering(render_mode: str | None, view: str) -> None:

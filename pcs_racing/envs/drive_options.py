@@ -7,7 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.checks import check_number
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.settings import Rule, Settings, checked, flag, number, setting, whole
 from pcs_racing.car.lidar import MOST_BEAMS
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.game.archive import PolicyArchive
@@ -28,69 +30,65 @@ class Element(NamedTuple):
     meaning: str
 
 
+def _source(kind: type) -> Rule:
+    """A name, a path or a value of a class."""
+
+    def check(name: str, value: Any) -> Any:
+        if not isinstance(value, str | Path | kind):
+            raise ConfigError(f"{name} is {value!r}; it must be a name, a path or a {kind.__name__}")
+        return value
+
+    return Rule(check)
+
+
+def _time_step(value: Any) -> float:
+    step = check_number("time_step", value, CONTROL_EVERY * DT, 1.0)
+    if abs(step / (CONTROL_EVERY * DT) - round(step / (CONTROL_EVERY * DT))) > 1e-9:
+        raise InputError(f"time_step is {step!r} s; it must be a multiple of {CONTROL_EVERY * DT:g} s")
+    return step
+
+
+def _look_ahead(value: Any) -> tuple[float, ...]:
+    listed = isinstance(value, Sequence) and not isinstance(value, str)
+    if not listed or not 1 <= len(value) <= 100:
+        raise InputError(f"look_ahead is {value!r}; it must list 1 to 100 distances in m")
+    return tuple(check_number("look_ahead", distance, 0.0, 1000.0) for distance in value)
+
+
 @dataclass(frozen=True, eq=False)
-class DriveOptions:
-    """Arguments of the control-level environments; :class:`pcs_racing.envs.drive.DriveEnv` describes them.
+class DriveOptions(Settings):
+    """Arguments of the control-level environments; :class:`pcs_racing.envs.drive.DriveEnv` describes them."""
 
-    Raises
-    ------
-    InputError
-        If one is impossible; the message names it.
-    """
-
-    track: str | Path | Track = "Tarnfjord"
-    opponent: Any = "lattice"
-    race: str | Path | RaceConfig = "paper"
-    duration: float | None = None
-    time_step: float = 0.1
-    top_speed: float = 8.0
-    beams: int = 0
-    fov: float = 4.7
-    max_range: float = 30.0
-    lidar_noise: float = 0.0
-    look_ahead: tuple[float, ...] = (0.0, 1.0, 2.0, 4.0, 6.0, 9.0)
-    normalize: bool = False
-    progress_reward: float = 1.0
-    rivalry: float = 0.0
-    crash_penalty: float = 10.0
-    start_lines: int = 100
-    archive: str | Path | PolicyArchive = "default"
-
-    def __post_init__(self) -> None:
-        for name, kind in (("track", Track), ("race", RaceConfig), ("archive", PolicyArchive)):
-            value = getattr(self, name)
-            if not isinstance(value, str | Path | kind):
-                raise InputError(f"{name} is {value!r}; it must be a name, a path or a {kind.__name__}")
-        _number("time_step", self.time_step, CONTROL_EVERY * DT, 1.0)
-        if abs(self.time_step / (CONTROL_EVERY * DT) - round(self.time_step / (CONTROL_EVERY * DT))) > 1e-9:
-            raise InputError(f"time_step is {self.time_step!r} s; it must be a multiple of {CONTROL_EVERY * DT:g} s")
-        _number("top_speed", self.top_speed, 0.1, F1TENTH.v_max)
-        whole = isinstance(self.beams, int | np.integer) and not isinstance(self.beams, bool)
-        if not whole or not 0 <= self.beams <= MOST_BEAMS:
-            raise InputError(f"beams is {self.beams!r}; it must be a whole number from 0 to {MOST_BEAMS}")
-        _number("lidar_noise", self.lidar_noise, 0.0, 10.0)
-        for name in ("fov", "max_range"):  # their limits are the lidar's to judge
-            _number(name, getattr(self, name), 0.0, float("inf"))
-        distances = self.look_ahead if isinstance(self.look_ahead, Sequence) else ()
-        if not distances or isinstance(distances, str) or len(distances) > 100:
-            raise InputError(f"look_ahead is {self.look_ahead!r}; it must list 1 to 100 distances in m")
-        for distance in distances:
-            _number("look_ahead", distance, 0.0, 1000.0)
-        if not isinstance(self.normalize, bool | np.bool_):
-            raise InputError(f"normalize is {self.normalize!r}; it must be true or false")
-        for name in ("progress_reward", "rivalry", "crash_penalty"):
-            _number(name, getattr(self, name), -1e6 if name != "crash_penalty" else 0.0, 1e6)
+    track: str | Path | Track = setting("Tarnfjord", _source(Track), "Circuit.")
+    opponent: Any = setting("lattice", Rule(lambda name, value: value), "Opponents (`pcs_racing.envs.opponents`).")
+    race: str | Path | RaceConfig = setting("paper", _source(RaceConfig), "Rules of the race.")
+    duration: float | None = setting(
+        None, Rule(lambda name, value: value), "Length of a race, s; by default that of the rules."
+    )
+    time_step: float = setting(0.1, checked(_time_step, "a multiple of 0.02, up to 1"), "Length of a step, s.")
+    top_speed: float = setting(8.0, number(0.1, F1TENTH.v_max), "Target speed that the action 1 asks for, m/s.")
+    beams: int = setting(0, whole(0, MOST_BEAMS), "Beams of the lidar; 0 for none.")
+    fov: float = setting(4.7, number(0.0, 1e9), "Field of view of the lidar, rad; the lidar has limits of its own.")
+    max_range: float = setting(30.0, number(0.0, 1e9), "Range of the lidar, m; the lidar has limits of its own.")
+    lidar_noise: float = setting(0.0, number(0.0, 10.0), "Standard deviation of the lidar's noise, m.")
+    look_ahead: tuple[float, ...] = setting(
+        (0.0, 1.0, 2.0, 4.0, 6.0, 9.0),
+        checked(_look_ahead, "1 to 100 distances from 0 to 1000"),
+        "Distances at which the race line is observed, m.",
+    )
+    normalize: bool = setting(False, flag(), "Whether observations are scaled to [-1, 1].")
+    progress_reward: float = setting(1.0, number(-1e6, 1e6), "Reward for a metre of progress.")
+    rivalry: float = setting(0.0, number(-1e6, 1e6), "Share of the opponent's progress that is taken off.")
+    crash_penalty: float = setting(10.0, number(0.0, 1e6), "Penalty of a crash by own fault.")
+    start_lines: int = setting(100, Rule(lambda name, value: value), "Start lines to draw from.")
+    archive: str | Path | PolicyArchive = setting(
+        "default", _source(PolicyArchive), "Archive of opponents that move between policies."
+    )
 
     @property
     def ticks(self) -> int:
         """Simulation steps of 0.01 s in a step of the environment."""
         return CONTROL_EVERY * round(self.time_step / (CONTROL_EVERY * DT))
-
-
-def _number(name: str, value: object, low: float, high: float) -> None:
-    fine = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    if not fine or not low <= value <= high:  # type: ignore[operator]
-        raise InputError(f"{name} is {value!r}; it must be a number from {low:g} to {high:g}")
 
 
 def drive_elements(options: DriveOptions) -> list[Element]:

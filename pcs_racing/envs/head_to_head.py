@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.arguments import batch_arguments
 from pcs_racing.envs.batch import check_options, check_rendering, check_seed
@@ -173,9 +174,8 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         **settings: Any,
     ) -> None:
         check_rendering(render_mode, view)
-        whole = isinstance(max_cycles, int | np.integer) and not isinstance(max_cycles, bool)
-        if max_cycles is not None and not (whole and max_cycles >= 1):
-            raise InputError(f"max_cycles is {max_cycles!r}; it must be None or a whole number from 1")
+        if max_cycles is not None:
+            check_whole("max_cycles", max_cycles, 1)
         arguments = batch_arguments(HeadToHeadEnv, locals(), GameConfig, settings)
         arguments.pop("max_cycles")
         self._arguments = arguments

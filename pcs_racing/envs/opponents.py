@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import Competitor, check_competitor, competitor_name, driver_policies
 from pcs_racing.game.competitor_names import make_competitor
@@ -74,9 +75,7 @@ def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
         if isinstance(entry, list | tuple) and len(entry) != 2:
             raise InputError(f"opponent {i} of the mixture is {entry!r}; it must be an opponent or (weight, opponent)")
         weight, competitor = entry if isinstance(entry, list | tuple) else (1.0, entry)
-        number = isinstance(weight, int | float | np.integer | np.floating) and not isinstance(weight, bool)
-        if not number or not 0.0 < weight < np.inf:
-            raise InputError(f"the weight of opponent {i} is {weight!r}; it must be a finite number above 0")
+        check_number(f"the weight of opponent {i}", weight, above=0.0)
         opponents.append(_opponent(competitor, float(weight), game))
     return opponents
 

@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_seed
 from pcs_racing.envs.infos import words
@@ -93,14 +94,13 @@ class BatchVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
         players: int = 1,
     ) -> None:
         check_rendering(render_mode, view)
-        limit = max_episode_steps
-        if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int | np.integer) or limit < 1):
-            raise InputError(f"max_episode_steps is {limit!r}; it must be None or a whole number from 1")
+        if max_episode_steps is not None:
+            check_whole("max_episode_steps", max_episode_steps, 1)
         episodes, rest = divmod(num_envs, players) if isinstance(num_envs, int | np.integer) else (num_envs, 0)
         if rest:
             raise InputError(f"num_envs is {num_envs}; it must be even: two environments belong to each game")
         self.autoreset_mode = check_autoreset_mode(autoreset_mode)
-        self.max_episode_steps = limit
+        self.max_episode_steps = max_episode_steps
         self.render_mode, self.view, self.render_size = render_mode, view, render_size
         self.players = players
         self._arguments, self._threads = arguments, threads

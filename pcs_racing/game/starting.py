@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.archive import PolicyArchive
@@ -27,11 +28,7 @@ def game_keys(seeds: ArrayLike | None, games: int | None, seed: int) -> NDArray[
         If a seed or the number of games is impossible, or both are given.
     """
     if seeds is None:
-        count = 1 if games is None else games
-        for name, value in (("games", count), ("seed", seed)):
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-                raise InputError(f"{name} is {value!r}; it must be a whole number from 0")
-        return race_seeds(int(seed), int(count))
+        return race_seeds(check_whole("seed", seed), 1 if games is None else check_whole("games", games))
     if games is not None:
         raise InputError(f"games is {games!r}, but there are seeds, one for each game; give one of the two")
     keys = np.atleast_1d(as_array(seeds))

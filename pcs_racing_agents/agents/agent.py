@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_text, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor
 from pcs_racing.game.rules import RaceGame
@@ -52,10 +53,8 @@ class Agent:
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise InputError(f"an agent's name is {self.name!r}; it must be a non-empty text")
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or not 0 <= self.seed < 2**63:
-            raise InputError(f"the seed of agent {self.name!r} is {self.seed!r}; it must be a whole number from 0")
+        check_text("an agent's name", self.name)
+        check_whole(f"the seed of agent {self.name!r}", self.seed, 0, 2**63 - 1)
         object.__setattr__(self, "facts", dict(self.facts))
 
     def __repr__(self) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.moves import STAY
@@ -110,7 +111,7 @@ def walk_to(setting: Setting, target: int) -> WalkStrategy:
         If the archive has no such policy.
     """
     policies = len(setting.archive)
-    if isinstance(target, bool) or not isinstance(target, int | np.integer) or not 0 <= target < policies:
+    if not is_whole(target) or not 0 <= target < policies:
         raise InputError(
             f"target is {target!r}; it must be the index of a policy in archive {setting.archive.name!r}, 0 to "
             f"{policies - 1}"

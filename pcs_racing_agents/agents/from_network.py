@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.checks import check_number
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.decisions import get_decision
@@ -201,8 +202,7 @@ def adaptive(
     blind_agent = build_member(blind, setting, seed)
     if margin is None:
         margin = loaded.training.get("margin", 0.0)  # type: ignore[assignment]
-    if isinstance(margin, bool) or not isinstance(margin, int | float) or not 0.0 <= margin < np.inf:
-        raise InputError(f"the margin of agent {name!r} is {margin!r}; it must be a finite number from 0")
+    margin = check_number(f"the margin of agent {name!r}", margin, 0.0)
     facts = {**network_facts(loaded), "keeps to": blind_agent.name, "margin": f"{margin:g}"}
     return Agent(name, AdaptiveStrategy(loaded, blind_agent, float(margin)), setting, seed, facts)
 

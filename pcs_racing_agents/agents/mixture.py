@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import FitSource, find_fit, fit_facts
@@ -125,8 +126,7 @@ def restricted_response(
     share : float
         The probability of exploiting, in [0, 1].
     """
-    if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 <= share <= 1.0:
-        raise InputError(f"the share of agent {name!r} is {share!r}; it must be a number from 0 to 1")
+    check_number(f"the share of agent {name!r}", share, 0.0, 1.0)
     members = [build_member(member, setting, seed) for member in (exploit, safe)]
     facts = {"mixture": f"{share:g} {members[0].name}, {1.0 - share:g} {members[1].name}"}
     return Agent(name, make_mixture(members, [share, 1.0 - share]), setting, seed, facts)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.checks import check_choice, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.observation import LEAD_SCALE
 from pcs_racing.game.reward import reward
@@ -99,13 +100,9 @@ class RecedingHorizon:
     def __post_init__(self) -> None:
         agent = f"agent {self.name!r}"
         for key, least, below in (("seed", 0, 2**63), ("depth", 1, 2**31), ("noises", 1, 10_000)):
-            value = getattr(self, key)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value < below:
-                raise InputError(f"the {key} of {agent} is {value!r}; it must be a whole number from {least}")
+            check_whole(f"the {key} of {agent}", getattr(self, key), least, below - 1)
         for key, options in (("leaf", LEAVES), ("opponent", OPPONENTS), ("decision", DECISIONS)):
-            if not isinstance(getattr(self, key), str) or getattr(self, key) not in options:
-                value = getattr(self, key)
-                raise InputError(f"the {key} of {agent} is {value!r}; it must be one of {', '.join(options)}")
+            check_choice(f"the {key} of {agent}", getattr(self, key), options)
         if (self.network is None) is (self.leaf == "network"):
             raise InputError(f"{agent} has leaf {self.leaf!r} and network {self.network!r}; it takes one for 'network'")
         if self.network is not None and self.network.target != NETWORK_TARGET:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.optional import require
 from pcs_racing.base.reading import parse_yaml
@@ -110,7 +111,7 @@ def stage_seconds(study: Study) -> dict[str, float]:
         if file.is_file():
             note = parse_yaml(file, file.read_bytes())
             value = note.get("seconds") if isinstance(note, dict) else None
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < 1e9:
+            if not is_number(value) or not 0.0 <= value < 1e9:
                 raise InputError(f"{file} is damaged: seconds are {value!r:.80}; delete it, and the stage runs again")
             seconds[stage.name] = float(value)
     return seconds

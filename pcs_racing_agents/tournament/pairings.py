@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.competitor import competitor_name
@@ -157,8 +158,7 @@ def cross_pairing(
     """
     cars = (as_competitor(ego), as_competitor(opponent))
     arena = game_between(game, *cars)
-    if isinstance(lines, bool) or not isinstance(lines, int) or not 1 <= lines <= 1000:
-        raise InputError(f"lines is {lines!r}; it must be a whole number from 1 to 1000")
+    check_whole("lines", lines, 1, 1000)
     race_seeds(seed, 1)  # checks the seed
     first = _variants("egos", egos, variant_count(arena, cars[0]), seed, 3)
     second = _variants("opponents", opponents, variant_count(arena, cars[1]), seed, 4)

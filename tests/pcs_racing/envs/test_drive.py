@@ -355,7 +355,7 @@ def test_a_window_follows_the_race(monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"threads": 0}, "threads is 0; it must be a whole number from 1, or None"),
+        ({"threads": 0}, "threads is 0; it must be a whole number from 1"),
         ({"threads": True}, "threads is True"),
         ({"normalize": "yes"}, "normalize is 'yes'; it must be true or false"),
         ({"opponent": ["lattice", 7]}, "7 is not a competitor"),
