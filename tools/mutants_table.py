@@ -105,7 +105,7 @@ MODULES = {
         drive moving_opponents: ; drive
         game_batch opponents: game_batch; duel
         duel: ; duel
-        scalar vector reset_options: ; vector
+        scalar vector over_batch reset_options: ; vector
         head_to_head: ; head_to_head
         """,
     ),

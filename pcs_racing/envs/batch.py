@@ -12,11 +12,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_whole
+from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.race.rendering import MODES, VIEWS, Renderer
 
-__all__ = ["Batch", "BatchStep", "check_batch_size", "check_options", "check_rendering", "check_seed"]
+__all__ = ["Batch", "BatchStep", "check_batch_size", "check_options", "check_rendering", "check_reset_seed"]
 
 MOST_EPISODES = 100_000
 
@@ -122,7 +122,7 @@ def check_batch_size(episodes: int, threads: int | None) -> None:
         check_whole("threads", threads, 1)
 
 
-def check_seed(seed: Any, name: str = "seed") -> int | None:
+def check_reset_seed(seed: Any, name: str = "seed") -> int | None:
     """Return a seed as Gymnasium wants it.
 
     Raises
@@ -130,9 +130,7 @@ def check_seed(seed: Any, name: str = "seed") -> int | None:
     InputError
         If it is neither None nor a whole number from 0.
     """
-    if seed is None:
-        return None
-    return check_whole(name, seed)
+    return None if seed is None else check_seed(name=name, seed=seed)
 
 
 def check_rendering(render_mode: str | None, view: str) -> None:

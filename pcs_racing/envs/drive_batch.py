@@ -29,7 +29,7 @@ from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, take
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.track import as_track
 
 __all__ = ["EXTERNAL", "DriveBatch"]
 
@@ -83,7 +83,7 @@ class DriveBatch:
         check_batch_size(episodes, threads)
         options = DriveOptions(**arguments)
         self.episodes, self.players, self.options = int(episodes), players, options
-        self.track = options.track if isinstance(options.track, Track) else load_track(options.track)
+        self.track = as_track(options.track)
         changes: dict[str, Any] = {"start_lines": options.start_lines}
         if options.duration is not None:
             changes["duration"] = options.duration

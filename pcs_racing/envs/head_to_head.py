@@ -13,10 +13,10 @@ from pettingzoo.utils import parallel_to_aec
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.arguments import batch_arguments
-from pcs_racing.envs.batch import check_options, check_rendering, check_seed
+from pcs_racing.envs.batch import check_options, check_rendering, check_reset_seed
 from pcs_racing.envs.game_batch import GameBatch, draw_game
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.scalar import REBUILDING
+from pcs_racing.envs.over_batch import REBUILDING
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
@@ -229,7 +229,7 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         InputError
             If the seed or an option is impossible or unknown.
         """
-        number = check_seed(seed)
+        number = check_reset_seed(seed)
         given = check_options(options, (*REBUILDING, "state", "options", *self.batch.reset_options))
         given.pop("options", None)  # what the API tests of PettingZoo hand over to every environment
         state = given.pop("state", None)

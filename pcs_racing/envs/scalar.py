@@ -1,6 +1,5 @@
 """One environment of Gymnasium over a batch of one episode."""
 
-import copy
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
@@ -10,15 +9,12 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_seed
+from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_reset_seed
 from pcs_racing.envs.infos import words
-from pcs_racing.race.rendering import MODES, Renderer
-from pcs_racing.track.track import Track
+from pcs_racing.envs.over_batch import REBUILDING, OverBatch
+from pcs_racing.race.rendering import MODES
 
-__all__ = ["REBUILDING", "EnvState", "ScalarEnv", "with_horizon"]
-
-REBUILDING = ("track", "opponent")
-"""Options of a reset that stand for arguments of the environment."""
+__all__ = ["EnvState", "ScalarEnv"]
 
 
 class EnvState(NamedTuple):
@@ -40,7 +36,7 @@ class EnvState(NamedTuple):
     generator: dict[str, Any]
 
 
-class ScalarEnv(gym.Env[NDArray[np.float32], Any]):
+class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
     """Base class of the environments for one agent; subclasses name the batch and document themselves.
 
     Parameters
@@ -67,8 +63,6 @@ class ScalarEnv(gym.Env[NDArray[np.float32], Any]):
         self.action_space = self.batch.action_space
         self._row = np.zeros(1, np.int64)
         self._started = self._running = False
-        self._renderer: Renderer | None = None
-        self._spec: EnvSpec | None = None
 
     def _make_batch(self, arguments: dict[str, Any]) -> Batch:
         batch: Batch = self.batch_type(1, threads=1, **arguments)
@@ -77,26 +71,6 @@ class ScalarEnv(gym.Env[NDArray[np.float32], Any]):
     def _use(self, batch: Batch) -> None:
         self.batch = batch
         self.metadata = {**type(self).metadata, "render_fps": batch.frame_rate, "codes": batch.codes}
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How it was made, with the number of steps after which its episodes end as ``max_episode_steps``."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, value: EnvSpec | None) -> None:
-        self._spec = with_horizon(value, self.batch.horizon)
-
-    @property
-    def elements(self) -> list[Any]:
-        """Name, unit, bounds and meaning of every element of the observation."""
-        return list(self.batch.elements)
-
-    @property
-    def track(self) -> Track:
-        """The circuit."""
-        track: Track = self.batch.track
-        return track
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -121,7 +95,7 @@ class ScalarEnv(gym.Env[NDArray[np.float32], Any]):
         InputError
             If the seed or an option is impossible or unknown.
         """
-        number = check_seed(seed)
+        number = check_reset_seed(seed)
         given = check_options(options, (*REBUILDING, "state", *self.batch.reset_options))
         changes = {name: given.pop(name) for name in REBUILDING if name in given}
         batch = self._make_batch({**self._arguments, **changes}) if changes else self.batch
@@ -181,19 +155,12 @@ class ScalarEnv(gym.Env[NDArray[np.float32], Any]):
         InputError
             Before the first reset, or if the environment was made without a render mode.
         """
-        if self.render_mode is None:
-            raise InputError("render_mode is None; make the environment with render_mode='rgb_array' or 'human'")
-        self._check_started()
-        if self._renderer is None:
-            fps = float(self.metadata["render_fps"])
-            self._renderer = Renderer(self.track, *self.render_size, self.render_mode, view=self.view, fps=fps)
-        return self.batch.draw(self._renderer, 0)
+        renderer = self._open_renderer()
+        return self.batch.draw(renderer, 0)
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self._close_renderer()
 
     def get_state(self) -> EnvState:
         """Return all that the rest of this episode, and all later ones, depend on."""
@@ -246,15 +213,3 @@ def _rebuild(kind: type[Any], arguments: dict[str, Any], state: EnvState, spec: 
     env.set_state(state)
     env.spec = spec
     return env
-
-
-def with_horizon(spec: EnvSpec | None, horizon: int) -> EnvSpec | None:
-    """Return a specification with ``max_episode_steps``, where it has none.
-
-    The registry does not hold it: it would cut episodes off that were made longer by an argument.
-    """
-    if spec is None or spec.max_episode_steps is not None:
-        return spec
-    spec = copy.copy(spec)
-    spec.max_episode_steps = horizon
-    return spec

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_seed
+from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_reset_seed
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.scalar import REBUILDING, with_horizon
+from pcs_racing.envs.over_batch import REBUILDING, OverBatch
 from pcs_racing.game.starting import as_array
-from pcs_racing.race.rendering import MODES, Renderer
-from pcs_racing.track.track import Track
+from pcs_racing.race.rendering import MODES
 
 __all__ = ["BatchVectorEnv", "VectorState", "check_autoreset_mode"]
 
@@ -45,7 +44,7 @@ class VectorState(NamedTuple):
     steps: NDArray[np.int64]
 
 
-class BatchVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
+class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
     """Base class of the vector environments; subclasses name the batch and document themselves.
 
     Episode ``i`` draws from its own generator, seeded with ``seed + i``, and gives the numbers that the environment for
@@ -113,8 +112,6 @@ class BatchVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
         self._generators: list[np.random.Generator] = []
         self._over = np.zeros(self.batch.episodes, np.bool_)
         self._steps = np.zeros(self.batch.episodes, np.int64)
-        self._renderer: Renderer | None = None
-        self._spec: EnvSpec | None = None
 
     def _make_batch(self, arguments: dict[str, Any], episodes: int) -> Batch:
         batch: Batch = self.batch_type(episodes, threads=self._threads, players=self.players, **arguments)
@@ -124,26 +121,6 @@ class BatchVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
         self.batch = batch
         own = {"render_fps": batch.frame_rate, "codes": batch.codes, "autoreset_mode": self.autoreset_mode}
         self.metadata = {**type(self).metadata, **own}
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How it was made, with the number of steps after which its episodes end as ``max_episode_steps``."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, value: EnvSpec | None) -> None:
-        self._spec = with_horizon(value, self.batch.horizon)
-
-    @property
-    def elements(self) -> list[Any]:
-        """Name, unit, bounds and meaning of every element of a single observation."""
-        return list(self.batch.elements)
-
-    @property
-    def track(self) -> Track:
-        """The circuit."""
-        track: Track = self.batch.track
-        return track
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: Mapping[str, Any] | None = None
@@ -246,24 +223,17 @@ class BatchVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
         InputError
             Before the first reset, or if the environment was made without a render mode.
         """
-        if self.render_mode is None:
-            raise InputError("render_mode is None; make the environment with render_mode='rgb_array' or 'human'")
-        self._check_started()
-        if self._renderer is None:
-            fps = float(self.metadata["render_fps"])
-            self._renderer = Renderer(self.track, *self.render_size, self.render_mode, view=self.view, fps=fps)
+        renderer = self._open_renderer()
         if self.render_mode == "human":
-            return self.batch.draw(self._renderer, 0)
-        return tuple(self.batch.draw(self._renderer, i) for i in range(self.num_envs))
+            return self.batch.draw(renderer, 0)
+        return tuple(self.batch.draw(renderer, i) for i in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free threads and close the window."""
         if not hasattr(self, "batch"):  # old versions of Gymnasium close what could not be made as well
             return
         self.batch.close()
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self._close_renderer()
 
     def get_state(self) -> VectorState:
         """Return all that the rest of the episodes, and all later ones, depend on."""
@@ -398,7 +368,7 @@ def split_seeds(seed: int | list[int | None] | None, episodes: int) -> list[int 
     if seed is None:
         return [None] * episodes
     if isinstance(seed, int | np.integer):
-        first = check_seed(seed) or 0
+        first = check_reset_seed(seed) or 0
         return [first + i for i in range(episodes)]
     try:
         seeds = list(seed)
@@ -406,4 +376,4 @@ def split_seeds(seed: int | list[int | None] | None, episodes: int) -> list[int 
         raise InputError(f"seed is {seed!r}; it must be a whole number, a list of them, or None") from None
     if len(seeds) != episodes:
         raise InputError(f"there are {len(seeds)} seeds for {episodes} environments; give one for each")
-    return [check_seed(one, f"the seed of environment {i}") for i, one in enumerate(seeds)]
+    return [check_reset_seed(one, f"the seed of environment {i}") for i, one in enumerate(seeds)]

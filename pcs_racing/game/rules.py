@@ -46,7 +46,7 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.track import Track, as_track
 
 __all__ = ["GameState", "RaceGame", "check_moves", "make_game"]
 
@@ -441,9 +441,8 @@ def make_game(
     InputError
         If a name is unknown or a value impossible.
     """
-    circuit = track if isinstance(track, Track) else load_track(track)
     rules = load_game_config(race, **settings)
-    return RaceGame(circuit, load_archive(archive), rules, opponent_planner, threads, ego_planner)
+    return RaceGame(as_track(track), load_archive(archive), rules, opponent_planner, threads, ego_planner)
 
 
 def check_moves(

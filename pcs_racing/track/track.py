@@ -24,7 +24,15 @@ from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
 from pcs_racing.track.grid import distance_to_walls
 from pcs_racing.track.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
 
-__all__ = ["Calibration", "Track", "build_track", "calibration_from_values", "calibration_values", "load_track"]
+__all__ = [
+    "Calibration",
+    "Track",
+    "as_track",
+    "build_track",
+    "calibration_from_values",
+    "calibration_values",
+    "load_track",
+]
 
 Floats = NDArray[np.float64]
 
@@ -223,6 +231,11 @@ def build_track(
     for array in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
         digest.update(array.tobytes())
     return Track(name, arrays, _read_only(center), dict(calibration or {}), folder, digest.hexdigest())
+
+
+def as_track(track: Track | str | os.PathLike[str]) -> Track:
+    """Return a circuit as it is, or load it by its name or folder."""
+    return track if isinstance(track, Track) else load_track(track)
 
 
 def load_track(name_or_path: str | os.PathLike[str]) -> Track:

@@ -12,12 +12,11 @@ from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.track.track import load_track
 from pcs_racing_agents.cli.options import (
-    DEFAULT_TRACK,
     POLICY_HELP,
-    TRACK_HELP,
     Commands,
     add_command,
     add_rules,
+    add_tracks,
     can_draw,
     rules,
 )
@@ -35,9 +34,7 @@ def add(commands: Commands) -> None:
         "pcs-racing headroom --archive contest --preset contest --out out/headroom",
         "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --preset contest --out out/mine",
     )
-    parser.add_argument(
-        "--track", default=[DEFAULT_TRACK], nargs="+", metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})"
-    )
+    add_tracks(parser)
     parser.add_argument("--archive", default="contest", help="archive: its name or folder (default: contest)")
     parser.add_argument(
         "--size",

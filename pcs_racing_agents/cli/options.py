@@ -18,6 +18,7 @@ __all__ = [
     "add_preset",
     "add_rules",
     "add_track",
+    "add_tracks",
     "can_draw",
     "output_file",
     "output_folder",
@@ -52,6 +53,13 @@ def add_command(commands: Commands, name: str, summary: str, *examples: str) -> 
 def add_track(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--track`` for one circuit."""
     parser.add_argument("--track", default=DEFAULT_TRACK, metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})")
+
+
+def add_tracks(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names one circuit or several."""
+    parser.add_argument(
+        "--track", default=[DEFAULT_TRACK], nargs="+", metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})"
+    )
 
 
 def add_preset(parser: argparse.ArgumentParser) -> None:

@@ -6,12 +6,11 @@ from pathlib import Path
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.track.track import load_track
 from pcs_racing_agents.cli.options import (
-    DEFAULT_TRACK,
     POLICY_HELP,
-    TRACK_HELP,
     Commands,
     add_command,
     add_rules,
+    add_tracks,
     can_draw,
     rules,
 )
@@ -30,9 +29,7 @@ def add(commands: Commands) -> None:
         "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher --races 40",
         "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --preset contest --out out/mine",
     )
-    parser.add_argument(
-        "--track", default=[DEFAULT_TRACK], nargs="+", metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})"
-    )
+    add_tracks(parser)
     parser.add_argument(
         "--agents",
         nargs="+",

@@ -13,8 +13,9 @@ from pcs_racing.game.characteristics import Segment, get_characteristics, measur
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.track import as_track
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies, loaded
+from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies
 
 __all__ = ["Evaluation", "PolicyTask", "evaluate", "join", "on_worker", "race_policies", "summarise"]
 
@@ -68,7 +69,7 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     own_crash, crashed = np.zeros((count, races), np.bool_), np.zeros((count, races), np.bool_)
     length = round(scenarios.segment_seconds * 100.0)
     for index, source in enumerate(scenarios.tracks):
-        setup = RaceSetup(loaded(source), scenarios.config, (planner, planner))
+        setup = RaceSetup(as_track(source), scenarios.config, (planner, planner))
         numbers = np.flatnonzero(scenarios.track == index)
         step = max(1, RACES_AT_ONCE // len(numbers))
         for first in range(0, count, step):

@@ -6,7 +6,6 @@ per run, so that policies differ by what they do and not by the luck of the draw
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,9 +18,9 @@ from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import start_lines
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.track import Track, as_track
 
-__all__ = ["Scenarios", "check_policies", "draw_scenarios", "loaded"]
+__all__ = ["Scenarios", "check_policies", "draw_scenarios"]
 
 Floats = NDArray[np.float64]
 
@@ -129,7 +128,7 @@ def draw_scenarios(
     for index, track in enumerate(tracks):
         root = np.random.SeedSequence(seed, spawn_key=(index,))
         lines, noise = root.spawn(2)
-        start_s.append(start_lines(loaded(track), rules, lines)[line])
+        start_s.append(start_lines(as_track(track), rules, lines)[line])
         seeds.append(race_seeds(int(noise.generate_state(1, np.uint64)[0]), len(line)))
     return Scenarios(
         tracks=tuple(tracks),
@@ -152,8 +151,3 @@ def check_policies(name: str, parameters: ArrayLike, planner: Planner) -> Floats
     if len(policies) == 0:
         raise InputError(f"there are no {name}; give at least one policy of planner {planner.name!r}")
     return policies
-
-
-def loaded(track: Track | str | Path) -> Track:
-    """Return a circuit, from its name or folder if need be."""
-    return track if isinstance(track, Track) else load_track(track)

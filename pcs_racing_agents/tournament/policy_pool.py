@@ -18,7 +18,7 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.track import Track, as_track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job, Progress
 
@@ -116,8 +116,7 @@ def pool_payoffs(
 def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: int | None = None) -> Arrays:
     """Race some pairs on one circuit: their payoffs in every fold, shape (pairs, F)."""
     pool, number, pairs = task
-    source = pool.tracks[number]
-    track = source if isinstance(source, Track) else load_track(source)
+    track = as_track(pool.tracks[number])
     rules = replace(pool.config, start_lines=pool.races // 2)
     lines = start_lines(track, rules, np.random.SeedSequence(pool.seed, spawn_key=(number,)))
     starts = Starts(np.repeat(lines, 2), np.tile([0, 1], len(lines)))

@@ -1,0 +1,84 @@
+"""What Gymnasium's environments of one and of many episodes have in common: both are views of a batch."""
+
+import copy
+from typing import Any
+
+from gymnasium.envs.registration import EnvSpec
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.envs.batch import Batch
+from pcs_racing.race.rendering import Renderer
+from pcs_racing.track.track import Track
+
+__all__ = ["REBUILDING", "OverBatch"]
+
+REBUILDING = ("track", "opponent")
+"""Options of a reset that stand for arguments of the environment."""
+
+
+class OverBatch:
+    """What an environment over a batch knows of it, how it was made, and its frames.
+
+    Attributes
+    ----------
+    batch : Batch
+    metadata : dict
+    render_mode : str or None
+    view : str
+    render_size : tuple of int
+        Width and height of a frame in pixels.
+    """
+
+    batch: Batch
+    metadata: dict[str, Any]
+    render_mode: str | None
+    view: str
+    render_size: tuple[int, int]
+    _spec: EnvSpec | None = None
+    _renderer: Renderer | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How it was made, with the number of steps after which its episodes end as ``max_episode_steps``.
+
+        The registry does not hold that number: it would cut episodes off that were made longer by an argument.
+        """
+        return self._spec
+
+    @spec.setter
+    def spec(self, value: EnvSpec | None) -> None:
+        if value is not None and value.max_episode_steps is None:
+            value = copy.copy(value)
+            value.max_episode_steps = self.batch.horizon
+        self._spec = value
+
+    @property
+    def elements(self) -> list[Any]:
+        """Name, unit, bounds and meaning of every element of the observation of one environment."""
+        return list(self.batch.elements)
+
+    @property
+    def track(self) -> Track:
+        """The circuit."""
+        track: Track = self.batch.track
+        return track
+
+    def _check_started(self) -> None:
+        """Raise an :class:`InputError` before the first reset."""
+        raise NotImplementedError
+
+    def _open_renderer(self) -> Renderer:
+        """Return what draws the frames; made when the first one is asked for."""
+        if self.render_mode is None:
+            raise InputError("render_mode is None; make the environment with render_mode='rgb_array' or 'human'")
+        self._check_started()
+        if self._renderer is None:
+            fps = float(self.metadata["render_fps"])
+            self._renderer = Renderer(self.track, *self.render_size, self.render_mode, view=self.view, fps=fps)
+        return self._renderer
+
+    def _close_renderer(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
