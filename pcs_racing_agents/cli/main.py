@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli import (
     agents,
+    characteristics,
     compilation,
     explain,
     export,
@@ -93,6 +94,7 @@ def _parser() -> argparse.ArgumentParser:
         policies,
         synthesize,
         headroom,
+        characteristics,
         tree,
         solve,
         export,
