@@ -4,10 +4,11 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from pcs_racing.base.checks import check_whole
+from pcs_racing.base.checks import check_names, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import add_setting_options, stated_options
 from pcs_racing.game.archive_files import load_archive, save_archive
+from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.learned_files import load_learned, save_learned
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
@@ -204,14 +205,16 @@ def run_apply(arguments: argparse.Namespace) -> None:
     archive = load_archive(arguments.archive)
     learned = None if arguments.learned is None else load_learned(arguments.learned)
     if learned is None and not arguments.axes:
-        raise InputError("nothing is to be changed; give --learned, --axes or both")
+        raise InputError("there is nothing to change; give --learned, --axes or both")
     tracks: tuple[Track, ...] = tuple(load_track(name) for name in arguments.track)
     config = load_race_config(arguments.preset or archive.preset)
+    axes = check_names("axes", arguments.axes or list(learned.names if learned is not None else ()))
+    get_characteristics(axes)
     stated = {
         "tracks": [track.content_hash for track in tracks],
         "archive": archive.content_hash,
         "learned": None if learned is None else learned.content_hash,
-        "axes": arguments.axes,
+        "axes": list(axes),
         "race": repr(config),
         "settings": repr(settings),
         "seed": arguments.seed,
@@ -226,7 +229,7 @@ def run_apply(arguments: argparse.Namespace) -> None:
                 learned,
                 tracks,
                 config,
-                axes=arguments.axes,
+                axes=axes,
                 name=arguments.name or arguments.out.resolve().name,
                 settings=settings,
                 seed=arguments.seed,

@@ -21,9 +21,9 @@ __all__ = ["CANDIDATES", "CANDIDATE_RACES", "best_of_intervals", "draw_pool"]
 
 Floats = NDArray[np.float64]
 
-CANDIDATES = 8
+CANDIDATES = 6
 """Policies that are drawn for each policy of a pool."""
-_OPPONENTS = 6
+_OPPONENTS = 4
 CANDIDATE_RACES = 2 * _OPPONENTS
 """Races of each of them on each circuit."""
 
@@ -48,7 +48,7 @@ def draw_pool(
     tracks : sequence of Track or str
     config : RaceConfig
     size : int
-        Policies to keep, from 3; eight times as many are drawn.
+        Policies to keep, from 3; six times as many are drawn.
     seed : int
         Root of the policies, start lines and noise.
     segment_seconds : float
