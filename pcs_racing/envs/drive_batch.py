@@ -336,21 +336,22 @@ class DriveBatch:
             "opponent_crash": state.crash[:, other].astype(np.int64),
             "fault": state.fault[:, car].astype(np.int64),
             "overtakes": state.overtakes[:, car].copy(),
-            "result": self._outcomes(np.arange(self.episodes), car),
+            "result": self._outcomes(car),
             "opponent": self.drawn.copy() if self.opponents else np.full(self.episodes, -1),
         }
 
-    def _outcomes(self, rows: NDArray[np.int64], car: int) -> NDArray[np.int64]:
-        """How some races have ended for a car; alone it races nobody, and the result stays open."""
-        result = np.full(len(rows), int(Result.RUNNING))
-        state = self.state
-        over = state.crash[rows].any(axis=1) | (state.tick[rows] >= self.setup.config.ticks)
+    def _outcomes(self, car: int) -> NDArray[np.int64]:
+        """How each race has ended for a car; alone it races nobody, and the result stays open."""
+        state, config = self.state, self.setup.config
+        result = np.zeros(self.episodes, np.int64)
+        over = (state.crash[:, 0] != 0) | (state.crash[:, 1] != 0) | (state.tick >= config.ticks)
         if self.alone or not over.any():
             return result
-        ended = take(state, rows[over])
-        winner = winners(self.setup.config, ended)
+        rows = np.flatnonzero(over)
+        ended = take(state, rows)
+        winner = winners(config, ended)
         found = np.where(winner == car, Result.WIN, np.where(winner == 1 - car, Result.LOSS, Result.TIE))
-        result[over] = np.where((winner < 0) & ended.crashed, Result.CRASH, found)
+        result[rows] = np.where((winner < 0) & ended.crashed, Result.CRASH, found)
         return result
 
     def info(self, environment: int) -> dict[str, Any]:
@@ -368,7 +369,7 @@ class DriveBatch:
             "opponent_crash": opponent_crash,
             "fault": int(state.fault[race, car]),
             "overtakes": int(state.overtakes[race, car]),
-            "result": int(self._outcomes(np.array([race]), car)[0]) if over else int(Result.RUNNING),
+            "result": int(self._outcomes(car)[race]) if over else int(Result.RUNNING),
             "opponent": int(self.drawn[race]) if self.opponents else -1,
         }
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import car_hits_wall
@@ -205,7 +205,7 @@ def _in_sight(track, cars, race, car, reach):  # type: ignore[no-untyped-def]
     return cast(track.distance, u, v, dx / apart, dy / apart, cells)[0] >= cells
 
 
-@kernel
+@inner_kernel(forceinline=True)
 def _observe(track, state, vehicles, sight, race, car, row, work):  # type: ignore[no-untyped-def]
     """Write what a car observes, in the units of the elements."""
     cars, frenet = state.cars, state.frenet
