@@ -90,10 +90,11 @@ def apply_characteristics(
     seconds = archive.settings.get("segment_seconds", 8.0)
     length = float(seconds) if isinstance(seconds, int | float) else 8.0
     rivals = spread_over([archive.policy(i) for i in range(len(archive))], settings.opponents)
+    few = spread_over(rivals, settings.explored_opponents)
     measured = {}
     for label, parameters, opponents, starts, root in (
-        ("coordinates", archive.parameters, rivals, settings.starts, 0),
-        ("explored", archive.explored_parameters, spread_over(rivals, settings.explored_opponents), 1, 1),
+        ("coordinates", archive.complete(archive.parameters), rivals, settings.starts, 0),
+        ("explored", archive.complete(archive.explored_parameters), few, 1, 1),
     ):
         if len(parameters) == 0:
             continue
