@@ -71,14 +71,16 @@ def test_workers_and_resumed_jobs_learn_the_same(tmp_path, monkeypatch):
 
 def test_an_archive_on_learned_axes_keeps_its_policies_and_makes_games():
     archive = toy_archive(4)
-    made = apply_characteristics(
-        archive, TOY, TRACKS[:1], replace(CONFIG, duration=8.0), axes=["raced_calm", "speed"], settings=FEW
-    )
+    axes, rules = ["raced_calm", "speed"], replace(CONFIG, duration=8.0)
+    made = apply_characteristics(archive, TOY, TRACKS[:1], rules, axes=axes, settings=FEW)
     np.testing.assert_array_equal(made.parameters, archive.parameters)
     np.testing.assert_array_equal(made.explored_parameters, archive.explored_parameters)
     assert made.characteristics == ("raced_calm", "speed")
     assert made.explored_coordinates.shape == (30, 2)
     assert (np.diff(made.coordinates[:, 1]) > 0.0).all()  # from slow to fast
+    with make_executor("processes", 1) as executor:  # which learns of the axes from its tasks
+        again = apply_characteristics(archive, TOY, TRACKS[:1], rules, axes=axes, settings=FEW, executor=executor)
+    assert again.content_hash == made.content_hash
     game = make_game(TRACKS[0], made, CONFIG, moves=1, step_seconds=2.0)
     state = game.step(game.reset(games=2), [[0, 3], [1, 2]])
     assert np.isfinite(game.observation(state)).all()
