@@ -7,7 +7,7 @@ import pcs_racing_agents
 from pcs_racing import make_game
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.networks import list_networks, load_network
-from pcs_racing_agents.tournament.matches import play_games, variant_count
+from pcs_racing_agents.tournament.games import play_games, variant_count
 
 GAMES = (("default", "paper", "Tarnfjord"), ("contest", "contest", "Brackwater"))
 

@@ -144,7 +144,7 @@ def test_agents_of_other_people(setting, empty_registry, monkeypatch):
 
 
 def test_an_agent_of_another_archive_is_refused(game, setting, oval):
-    from pcs_racing_agents.tournament.matches import game_between
+    from pcs_racing_agents.tournament.games import game_between
 
     other = make("never-switch")
     with pytest.raises(InputError, match=r"agent 'never-switch' was made for archive 'default' \(.*\); the game has"):
