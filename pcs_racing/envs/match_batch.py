@@ -106,7 +106,9 @@ class MatchBatch(GameBatch):
             if self.opponents:
                 drawn[i] = draw_opponent(self._edges, generator)
             drivers.append(self.opponents[drawn[i]].draw_policy(generator) if self.opponents else None)
-        fresh = self.match.begin(keys, policies=options.get("policies"), starts=starts, opponents=drivers)
+        lines, sides = (None, None) if starts is None else (starts.s[:, None], starts.side)
+        policies = options.get("policies")
+        fresh = self.match.begin(keys, policies=policies, lines=lines, sides=sides, opponents=drivers)
         if self.played is None:
             self.played = fresh
         else:
@@ -161,8 +163,9 @@ class MatchBatch(GameBatch):
         self.moves[between] = -1
         started = self.match.start(played, choices)
         if self.keep_driven:
-            line, side, noise = (array[:, played.race[0]] for array in (played.starts, played.sides, played.noise))
-            self.driven.append((start_races(self.game.setup, Starts(line, side), noise), started.game.theta))
+            race = int(played.race[0])
+            starts = Starts(played.starts[:, race], played.sides[:, race])
+            self.driven.append((start_races(self.game.setup, starts, played.noise[:, race]), started.game.theta))
         return started
 
     def _move(

@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import Settings, flag, setting, whole
 from pcs_racing.game.match_observation import encode_match, match_elements
 from pcs_racing.game.observation import ObservationElement
@@ -150,7 +149,8 @@ class MatchGame:
         keys: NDArray[np.uint64],
         *,
         policies: ArrayLike | None = None,
-        starts: Starts | None = None,
+        lines: ArrayLike | None = None,
+        sides: ArrayLike | None = None,
         opponents: Policy | Sequence[Policy | None] | None = None,
         egos: Policy | Sequence[Policy | None] | None = None,
     ) -> MatchState:
@@ -161,9 +161,12 @@ class MatchGame:
         keys : ndarray of uint64, shape (B,)
         policies : array of int, shape (B, 2) or (2,), optional
             Policies of cars whose players do not choose; -1 draws one, uniformly from the archive.
-        starts : Starts, optional
-            B lines, each for all races of a match, and the side of its first race; by default each race draws a line
-            out of :attr:`RaceGame.start_lines`, and each match the side of its first race.
+        lines : array, shape (B, R) or (B, 1), optional
+            Arc length of the start line of each race, or of all races of a match, m; by default each race draws one out
+            of :attr:`RaceGame.start_lines`.
+        sides : array of int, shape (B,), optional
+            0 where car 0 starts the first race of a match on the left or in front, 1 where car 1 does; drawn by
+            default.
         opponents, egos : Policy or sequence of B (Policy or None), optional
             Drivers of car 1 and of car 0 from outside the archive, as in :meth:`RaceGame.reset`.
 
@@ -179,26 +182,22 @@ class MatchGame:
             for car, given in enumerate((egos, opponents))
         ]
         outside, theta = (np.stack(pair, axis=1) for pair in zip(*drivers, strict=True))
-        if starts is not None and len(starts) != count:
-            raise InputError(f"there are {count} matches but {len(starts)} starts; give one start for each match")
         bits = np.stack([random_bits(keys, race) for race in range(races)], axis=1)
         drawn = (bits[:, 0, 2:4] % np.uint64(len(game.archive))).astype(np.int64)
         policy = np.where(outside, OUTSIDE, np.where(first == DRAW, drawn, first))
-        if starts is not None:
-            lines, side = np.repeat(starts.s[:, None], races, axis=1), starts.side
-        else:
-            lines = game.start_lines[(bits[:, :, 0] % np.uint64(len(game.start_lines))).astype(np.int64)]
-            side = (bits[:, 0, 1] % np.uint64(2)).astype(np.int64)
-        sides = (side[:, None] + np.arange(races)) % 2
+        drawn_lines = game.start_lines[(bits[:, :, 0] % np.uint64(len(game.start_lines))).astype(np.int64)]
+        places = np.array(np.broadcast_to(drawn_lines if lines is None else np.asarray(lines), (count, races)))
+        side = (bits[:, 0, 1] % np.uint64(2)).astype(np.int64) if sides is None else np.asarray(sides, np.int64)
+        turns = (side[:, None] + np.arange(races)) % 2
         axes = len(game.characteristics)
-        grid = game.empty_state(start_races(game.setup, Starts(lines[:, 0], sides[:, 0]), bits[:, 0, 4]))
+        grid = game.empty_state(start_races(game.setup, Starts(places[:, 0], turns[:, 0]), bits[:, 0, 4]))
         grid.policy[:] = policy
         return MatchState(
             game=grid,
             race=np.zeros(count, np.int64),
             racing=np.zeros(count, np.bool_),
-            starts=lines,
-            sides=sides,
+            starts=places,
+            sides=turns,
             noise=np.ascontiguousarray(bits[:, :, 4]),
             policy=policy,
             theta=theta,
