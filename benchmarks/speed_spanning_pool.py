@@ -60,7 +60,7 @@ def main() -> None:
     given = parser.parse_args()
     planner, config = get_planner("lattice"), load_race_config(given.preset)
     tracks = [load_track(name) for name in given.track]
-    bounds = planner.bounds()
+    bounds = planner.bounds
     drawn = qmc.LatinHypercube(len(bounds), seed=given.seed).random(given.draws)
     theta = bounds[:, 0] + drawn * (bounds[:, 1] - bounds[:, 0])
     rivals = np.array([planner.policy({"pace": pace}).parameters for pace in PACES])
