@@ -34,7 +34,7 @@ from pcs_racing_agents.learning.characteristics.ridge import (
     term_names,
     term_values,
 )
-from pcs_racing_agents.learning.characteristics.validation import Score, cross_validate, draw_rows
+from pcs_racing_agents.learning.characteristics.validation import Accuracy, cross_validate, draw_rows
 from pcs_racing_agents.tournament.policy_pool import PolicyPool, pool_payoffs
 
 __all__ = [
@@ -91,7 +91,7 @@ class Learning:
         Of the pool.
     behaviour : ndarray, shape (T, N, M, I)
         Inputs in every piece.
-    scores : dict of int to Score
+    scores : dict of int to Accuracy
         R2 of the three coordinates of policies on circuits that were left out, by number of pieces.
     estimates : ndarray, shape (N, 3)
         Coordinates of every policy as estimated when it was left out.
@@ -100,7 +100,7 @@ class Learning:
     characteristics: LearnedCharacteristics
     coordinates: PayoffCoordinates
     behaviour: Floats
-    scores: dict[int, Score]
+    scores: dict[int, Accuracy]
     estimates: Floats
 
 

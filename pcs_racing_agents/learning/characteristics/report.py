@@ -7,7 +7,7 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics
 from pcs_racing_agents.learning.characteristics.coordinates import COORDINATES
 from pcs_racing_agents.learning.characteristics.learn import Learning
-from pcs_racing_agents.learning.characteristics.validation import Score
+from pcs_racing_agents.learning.characteristics.validation import Accuracy
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
 
@@ -52,7 +52,7 @@ def axis_words(axis: LearnedAxis) -> str:
     return f"{axis.name} ({axis.meaning}): {axis.intercept:+.2f} {' '.join(shown)}{more}"
 
 
-def score_rows(scores: Mapping[int, Score]) -> list[tuple[str, ...]]:
+def score_rows(scores: Mapping[int, Accuracy]) -> list[tuple[str, ...]]:
     """Return rows of a table: R2 of each coordinate by number of pieces."""
     rows: list[tuple[str, ...]] = [("pieces", *(f"R2 {name}" for name in COORDINATES))]
     for count, score in sorted(scores.items()):

@@ -18,7 +18,7 @@ from pcs_racing_agents.learning.characteristics.ridge import (
 )
 from pcs_racing_agents.tournament.headroom import jackknife_error
 
-__all__ = ["DRAWS", "Score", "cross_validate", "draw_rows", "explained", "judge"]
+__all__ = ["DRAWS", "Accuracy", "cross_validate", "draw_rows", "explained", "judge"]
 
 Floats = NDArray[np.float64]
 
@@ -26,8 +26,8 @@ DRAWS = 16
 """Means over a few pieces that are drawn for each policy and circuit."""
 
 
-class Score(NamedTuple):
-    """Share of the variance of coordinates that estimates explain.
+class Accuracy(NamedTuple):
+    """How accurate estimates are: the share of the variance of coordinates that they explain.
 
     Attributes
     ----------
@@ -74,8 +74,8 @@ def draw_rows(values: Floats, pieces: int, seed: int) -> Floats:
     return rows
 
 
-def explained(estimates: Floats, targets: Floats) -> Score:
-    """Score estimates of the coordinates of policies.
+def explained(estimates: Floats, targets: Floats) -> Accuracy:
+    """Accuracy estimates of the coordinates of policies.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def explained(estimates: Floats, targets: Floats) -> Score:
     everyone = np.arange(wanted.shape[1])
     without = np.array([share(np.delete(everyone, i)) for i in everyone])
     errors = np.array([jackknife_error(column) for column in without.T])
-    return Score(share(everyone), errors)
+    return Accuracy(share(everyone), errors)
 
 
 def judge(
@@ -104,8 +104,8 @@ def judge(
     payoffs: Floats,
     counts: Sequence[int],
     seed: int = 0,
-) -> dict[int, Score]:
-    """Score learned characteristics on policies and circuits that had no say in them.
+) -> dict[int, Accuracy]:
+    """Accuracy learned characteristics on policies and circuits that had no say in them.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def judge(
 
 def cross_validate(
     values: Floats, targets: Floats, *, degree: int, pieces: int, folds: int, seed: int, judged: Sequence[int]
-) -> tuple[list[float], dict[int, Score], Floats]:
+) -> tuple[list[float], dict[int, Accuracy], Floats]:
     """Choose penalties, and score estimates of policies on circuits neither of which had a say in them.
 
     Policies are divided into folds. In each split one fold of the policies and one circuit are left out of the fit, and
@@ -153,7 +153,7 @@ def cross_validate(
     Returns
     -------
     penalties : list of C floats
-    scores : dict of int to Score
+    scores : dict of int to Accuracy
         By number of pieces.
     estimates : ndarray, shape (N, C)
         Of every policy when it was left out, the mean over circuits and rows of the largest number of pieces.
