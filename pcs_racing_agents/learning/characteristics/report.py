@@ -20,11 +20,13 @@ MOST_WORDS = 6
 def learning_text(learning: Learning) -> str:
     """Return the table of R2, the sentence of every axis, and what the inputs mean."""
     plane = learning.coordinates
+    several = learning.behaviour.shape[0] > 1
+    held_out = "on circuits, neither of which had a say" if several else "that had no say"
     parts = [
         *aligned(score_rows(learning.scores)),
         "",
-        "R2 of policies on circuits neither of which had a say (cross-validated), from so many pieces; +-: standard",
-        "error over policies.",
+        f"R2 of policies {held_out} (cross-validated), from so many pieces;",
+        "+-: standard error over policies.",
         f"Cyclic plane: strength {plane.strength:.2f}; noise alone reaches {plane.noise:.2f}.",
     ]
     if plane.strength <= plane.noise:
