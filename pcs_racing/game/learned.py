@@ -25,13 +25,23 @@ from pcs_racing.game.characteristics import (
     register_characteristic,
 )
 
-__all__ = ["BOUND", "LearnedAxis", "LearnedCharacteristics", "LearnedInput", "register_learned", "term_factors"]
+__all__ = [
+    "BOUND",
+    "TIMES",
+    "LearnedAxis",
+    "LearnedCharacteristics",
+    "LearnedInput",
+    "check_set_name",
+    "register_learned",
+    "term_factors",
+]
 
 Floats = NDArray[np.float64]
 
 BOUND = 4.0
 """Standard deviations at which inputs are cut off: a segment of a few ticks must not give an extreme value."""
 TIMES = " * "
+"""Between the factors of a term."""
 MOST_FACTORS = 3
 _LARGEST = 1e6
 
@@ -115,8 +125,7 @@ class LearnedCharacteristics:
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not re.fullmatch(r"[a-z][a-z0-9_-]{0,39}", self.name):
-            raise InputError(f"name is {self.name!r}; use up to 40 small letters, digits, _ and -, a letter first")
+        check_set_name(self.name)
         for key, kind in (("inputs", LearnedInput), ("axes", LearnedAxis)):
             values = getattr(self, key)
             if not isinstance(values, tuple) or not all(isinstance(value, kind) for value in values):
@@ -205,6 +214,19 @@ class _Evaluation:
         values = measure(segment, get_characteristics([item.name for item in self.inputs]))
         known = _standardised(self.inputs, values)
         return _weighted(self.axis, known)
+
+
+def check_set_name(name: Any) -> str:
+    """Return the name of a set of learned characteristics.
+
+    Raises
+    ------
+    InputError
+        If it holds other characters than small letters, digits, ``_`` and ``-``, or is too long.
+    """
+    if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_-]{0,39}", name):
+        raise InputError(f"name is {name!r}; use up to 40 small letters, digits, _ and -, a letter first")
+    return name
 
 
 def register_learned(learned: LearnedCharacteristics) -> None:

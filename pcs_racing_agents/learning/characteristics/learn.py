@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Settings, names, plain_settings, setting, tenths, text, whole
+from pcs_racing.base.settings import Settings, checked, names, plain_settings, setting, tenths, whole
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics, LearnedInput
+from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics, LearnedInput, check_set_name
 from pcs_racing.planners.planner import Policy
 from pcs_racing_agents.jobs.jobs import Job, Progress
 from pcs_racing_agents.learning.characteristics.behaviour import common_planner, measure_behaviour
@@ -56,7 +56,7 @@ JUDGED = (1, 4, 16)
 class LearnSettings(Settings):
     """Settings of learned characteristics."""
 
-    name: str = setting("learned", text(), "Name of the set; the names of its axes begin with it.")
+    name: str = setting("learned", checked(check_set_name), "Name of the set; the names of its axes begin with it.")
     inputs: tuple[str, ...] = setting(
         ("speed", "pace", "restraint", "smoothness", "blocking", "cornering"),
         names(),

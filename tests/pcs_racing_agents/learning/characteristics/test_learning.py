@@ -154,7 +154,15 @@ def test_every_interval_gives_its_best_and_empty_ones_the_best_that_is_left():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"inputs": ("charm",)}, {"opponents": 1, "starts": 1}, {"degree": 4}, {"inputs": ()}, {"pieces": 0}]
+    "wrong",
+    [
+        {"inputs": ("charm",)},
+        {"opponents": 1, "starts": 1},
+        {"degree": 4},
+        {"inputs": ()},
+        {"pieces": 0},
+        {"name": "../x"},
+    ],
 )
 def test_impossible_settings_are_refused(wrong):
     with pytest.raises((ConfigError, InputError)):
