@@ -164,7 +164,7 @@ def cross_validate(
     fitted = {count: np.empty((len(PENALTIES), tracks, policies, DRAWS, targets.shape[1])) for count in judged}
     wanted = np.broadcast_to(targets[:, None], (policies, DRAWS, targets.shape[1]))
     for track in range(tracks):
-        others = [t for t in range(tracks) if t != track] or [track]
+        others = np.array([t for t in range(tracks) if t != track] or [track])
         for fold in range(folds):
             out, kept = np.flatnonzero(fold_of == fold), np.flatnonzero(fold_of != fold)
             known = values[np.ix_(others, kept)]
