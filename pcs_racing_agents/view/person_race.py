@@ -168,7 +168,7 @@ class PersonRaces:
         person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
         variants = len(self.rival.policies) if isinstance(self.rival, Driver) else len(game.archive)
         draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
-        race = {
+        race: dict[str, Any] = {
             "policies": np.array([draw.integers(len(game.archive)), draw.integers(variants)]),
             "start": starts_of(game.track, game.setup.config, [number], self.seed),
             "seed": int(race_seed(self.seed, number)),
