@@ -209,7 +209,7 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     wild.write_text("preset: contest\nname: wild\nspeed_range: [1.0, 1.5]\n")
     config = with_(preset=str(wild), crash_limit=0.3, seed=6)
     assert config.search_crash_limit == pytest.approx(1.0 - 0.7**0.5)
-    assert config.axes == ("pace", "restraint")
+    assert config.axes == ("speed", "restraint")
     archive = make_archive(config, tmp_path / "archive")
     assert (archive.own_crash <= 0.3).all()
     assert (
@@ -325,7 +325,7 @@ def test_the_shipped_configurations():
         assert config.evaluations == 2000
         assert config.races == 48
     assert load_archive_config("default").rules.name == "paper"
-    assert load_archive_config("contest").axes == ("pace", "restraint")
+    assert load_archive_config("contest").axes == ("speed", "restraint")
 
 
 # The command
