@@ -91,6 +91,8 @@ def test_the_manifest_says_how_it_was_made(made):
     assert settings["choice_candidates"] - left_out == len(made[0])
     assert settings["policies_not_beaten"] == np.sum(front_layers(made[0].coordinates) == 0)
     assert settings["hypervolume_error"] > 0.0
+    together = np.corrcoef(made[0].coordinates.T)[0, 1]
+    assert settings["correlation_aggressiveness_restraint"] == pytest.approx(together, abs=1e-5)
 
 
 def test_the_coordinates_come_from_races_that_chose_nobody(made):
