@@ -159,7 +159,7 @@ def test_the_correlations_of_the_axes():
     """In pairs, in the order of the axes; that of the toy by hand."""
     toy = archive()
     assert toy.correlations == {AXES: pytest.approx(np.corrcoef(COORDINATES.T)[0, 1])}
-    assert "aggressiveness, restraint (correlation -0.96)" in repr(toy)
+    assert "aggressiveness, restraint (correlation -0.98)" in repr(toy)
     third = np.array([1.0, -1.0, 1.0, -1.0, 0.0])
     three = archive(np.column_stack([COORDINATES, third]), (*AXES, "speed"))
     expected = np.corrcoef(three.coordinates.T)
