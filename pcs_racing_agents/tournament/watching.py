@@ -77,7 +77,7 @@ def record_game(
             if isinstance(competitor, Driver):
                 parameters = competitor.policies[variants[car]].parameters
             else:
-                parameters = arena.archive.parameters[played.policy[0, car, step]]
+                parameters = arena.archive.policy(int(played.policy[0, car, step])).parameters
             theta[step, car, : len(parameters)] = parameters
     replay = record_drive(
         arena.setup,
