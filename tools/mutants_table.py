@@ -107,6 +107,7 @@ MODULES = {
         duel: ; duel
         scalar vector over_batch reset_options: ; vector
         head_to_head: ; head_to_head
+        match match_batch head_to_head_match: ; match
         """,
     ),
     **_modules(

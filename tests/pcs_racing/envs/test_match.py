@@ -12,6 +12,7 @@ import pettingzoo
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from repository import REPOSITORY
 
 from pcs_racing import ConfigError, InputError, PolicyArchive, get_planner
 from pcs_racing.envs.head_to_head_match import HeadToHeadMatchEnv, env, parallel_env
@@ -452,3 +453,10 @@ def test_impossible_actions_are_refused(short):
     envs.reset(seed=0)
     with pytest.raises(InputError, match="environment 1: move 7"):
         envs.step(np.array([0, 7]))
+
+
+def test_the_example_of_its_page_runs(capsys):
+    page = (REPOSITORY / "docs" / "environments.md").read_text(encoding="utf-8")
+    example = page.partition("\n## Matches\n")[2].split("```python\n")[1].split("```")[0]
+    exec(compile(example, "environments.md", "exec"), {})
+    assert re.search(r"races won of 3 (win|tie|loss)", capsys.readouterr().out)
