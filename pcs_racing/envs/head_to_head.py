@@ -10,7 +10,6 @@ from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
 from pcs_racing.envs.arguments import batch_arguments
-from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.game_batch import GameBatch, draw_game
 from pcs_racing.envs.parallel import AGENTS, Infos, Observations, ParallelBatchEnv, ParallelState
 from pcs_racing.game.archive import PolicyArchive
@@ -203,11 +202,8 @@ class HeadToHeadEnv(ParallelBatchEnv):
             trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
             yield draw_game(renderer, self.batch, state, 0, np.array(trail))
 
-    def _drive(self, actions: NDArray[Any]) -> BatchStep:
-        before = self.batch.started()
-        done = super()._drive(actions)
-        self._before = before
-        return done
+    def _begin_step(self) -> None:
+        self._before = self.batch.started()
 
     def _show(self) -> None:
         for frame in self.frames():
