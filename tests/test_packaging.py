@@ -140,7 +140,6 @@ EXAMPLES = {
     "ppo_against_cfr": ("stable_baselines3", "learning"),
     "self_play_ppo": ("stable_baselines3", "learning"),
     "drive_self_play": ("torch", "learning"),
-    "torchrl_rollout": ("torch", "learning"),
     "train_ppo": ("matplotlib", "learning,plots"),
 }
 

@@ -18,6 +18,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import advance
+from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track
 
 __all__ = ["AGENTS", "HeadToHeadEnv", "env", "parallel_env"]
@@ -145,6 +146,17 @@ class HeadToHeadEnv(ParallelBatchEnv):
         **settings: Any,
     ) -> None:
         arguments = batch_arguments(HeadToHeadEnv, locals(), GameConfig, settings)
+        self._set_up(arguments, render_mode, view, render_size, max_cycles)
+
+    def _set_up(
+        self,
+        arguments: dict[str, Any],
+        render_mode: str | None,
+        view: str,
+        render_size: tuple[int, int],
+        max_cycles: int | None,
+    ) -> None:
+        """Make the batch and the spaces."""
         super().__init__(arguments, render_mode, view, render_size, max_cycles)
         self._before: GameState | None = None  # what the last step began with: frames are driven again from it
 
@@ -191,16 +203,22 @@ class HeadToHeadEnv(ParallelBatchEnv):
         """Drive the last step again and draw five moments of each second: what `render` gives, for videos."""
         if self.render_mode is None or self._before is None:
             return
-        state, renderer = self._before.copy(), self._open_renderer()
-        race, theta = state.race, self.batch.started().theta
+        renderer = self._open_renderer()
         trail: list[NDArray[np.float64]] = []
-        for _ in range(0, self.game.config.step_ticks, FRAME_TICKS):
-            before = int(race.tick[0])
-            advance(self.game.setup, race, theta, FRAME_TICKS, threads=1)
-            if int(race.tick[0]) == before:
-                break
-            trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
-            yield draw_game(renderer, self.batch, state, 0, np.array(trail))
+        for begun, theta in self._pieces():
+            race = begun.copy()
+            state = self.batch.started()._replace(race=race)
+            for _ in range(0, self.game.config.step_ticks, FRAME_TICKS):
+                before = int(race.tick[0])
+                advance(self.game.setup, race, theta, FRAME_TICKS, threads=1)
+                if int(race.tick[0]) == before:
+                    break
+                trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
+                yield draw_game(renderer, self.batch, state, 0, np.array(trail))
+
+    def _pieces(self) -> list[tuple[RaceState, NDArray[np.float64]]]:
+        """Where the pieces of driving of the last step began, and the parameters that drove them."""
+        return [] if self._before is None else [(self._before.race, self.batch.started().theta)]
 
     def _begin_step(self) -> None:
         self._before = self.batch.started()

@@ -8,6 +8,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -55,7 +56,8 @@ class PolicyArchive:
     planner : str
         Name of the planner that all policies belong to.
     parameter_names : tuple of str
-        What the columns of ``parameters`` are; must agree with the planner's.
+        What the columns of ``parameters`` are: parameters of the planner. Those that are missing keep the planner's
+        defaults (:meth:`complete`).
     parameters : ndarray, shape (K, P)
     characteristics : tuple of str
         Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); more is more on all of them.
@@ -170,8 +172,11 @@ class PolicyArchive:
         return len(self.parameters)
 
     def __repr__(self) -> str:
-        """Show the number of policies, the axes and the preset."""
+        """Show the number of policies, the axes with their correlation, and the preset."""
         axes = ", ".join(self.characteristics)
+        if len(self.characteristics) > 1:
+            together = ", ".join(f"{value:+.2f}" for value in self.correlations.values())
+            axes += f" (correlation {together})"
         return f"<PolicyArchive {self.name!r}: {len(self)} {self.planner} policies, {axes}, preset {self.preset!r}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -196,6 +201,23 @@ class PolicyArchive:
     def normalised(self) -> Floats:
         """Normalised coordinates of the policies, shape (K, G): 0 at the nadir, 1 at the ideal point."""
         return self.normalise(self.coordinates)
+
+    @property
+    def correlations(self) -> dict[tuple[str, str], float]:
+        """Correlation of the coordinates of each pair of axes over the policies, -1 to 1.
+
+        At -1 or 1 the two axes are one, and half of the moves are the other half. It is NaN where all policies have the
+        same value on an axis.
+        """
+        pairs = list(combinations(range(len(self.characteristics)), 2))
+        away = self.coordinates - self.coordinates.mean(axis=0)
+        extent = np.sqrt((away**2).sum(axis=0))
+        with np.errstate(invalid="ignore"):
+            values = [float(np.clip(away[:, i] @ away[:, j] / (extent[i] * extent[j]), -1.0, 1.0)) for i, j in pairs]
+        return {
+            (self.characteristics[i], self.characteristics[j]): value
+            for (i, j), value in zip(pairs, values, strict=True)
+        }
 
     def normalise(self, coordinates: ArrayLike) -> Floats:
         """Return normalised coordinates of points in the characteristics' units, shape (..., G)."""
@@ -234,28 +256,44 @@ class PolicyArchive:
         UnknownNameError
             If no planner of that name is registered.
         InputError
-            If its parameters are others than the archive's, or a policy lies outside their bounds.
+            If the archive holds a parameter that it has not, or a policy lies outside its bounds.
         """
         planner = get_planner(self.planner)
-        if planner.parameter_names != self.parameter_names:
+        unknown = [name for name in self.parameter_names if name not in planner.parameter_names]
+        if unknown or len(set(self.parameter_names)) < len(self.parameter_names):
             raise InputError(
                 f"archive {self.name!r} holds parameters {', '.join(self.parameter_names)}; planner {self.planner!r} "
                 f"has {', '.join(planner.parameter_names)}"
             )
-        for i, theta in enumerate(self.parameters):
+        for i, theta in enumerate(self.complete(self.parameters)):
             Policy(planner, theta, f"{self.name}[{i}]")
         return planner
+
+    def complete(self, parameters: ArrayLike) -> Floats:
+        """Parameter vectors as the planner takes them, from rows of the archive's parameters.
+
+        Parameters
+        ----------
+        parameters : array_like, shape (K, P)
+            Such as :attr:`parameters` or :attr:`explored_parameters`.
+
+        Returns
+        -------
+        ndarray, shape (K, P')
+            With the planner's defaults of the parameters that the archive does not hold.
+        """
+        return get_planner(self.planner).complete(self.parameter_names, parameters)
 
     def policy(self, index: int) -> Policy:
         """Return one of the policies, named after the archive and its index."""
         at = int(check_indices(np.asarray(index), "policy index", len(self)))
-        return Policy(get_planner(self.planner), self.parameters[at], f"{self.name}[{at}]")
+        return Policy(get_planner(self.planner), self.complete(self.parameters[[at]])[0], f"{self.name}[{at}]")
 
     def explored_policy(self, index: int) -> Policy:
         """Return one of the explored policies."""
         explored: Any = self.explored_parameters
         at = int(check_indices(np.asarray(index), "explored policy index", len(explored)))
-        return Policy(get_planner(self.planner), explored[at], f"{self.name}:explored[{at}]")
+        return Policy(get_planner(self.planner), self.complete(explored[[at]])[0], f"{self.name}:explored[{at}]")
 
     @property
     def explored(self) -> Explored:

@@ -1,4 +1,4 @@
-"""Choices made on training races, as small files: a plan of moves, a policy to walk to, the weights of a mixture.
+"""Choices made on training races, as small files: a plan of moves, policies to walk to, the weights of a mixture.
 
 :mod:`pcs_racing_agents.tournament.fitting` makes them; the agents that follow them read them from here.
 """
@@ -15,13 +15,26 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing_agents.agents.setting import Setting
 
-__all__ = ["Fit", "FitSource", "find_fit", "fit_facts", "load_fit", "make_fit", "save_fit", "shipped_fits"]
+__all__ = [
+    "Fit",
+    "FitSource",
+    "find_fit",
+    "fit_facts",
+    "game_fields",
+    "load_fit",
+    "make_fit",
+    "recorded_game",
+    "save_fit",
+    "shipped_fits",
+]
 
 FIT_FORMAT = ManifestFormat(
     "fit", ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"), "save_fit"
 )
-KINDS = {"best-schedule": list, "best-fixed": int, "psro": dict}
-"""What kinds there are, and what a choice of each is: names of moves, the index of a policy, weights by agent."""
+KINDS = {"best-schedule": list, "best-fixed": int, "best-lead-plan": dict, "psro": dict}
+"""What kinds there are, and what a choice of each is: names of moves, the index of a policy, the index of a policy
+behind and ahead, weights by agent.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +45,9 @@ class Fit:
     ----------
     kind : str
         Name of the agent that it is for.
-    choice : list of str, int, or dict of str to float
-        Names of the moves; index of the policy; weights by name of the agent.
+    choice : list of str, int, dict of str to int, or dict of str to float
+        Names of the moves; index of the policy; indices of the policies behind and ahead; weights by name of the
+        agent.
     game : GameIdentity
         The game that it was made on; a file records no names of moves and elements.
     training : Mapping
@@ -73,14 +87,8 @@ def make_fit(kind: str, choice: Any, setting: Setting, training: Mapping[str, An
 
 def save_fit(fit: Fit, path: str | Path) -> Path:
     """Write a fit as YAML; the file appears whole or not at all."""
-    game = {
-        "archive": fit.game.archive,
-        "archive_sha256": fit.game.archive_sha256,
-        "race": fit.game.preset,
-        "epsilon": list(fit.game.epsilon),
-        "moves": fit.game.decisions,
-    }
-    FIT_FORMAT.write(Path(path), {"kind": fit.kind, "choice": fit.choice, **game, "training": dict(fit.training)})
+    fields = {"kind": fit.kind, "choice": fit.choice, **game_fields(fit.game), "training": dict(fit.training)}
+    FIT_FORMAT.write(Path(path), fields)
     return Path(path)
 
 
@@ -96,7 +104,7 @@ def load_fit(path: str | Path) -> Fit:
         raise InputError(f"fit {path!r} must be the path of a file")
     fields = FIT_FORMAT.read(path)
     try:
-        return Fit(fields["kind"], fields["choice"], _recorded_game(fields), fields["training"])
+        return Fit(fields["kind"], fields["choice"], recorded_game(fields), fields["training"])
     except InputError as error:
         raise type(error)(f"{path}: {error}") from None
 
@@ -142,8 +150,25 @@ def fit_facts(fit: Fit) -> dict[str, str]:
     return {"trained on": trained or "not said"}
 
 
-def _recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
-    """Return the identity of the game that a file records."""
+def game_fields(game: GameIdentity) -> dict[str, Any]:
+    """Return what a manifest records of a game; names of moves and elements are left out."""
+    return {
+        "archive": game.archive,
+        "archive_sha256": game.archive_sha256,
+        "race": game.preset,
+        "epsilon": list(game.epsilon),
+        "moves": game.decisions,
+    }
+
+
+def recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
+    """Return the identity of the game that :func:`game_fields` recorded.
+
+    Raises
+    ------
+    InputError
+        If a field is of another type.
+    """
     archive, digest, preset = (check_text(key, fields[key]) for key in ("archive", "archive_sha256", "race"))
     epsilon = fields["epsilon"]
     if not isinstance(epsilon, list) or not all(isinstance(length, float) for length in epsilon):
@@ -153,4 +178,9 @@ def _recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
 
 
 def _wanted(kind: str) -> str:
-    return {"best-schedule": "a list of moves", "best-fixed": "the index of a policy"}.get(kind, "weights by agent")
+    return {
+        "best-schedule": "a list of moves",
+        "best-fixed": "the index of a policy",
+        "best-lead-plan": "the indices of two policies, behind and ahead",
+        "psro": "weights by agent",
+    }[kind]

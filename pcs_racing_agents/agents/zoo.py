@@ -60,7 +60,8 @@ class Entry:
     source : str
         Where the idea comes from.
     needs : str
-        What must be trained before it can race: "", "fit" or "network"; "agents" if its members may need training.
+        What must be trained before it can race: "", "fit", "network" or "table"; "agents" if its members may need
+        training.
     defaults : Mapping
         Options that differ from those of other entries with the same function.
     moves : bool
@@ -80,6 +81,7 @@ SHIPPED = {
     "random-moves": "pcs_racing_agents.agents.blind:RANDOM_MOVES",
     "best-schedule": "pcs_racing_agents.agents.blind:BEST_SCHEDULE",
     "best-fixed": "pcs_racing_agents.agents.blind:BEST_FIXED",
+    "best-lead-plan": "pcs_racing_agents.agents.blind:BEST_LEAD_PLAN",
     "cfr-argmax": "pcs_racing_agents.agents.from_network:CFR_ARGMAX",
     "cfr-regret-matching": "pcs_racing_agents.agents.from_network:CFR_REGRET_MATCHING",
     "normalised-regret": "pcs_racing_agents.agents.from_network:NORMALISED_REGRET",
@@ -91,6 +93,7 @@ SHIPPED = {
     "restricted-response": "pcs_racing_agents.agents.mixture:RESTRICTED_RESPONSE",
     "psro": "pcs_racing_agents.agents.mixture:PSRO",
     "ppo": "pcs_racing_agents.agents.from_network:PPO",
+    "remember": "pcs_racing_agents.agents.remember:REMEMBER",
     "receding-horizon": "pcs_racing_agents.agents.receding_horizon:RECEDING_HORIZON",
     "random-policy": "pcs_racing_agents.agents.drivers:RANDOM_POLICY",
     "lane-switcher": "pcs_racing_agents.agents.drivers:LANE_SWITCHER",

@@ -134,6 +134,18 @@ def test_a_planner_that_has_changed_is_noticed(toy_planner):
         archive(parameters=[[0.0, 0.0], [7.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]).family()
 
 
+def test_parameters_that_an_archive_does_not_hold_have_the_planners_defaults(toy_planner):
+    rows = np.linspace(0.0, 1.0, len(COORDINATES))[:, None]
+    explored = {"explored_parameters": [[-1.0]], "explored_coordinates": [[1.0, 1.0]]}
+    toy = archive(parameter_names=("b",), parameters=rows, **explored)
+    assert toy.family() is toy_planner
+    np.testing.assert_array_equal(toy.policy(4).parameters, [0.5, 1.0])
+    np.testing.assert_array_equal(toy.explored_policy(0).parameters, [0.5, -1.0])
+    np.testing.assert_array_equal(toy.complete(toy.parameters[:1]), [[0.5, 0.0]])
+    with pytest.raises(InputError, match="holds parameters b, b"):
+        archive(parameter_names=("b", "b")).family()
+
+
 def test_policies_that_stand_out():
     toy = archive()
     assert toy.select("aggressiveness") == 4
@@ -141,6 +153,24 @@ def test_policies_that_stand_out():
     assert toy.select() == 2
     with pytest.raises(UnknownNameError, match="has no characteristic 'speed'; it has aggressiveness, restraint"):
         toy.select("speed")
+
+
+def test_the_correlations_of_the_axes():
+    """In pairs, in the order of the axes; that of the toy by hand."""
+    toy = archive()
+    assert toy.correlations == {AXES: pytest.approx(np.corrcoef(COORDINATES.T)[0, 1])}
+    assert "aggressiveness, restraint (correlation -0.98)" in repr(toy)
+    third = np.array([1.0, -1.0, 1.0, -1.0, 0.0])
+    three = archive(np.column_stack([COORDINATES, third]), (*AXES, "speed"))
+    expected = np.corrcoef(three.coordinates.T)
+    assert list(three.correlations) == [AXES, (AXES[0], "speed"), (AXES[1], "speed")]
+    np.testing.assert_allclose(list(three.correlations.values()), expected[np.triu_indices(3, 1)])
+    assert toy.project(("restraint",)).correlations == {}
+
+
+def test_the_correlation_with_a_constant_axis_is_unknown():
+    constant = archive([[0.0, 1.0], [2.0, 1.0]], parameters=[[0.0, 0.0], [1.0, 0.0]], ideal=[2, 2], nadir=[0, 0])
+    assert np.isnan(constant.correlations[AXES])
 
 
 def test_an_archive_can_be_seen_along_some_axes():

@@ -14,6 +14,7 @@ from repository import REPOSITORY
 
 from pcs_racing import InputError, load_archive
 from pcs_racing.base.errors import ConfigError
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.jobs import make_executor
@@ -90,6 +91,8 @@ def test_the_manifest_says_how_it_was_made(made):
     assert settings["choice_candidates"] - left_out == len(made[0])
     assert settings["policies_not_beaten"] == np.sum(front_layers(made[0].coordinates) == 0)
     assert settings["hypervolume_error"] > 0.0
+    together = np.corrcoef(made[0].coordinates.T)[0, 1]
+    assert settings["correlation_aggressiveness_restraint"] == pytest.approx(together, abs=1e-5)
 
 
 def test_the_coordinates_come_from_races_that_chose_nobody(made):
@@ -104,6 +107,39 @@ def test_the_coordinates_come_from_races_that_chose_nobody(made):
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
     np.testing.assert_array_equal(found.spread, archive.spread)
     np.testing.assert_array_equal(found.own_crash, archive.own_crash)
+
+
+def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
+    """The search has a dimension less for each; its opponents do not vary them either."""
+    config = with_(generations=1, fixed=("pace_behind", "blocking"))
+    archive = make_archive(config, tmp_path / "made")
+    assert archive.parameter_names == config.varied
+    assert set(LATTICE.parameter_names) - set(config.varied) == {"pace_behind", "blocking"}
+    assert archive.settings["fixed"] == "pace_behind, blocking"
+    rows = LATTICE.indices(config.fixed)
+    final = stage_scenarios(config)[2]
+    for policies in (
+        archive.complete(archive.parameters),
+        archive.complete(archive.explored_parameters),
+        final.opponents,
+    ):
+        np.testing.assert_array_equal(policies[:, rows], np.tile(LATTICE.default[rows], (len(policies), 1)))
+    found = summarise(race_policies((final, archive.complete(archive.parameters))))
+    np.testing.assert_array_equal(found.coordinates, archive.coordinates)
+
+
+def test_the_search_of_the_paper_has_one_pace():
+    assert set(LATTICE.parameter_names) - set(load_archive_config("default").varied) == {"pace_behind"}
+    assert load_archive_config("contest").varied == LATTICE.parameter_names
+
+
+@pytest.mark.parametrize(
+    ("fixed", "message"),
+    [(("speed",), "has no parameter 'speed'"), (LATTICE.parameter_names, "fixed names all parameters")],
+)
+def test_impossible_fixed_parameters_are_refused(fixed, message):
+    with pytest.raises(InputError, match=message):
+        with_(fixed=fixed)
 
 
 def test_the_course_of_the_search_is_told_and_written(made):
@@ -175,7 +211,7 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     wild.write_text("preset: contest\nname: wild\nspeed_range: [1.0, 1.5]\n")
     config = with_(preset=str(wild), crash_limit=0.3, seed=6)
     assert config.search_crash_limit == pytest.approx(1.0 - 0.7**0.5)
-    assert config.axes == ("pace", "restraint")
+    assert config.axes == ("speed", "restraint")
     archive = make_archive(config, tmp_path / "archive")
     assert (archive.own_crash <= 0.3).all()
     assert (
@@ -291,7 +327,7 @@ def test_the_shipped_configurations():
         assert config.evaluations == 2000
         assert config.races == 48
     assert load_archive_config("default").rules.name == "paper"
-    assert load_archive_config("contest").axes == ("pace", "restraint")
+    assert load_archive_config("contest").axes == ("speed", "restraint")
 
 
 # The command
