@@ -110,10 +110,10 @@ class UnequalCars(VecEnvWrapper):
 class Progress(BaseCallback):
     """Prints a line for every tenth of the training: what is left, and how the policy does by then."""
 
-    def __init__(self, steps: int, seen: dict[str, Any]) -> None:
+    def __init__(self, steps: int, races: int, seen: dict[str, Any]) -> None:
         super().__init__()
         self.steps, self.said, self.began = steps, 0, time.monotonic()
-        self.rivals = [lattice_races(race, 40, seen) for race in RULES]
+        self.rivals = [lattice_races(race, races, seen) for race in RULES]
 
     def _on_step(self) -> bool:
         return True
@@ -162,7 +162,7 @@ def main() -> None:
         policy_kwargs={"log_std_init": -1.0},
         device="cpu",
     )
-    model.learn(arguments.steps, callback=Progress(arguments.steps, seen))
+    model.learn(arguments.steps, callback=Progress(arguments.steps, min(40, arguments.races), seen))
 
     print(f"{'opponent':28} {'rules':8} {'won':>6} {'lead':>7} {'own crash':>9}")
     for race, archive in RULES.items():
