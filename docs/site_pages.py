@@ -17,6 +17,11 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 ENVIRONMENTS = {
     "head_to_head": ("pcs_racing.envs.head_to_head", "HeadToHeadEnv", "Head to head: two agents"),
     "head_to_head_match": ("pcs_racing.envs.head_to_head_match", "HeadToHeadMatchEnv", "Match of two agents"),
+    "drive_head_to_head": (
+        "pcs_racing.envs.drive_head_to_head",
+        "DriveHeadToHeadEnv",
+        "Drive head to head: two agents steer",
+    ),
     "duel": ("pcs_racing.envs.duel", "DuelEnv", "Duel: one agent's moves"),
     "match": ("pcs_racing.envs.match", "MatchEnv", "Match: a policy for each race"),
     "drive": ("pcs_racing.envs.drive", "DriveEnv", "Drive: steering and speed"),
@@ -24,6 +29,7 @@ ENVIRONMENTS = {
 NAMES = {
     "head_to_head": '`pettingzoo.make("parallel", "pcs_racing/head_to_head-v1")`, or `"aec"`',
     "head_to_head_match": '`pettingzoo.make("parallel", "pcs_racing/head_to_head_match-v0")`, or `"aec"`',
+    "drive_head_to_head": '`pettingzoo.make("parallel", "pcs_racing/drive_head_to_head-v0")`, or `"aec"`',
     "duel": '`gym.make("pcs_racing/Duel-v1")`',
     "match": '`gym.make("pcs_racing/Match-v0")`',
     "drive": '`gym.make("pcs_racing/Drive-v1")`',

@@ -108,6 +108,8 @@ MODULES = {
         scalar vector over_batch reset_options: ; vector
         head_to_head: ; head_to_head
         match match_batch head_to_head_match: ; match
+        drive_head_to_head: ; drive_head_to_head
+        parallel: ; head_to_head drive_head_to_head
         """,
     ),
     **_modules(

@@ -1,7 +1,7 @@
 """The environment of a series of races for two agents, in PettingZoo's parallel and turn-by-turn interfaces."""
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +84,7 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
     - v0: first version.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {**HeadToHeadEnv.metadata, "name": "head_to_head_match_v0"}
+    metadata: dict[str, Any] = {**HeadToHeadEnv.metadata, "name": "head_to_head_match_v0"}  # noqa: RUF012
     batch: MatchBatch
 
     def __init__(
@@ -104,7 +104,7 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
         **settings: Any,
     ) -> None:
         arguments = batch_arguments(HeadToHeadMatchEnv, locals(), GameConfig, settings)
-        self._set_up(arguments, render_mode, view, render_size)
+        self._set_up(arguments, render_mode, view, render_size, max_cycles)
 
     def _make_batch(self, arguments: dict[str, Any]) -> MatchBatch:
         batch = MatchBatch(1, threads=1, players=2 if arguments["opponent"] is None else 1, **arguments)
