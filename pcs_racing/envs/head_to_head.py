@@ -12,26 +12,21 @@ from pettingzoo.utils import parallel_to_aec
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
 from pcs_racing.envs.batch import check_options, check_rendering, check_reset_seed
-from pcs_racing.envs.game_batch import GameBatch, draw_game
+from pcs_racing.envs.game_batch import FILM_RATE, GameBatch
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.over_batch import REBUILDING
+from pcs_racing.envs.over_batch import REBUILDING, WINDOW_TICKS
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.game.state import GameState
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.races import advance
 from pcs_racing.race.rendering import Renderer
-from pcs_racing.track.track import Track
 
 __all__ = ["AGENTS", "HeadToHeadEnv", "HeadToHeadState", "env", "parallel_env"]
 
 AGENTS = ("car_0", "car_1")
-FRAME_TICKS = 20  # simulation steps between two frames of a window
-WINDOW_FPS = 20.0  # so that a window shows four seconds of racing per second
-TRAIL = 10  # frames of trail behind each car
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
@@ -121,17 +116,23 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
     `info` of each agent holds numbers: `time` (s), `progress` and `lead` (own, m), `crash` and `opponent_crash`
     (`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), `fault` (1 if it is to blame), `overtakes`, `result`
     (`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that pays nobody), `opponent` (-1: the
-    other agent), `move` and `opponent_move` (-1 before the first), `policy` (index in the archive) and `action_mask`.
+    other agent), `move` and `opponent_move` (-1 before the first), `policy` (index in the archive), `action_mask`,
+    `laps` (complete ones, from one crossing of the line s = 0 to the next), `lap_time` and `best_lap` (s, of the last
+    and the shortest of them; -1 if there is none), and where games differ in it, `track` and what `randomize` drew.
     `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
 
     ## Arguments
 
-    - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`.
+    - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`; a list of these, of which one is drawn for
+      each game; or `"random"`: a newly generated circuit for each game.
     - `archive` (`"default"`): an archive's name, its folder, or a `PolicyArchive`.
     - `race` (`"paper"`): rules of the race: `"paper"`, `"contest"`, a YAML file, a `RaceConfig`; or a `GameConfig`.
     - `opponent` (`None`): what drives `car_1` in place of a second agent: as for `pcs_racing/Duel-v1`. Then `car_0` is
       the only agent.
     - `deterministic_opponent` (`True`): whether a model takes its best move.
+    - `vehicle` (`F1TENTH`): parameters of both cars, or a list of two: `VehicleParams`, a dict of those that differ, or a
+      YAML file.
+    - `randomize` (`None`): ranges from which each game draws `friction`, `mass`, `steering_delay` and `steering_noise`.
     - `render_mode` (`None`): `"rgb_array"`: `render()` returns a picture; `"human"`: every step is shown in a window.
     - `view` (`"both"`): `"track"`, `"both"`, `"car_0"` or `"car_1"`.
     - `render_size` (`(960, 640)`): width and height in pixels.
@@ -155,18 +156,20 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
     metadata: ClassVar[dict[str, Any]] = {
         "name": "head_to_head_v1",
         "render_modes": ["human", "rgb_array"],
-        "render_fps": WINDOW_FPS,
+        "render_fps": FILM_RATE,
         "is_parallelizable": True,
     }
 
     def __init__(
         self,
-        track: Track | str | Path = "Tarnfjord",
+        track: Any = "Tarnfjord",
         archive: PolicyArchive | str | Path = "default",
         race: GameConfig | RaceConfig | str | Path = "paper",
         *,
         opponent: Any = None,
         deterministic_opponent: bool = True,
+        vehicle: Any = F1TENTH,
+        randomize: Any = None,
         render_mode: str | None = None,
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),
@@ -193,7 +196,6 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         }
         self.state_space = spaces.Box(np.tile(box.low, 2), np.tile(box.high, 2))
         self._generator: np.random.Generator | None = None
-        self._before: GameState | None = None  # what the last step began with: frames are driven again from it
         self._cycles = 0
         self._renderer: Renderer | None = None
 
@@ -245,12 +247,15 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         generator = self._generator
         if number is not None or generator is None:
             generator = np.random.default_rng(number)
-        batch.restart(np.zeros(1, np.int64), [generator], given)
+        row = np.zeros(1, np.int64)
+        if number is not None:
+            batch.forget(row)
+        batch.restart(row, [generator], given)
         if changes:
             self.close()
             self._arguments = {**self._arguments, **changes}
             self._use(batch)
-        self._generator, self._before, self._cycles = generator, None, 0
+        self._generator, self._cycles = generator, 0
         self.agents = list(self.possible_agents)
         if self.render_mode == "human":
             self.render()
@@ -266,7 +271,7 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         InputError
             If there is no game going on, an action is missing, or it is no move.
         """
-        before = self.batch.started()
+        self.batch.started()
         if not self.agents:
             raise InputError("the game is over; call reset() to begin a new one")
         agents = self.possible_agents
@@ -276,15 +281,14 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         _, rewards, terminated, _ = self.batch.step(
             self.batch.check_actions(moves, (len(agents),)), [self._generator or np.random.default_rng()]
         )
-        self._before = before
         self._cycles += 1
         over = bool(terminated[0])
         cut = not over and self.max_cycles is not None and self._cycles >= self.max_cycles
         if over or cut:
             self.agents = []
         if self.render_mode == "human":
-            for frame in self.frames():
-                del frame  # shown by the renderer
+            for _ in self.batch.film(self._open_renderer(), 0, WINDOW_TICKS):
+                pass  # shown by the renderer
         return (
             self._observations(),
             {agent: float(reward) for agent, reward in zip(agents, rewards, strict=True)},
@@ -333,7 +337,7 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
             except (TypeError, ValueError, KeyError) as error:
                 raise InputError(f"the state's random generator can't be restored: {error}") from None
         self.batch.set_state(state.batch)
-        self._generator, self._before, self._cycles = generator, None, state.cycles
+        self._generator, self._cycles = generator, state.cycles
         self.agents = [] if state.over else list(self.possible_agents)
 
     # Pictures
@@ -342,22 +346,13 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         """Draw this moment: an array (height, width, 3) of uint8; None where a window shows it or nothing is drawn."""
         if self.render_mode is None:
             return None
-        return self._draw(self.batch.started(), None)
+        self.batch.started()
+        return self.batch.draw(self._open_renderer(), 0)
 
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:
-        """Drive the last step again and draw five moments of each second: what `render` gives, for videos."""
-        if self.render_mode is None or self._before is None:
-            return
-        state = self._before.copy()
-        race, theta = state.race, self.batch.started().theta
-        trail: list[NDArray[np.float64]] = []
-        for _ in range(0, self.game.config.step_ticks, FRAME_TICKS):
-            before = int(race.tick[0])
-            advance(self.game.setup, race, theta, FRAME_TICKS, threads=1)
-            if int(race.tick[0]) == before:
-                break
-            trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
-            yield self._draw(state, np.array(trail))
+        """Drive the last step again and draw 25 moments of each second: what `render` gives, for videos."""
+        if self.render_mode is not None:
+            yield from self.batch.film(self._open_renderer(), 0)
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -365,11 +360,11 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
             self._renderer.close()
             self._renderer = None
 
-    def _draw(self, state: GameState, trails: NDArray[np.float64] | None) -> NDArray[np.uint8] | None:
+    def _open_renderer(self) -> Renderer:
         if self._renderer is None:
             mode = self.render_mode or "rgb_array"
-            self._renderer = Renderer(self.game.track, *self.render_size, mode, view=self.view, fps=WINDOW_FPS)
-        return draw_game(self._renderer, self.batch, state, 0, trails)
+            self._renderer = Renderer(self.batch.track, *self.render_size, mode, view=self.view, fps=FILM_RATE)
+        return self._renderer
 
     # What the agents observe
 

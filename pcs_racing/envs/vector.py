@@ -119,7 +119,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
 
     def _use(self, batch: Batch) -> None:
         self.batch = batch
-        own = {"render_fps": batch.frame_rate, "codes": batch.codes, "autoreset_mode": self.autoreset_mode}
+        own = {"render_fps": self._frames_per_second(), "codes": batch.codes, "autoreset_mode": self.autoreset_mode}
         self.metadata = {**type(self).metadata, **own}
 
     def reset(
@@ -149,7 +149,8 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             if len(rows) < batch.episodes:
                 raise InputError("all environments share track and opponent; they can't be changed with a reset_mask")
             batch = self._make_batch({**self._arguments, **changes}, batch.episodes)
-        generators = self._renewed_generators(seed)
+        generators, seeds = self._renewed_generators(seed)
+        batch.forget(np.flatnonzero([one is not None for one in seeds]))
         batch.restart(rows, [generators[i] for i in rows], given)
         if batch is not self.batch:
             self.close_extras()
@@ -207,7 +208,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             self._restart(np.flatnonzero(self._over), observations)
             self._over[:] = False
         if self.render_mode == "human":
-            self.render()
+            self._show_step()
         return observations, rewards, terminated, truncated, self._infos() | final
 
     def outcome(self) -> list[dict[str, Any]]:
@@ -279,12 +280,15 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         self._check_started()
         return np.flatnonzero(given.reshape(-1, self.players).any(axis=1))
 
-    def _renewed_generators(self, seed: int | list[int | None] | None) -> list[np.random.Generator]:
+    def _renewed_generators(
+        self, seed: int | list[int | None] | None
+    ) -> tuple[list[np.random.Generator], list[int | None]]:
         seeds = split_seeds(seed, self.batch.episodes)
-        return [
+        generators = [
             seeding.np_random(one)[0] if not self._generators or one is not None else self._generators[i]
             for i, one in enumerate(seeds)
         ]
+        return generators, seeds
 
     def _restart(self, rows: NDArray[np.int64], observations: NDArray[np.float32]) -> None:
         self.batch.restart(rows, [self._generators[i] for i in rows])
