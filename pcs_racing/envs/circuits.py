@@ -73,7 +73,7 @@ class Circuits:
 
     def track(self, number: int) -> Track:
         """Return a circuit by its number."""
-        return self._listed[number] if self._builder is None else self._builder.get(number)
+        return self._listed[number] if self._builder is None else self._builder.get(int(number))
 
     def forget(self, rows: NDArray[np.int64]) -> None:
         """Let the circuits of some episodes begin anew, as their generators do."""

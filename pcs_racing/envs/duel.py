@@ -67,8 +67,9 @@ class DuelEnv(ScalarEnv):
     environment's generator; then the first step is driven. Should it end in a crash, the game is drawn again.
 
     ``reset(options=...)`` takes ``policies`` (two indices of the archive; -1 draws one), ``start`` (arc length of the
-    line in m, and side: 0 puts car 0 on the left or in front), ``opponent`` and ``track``, which replace the arguments
-    from then on, and ``state``, what ``get_state()`` returned. Others are refused.
+    line in m, and side: 0 puts car 0 on the left or in front), ``obstacles`` (boxes: x, y, heading, length and width in
+    m and rad, shape (K, 5)), ``opponent`` and ``track``, which replace the arguments from then on, and ``state``, what
+    ``get_state()`` returned. Others are refused.
 
     ## Episode End
 
@@ -112,6 +113,10 @@ class DuelEnv(ScalarEnv):
     randomize : Randomization, dict, str or Path, optional
         Ranges from which each episode draws friction, mass, steering delay and steering noise of its cars
         (:class:`pcs_racing.envs.randomization.Randomization`), such as ``{"friction": [0.7, 1.1]}``.
+    obstacles : Obstacles, int, dict, str or Path, optional
+        Boxes that stand on the track, drawn for each episode: how many, or their settings
+        (:class:`pcs_racing.envs.obstacles.Obstacles`).
+        A car that touches one has crashed as into a wall, and the lattice planner drives around.
     render_mode : {"rgb_array", "rgb_array_list", "human"}, optional
         With "rgb_array" a frame shows how a step ended; with "rgb_array_list" `render` returns all frames of the last
         step, 25 for each second of racing (:class:`pcs_racing.envs.video.RecordRaces` makes a video of them).
@@ -162,6 +167,7 @@ class DuelEnv(ScalarEnv):
         deterministic_opponent: bool = True,
         vehicle: Any = F1TENTH,
         randomize: Any = None,
+        obstacles: Any = None,
         render_mode: str | None = None,
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),
@@ -198,9 +204,9 @@ class DuelVectorEnv(BatchVectorEnv):
         Moves after which a game is truncated.
     threads : int, optional
         Threads that share a step, all cores by default; the result does not depend on it.
-    track, archive, opponent, race, deterministic_opponent, vehicle, randomize, render_mode, view, render_size
+    track, archive, opponent, race, deterministic_opponent, vehicle, randomize, obstacles, render_mode, view
         As for :class:`DuelEnv`; `render` returns a frame for each environment.
-    **settings
+    render_size, **settings
         As for :class:`DuelEnv`.
 
     Raises
@@ -232,6 +238,7 @@ class DuelVectorEnv(BatchVectorEnv):
         deterministic_opponent: bool = True,
         vehicle: Any = F1TENTH,
         randomize: Any = None,
+        obstacles: Any = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         threads: int | None = None,

@@ -15,6 +15,7 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.infos import Crash, Result, codes
+from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
 from pcs_racing.envs.reset_options import start_option
 from pcs_racing.envs.variety import Variety
@@ -31,6 +32,7 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.kernel import DT
 from pcs_racing.race.races import advance
 from pcs_racing.race.rendering import Renderer, half_sizes
+from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track
 
 __all__ = ["GameBatch"]
@@ -53,7 +55,7 @@ class GameBatch:
         Number of games.
     archive, race, **settings
         As in :func:`pcs_racing.game.rules.make_game`.
-    track, vehicle, randomize
+    track, vehicle, randomize, obstacles
         As in :class:`pcs_racing.envs.variety.Variety`.
     opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
         None where a second player moves car 1.
@@ -76,7 +78,7 @@ class GameBatch:
         Last move of each car; -1 before the first.
     """
 
-    reset_options: tuple[str, ...] = ("policies", "start")
+    reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
     frame_rate = 1
     film_rate: int | None = FILM_RATE
 
@@ -91,6 +93,7 @@ class GameBatch:
         deterministic_opponent: bool = True,
         vehicle: Any = F1TENTH,
         randomize: Any = None,
+        obstacles: Any = None,
         threads: int | None = None,
         players: int = 1,
         **settings: Any,
@@ -102,7 +105,7 @@ class GameBatch:
                 + ("name one, for instance 'random-moves'" if players == 1 else "both cars belong to players here")
             )
         self.episodes, self.players = int(episodes), players
-        self.variety = Variety(self.episodes, track, vehicle, randomize)
+        self.variety = Variety(self.episodes, track, vehicle, randomize, obstacles)
         if "lidar_noise" in self.variety.drawn:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
         self._opponent = opponent
@@ -187,12 +190,20 @@ class GameBatch:
     ) -> None:
         """Begin new games in some places, each drawn from its own generator.
 
-        Options: "policies", two indices of the archive for each game or for all (-1 draws one), and "start", arc length
-        of the line (m) and side (0 puts car 0 on the left or in front), for each game or for all.
+        Options: "policies", two indices of the archive for each game or for all (-1 draws one); "start", arc length of
+        the line (m) and side (0 puts car 0 on the left or in front); and "obstacles", boxes (x, y, heading, length,
+        width), for each game or for all.
         """
         starts = start_option(options, len(rows))
         policies = check_policies(self.game.archive, options.get("policies"), len(rows))
+        boxes = obstacles_option(options, len(rows))
         self.variety.draw(rows, generators)
+        if self.variety.obstacles is not None and starts is None:  # they must be known, to keep obstacles away
+            lines = [self.game_of(row).start_lines for row in rows]
+            drawn_lines = [line[gen.integers(len(line))] for line, gen in zip(lines, generators, strict=True)]
+            starts = Starts(np.array(drawn_lines), np.array([gen.integers(2) for gen in generators], np.int64))
+        places = np.zeros((len(rows), 2)) if starts is None else np.repeat(starts.s[:, None], 2, axis=1)
+        self.variety.place_obstacles(rows, places, generators, boxes)
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
         drivers: list[Policy | None] = []
         drawn = np.zeros(len(rows), np.int64)
@@ -344,8 +355,9 @@ class GameBatch:
         shown = take_games(self.before, [episode])
         race, theta = shown.race, take_games(state, [episode]).theta
         trail: list[NDArray[np.float64]] = []
-        while int(race.tick[0]) < int(state.race.tick[episode]):
-            advance(game.setup, race, theta, ticks or FILM_TICKS, threads=1, ittc=False, conditions=conditions)
+        while (left := int(state.race.tick[episode] - race.tick[0])) > 0:
+            drive = min(ticks or FILM_TICKS, left)
+            advance(game.setup, race, theta, drive, threads=1, ittc=False, conditions=conditions)
             trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
             yield self._draw(renderer, episode, shown, np.array(trail))
 

@@ -102,9 +102,9 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
     Start line, side, both policies and the steering noise (none in the preset `paper`) are drawn at random; then the
     first step is driven. Should it end in a crash, the game is drawn again. `reset(options=...)` takes `policies`
     (two indices of the archive; -1 draws one) and `start` (arc length of the line in m, and side: 0 puts `car_0` on
-    the left or in front). If both are given and the first step ends in a crash, the first call of `step` ends the
-    game. `track` and `opponent` replace the arguments from then on; `state` continues from what `get_state()`
-    returned. Other options are refused.
+    the left or in front), and `obstacles` (boxes: x, y, heading, length, width, in m and rad). If policies and start
+    are given and the first step ends in a crash, the first call of `step` ends the game. `track` and `opponent`
+    replace the arguments from then on; `state` continues from what `get_state()` returned. Other options are refused.
 
     ## Episode End
 
@@ -130,9 +130,11 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
     - `opponent` (`None`): what drives `car_1` in place of a second agent: as for `pcs_racing/Duel-v1`. Then `car_0` is
       the only agent.
     - `deterministic_opponent` (`True`): whether a model takes its best move.
-    - `vehicle` (`F1TENTH`): parameters of both cars, or a list of two: `VehicleParams`, a dict of those that differ, or a
-      YAML file.
+    - `vehicle` (`F1TENTH`): parameters of both cars, or a list of two: `VehicleParams`, a dict of those that differ, or
+      a YAML file.
     - `randomize` (`None`): ranges from which each game draws `friction`, `mass`, `steering_delay` and `steering_noise`.
+    - `obstacles` (`None`): boxes that stand on the track, drawn for each game: their number, or settings
+      (`pcs_racing.envs.obstacles.Obstacles`).
     - `render_mode` (`None`): `"rgb_array"`: `render()` returns a picture; `"human"`: every step is shown in a window.
     - `view` (`"both"`): `"track"`, `"both"`, `"car_0"` or `"car_1"`.
     - `render_size` (`(960, 640)`): width and height in pixels.
@@ -170,6 +172,7 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         deterministic_opponent: bool = True,
         vehicle: Any = F1TENTH,
         randomize: Any = None,
+        obstacles: Any = None,
         render_mode: str | None = None,
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),

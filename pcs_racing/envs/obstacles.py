@@ -54,14 +54,14 @@ class Obstacles(Settings):
     )
     apart: float = setting(5.0, number(0.0, 1000.0), "Distance between two boxes along the race line, m.")
 
-    def draw(self, track: Track, start: float, generator: np.random.Generator) -> NDArray[np.float64]:
+    def draw(self, track: Track, starts: Sequence[float], generator: np.random.Generator) -> NDArray[np.float64]:
         """Draw the boxes of an episode, shape (K, 5); an obstacle that finds no room is left out.
 
         Parameters
         ----------
         track : Track
-        start : float
-            Arc length near which the cars stand, m: from 3 m before it to 8 m after it no box is put.
+        starts : sequence of float
+            Arc lengths at which the cars stand, m: from 3 m before them to 8 m after them no box is put.
         generator : Generator
         """
         line, length = track.arrays.line, track.length
@@ -76,8 +76,8 @@ class Obstacles(Settings):
                 d = -sample[RIGHT] + across * (sample[LEFT] + sample[RIGHT])
                 free = max(sample[LEFT] - d, sample[RIGHT] + d) - reach
                 near = min((abs(_around(s - other, length)) for other in places), default=np.inf)
-                ahead = _around(s - start, length)
-                if free >= self.passage and near >= self.apart and not -BEFORE_START <= ahead <= AFTER_START:
+                away = all(not -BEFORE_START <= _around(s - start, length) <= AFTER_START for start in starts)
+                if free >= self.passage and near >= self.apart and away:
                     x, y, along = track.to_cartesian([s, d])
                     boxes.append([x, y, float(np.mod(along + heading, 2.0 * np.pi)), *sides])
                     places.append(s)

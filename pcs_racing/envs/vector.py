@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_whole
+from pcs_racing.base.checks import check_whole, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_reset_seed
 from pcs_racing.envs.infos import words
@@ -95,7 +95,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         check_rendering(render_mode, view)
         if max_episode_steps is not None:
             check_whole("max_episode_steps", max_episode_steps, 1)
-        episodes, rest = divmod(num_envs, players) if isinstance(num_envs, int | np.integer) else (num_envs, 0)
+        episodes, rest = divmod(num_envs, players) if is_whole(num_envs) else (num_envs, 0)
         if rest:
             raise InputError(f"num_envs is {num_envs}; it must be even: two environments belong to each game")
         self.autoreset_mode = check_autoreset_mode(autoreset_mode)
@@ -371,7 +371,7 @@ def split_seeds(seed: int | list[int | None] | None, episodes: int) -> list[int 
     """
     if seed is None:
         return [None] * episodes
-    if isinstance(seed, int | np.integer):
+    if is_whole(seed):
         first = check_reset_seed(seed) or 0
         return [first + i for i in range(episodes)]
     try:

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import is_flag
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.game.archive import PolicyArchive
@@ -504,7 +505,7 @@ def check_moves(
         If they have another shape or type, or one is not among those that there are; game and car are named.
     """
     given = as_array(moves)
-    if isinstance(moves, list | tuple) and any(isinstance(move, bool | np.bool_) for move in moves):
+    if isinstance(moves, list | tuple) and any(is_flag(move) for move in moves):
         given = given.astype(np.bool_)  # among whole numbers numpy would take them for 0 and 1
     by = f"{player}: " if player else ""
     known = f"from 0 to {len(names) - 1} ({', '.join(names)})"

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,7 +71,7 @@ class RaceConditions:
 def runs_of(values: Sequence[object]) -> list[tuple[int, int]]:
     """Where runs of the same object begin and end in a sequence."""
     edges = [0, *(i for i in range(1, len(values)) if values[i] is not values[i - 1]), len(values)]
-    return list(zip(edges[:-1], edges[1:], strict=True)) if values else []
+    return list(pairwise(edges)) if values else []
 
 
 def vehicle_rows(vehicles: tuple[VehicleParams, VehicleParams], races: int) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,7 +156,7 @@ def _drive_compiled(
     for track, first, last in runs:
         pieces = min(last - first, -(-4 * workers * (last - first) // races))
         edges = np.linspace(first, last, pieces + 1).astype(int)
-        parts += [(track.arrays, low, high) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+        parts += [(track.arrays, low, high) for low, high in pairwise(edges)]
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(part, *zip(*parts, strict=True)))
 

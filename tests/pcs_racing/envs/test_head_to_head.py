@@ -90,7 +90,7 @@ def test_seeds():
 def test_rendering(monkeypatch):
     pytest.importorskip("pygame", reason="the extra 'window' is not installed")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setattr(head_to_head, "WINDOW_FPS", 1000.0)
+    monkeypatch.setattr(head_to_head, "FILM_RATE", 1000)
     render_test(lambda **options: pcs_racing.env(**FAST, render_size=(160, 120), **options))
 
 
@@ -349,7 +349,7 @@ def test_frames_of_the_last_step(monkeypatch):
     before = env.render()
     env.step({"car_0": 0, "car_1": 1})
     frames = list(env.frames())
-    assert len(frames) == 5  # a second
+    assert len(frames) == env.metadata["render_fps"] == 25  # a second
     assert all(frame.shape == (80, 120, 3) and frame.dtype == np.uint8 for frame in frames)
     assert not np.array_equal(frames[0], before)
     state = env.batch.state.race
