@@ -67,7 +67,7 @@ def main() -> None:
 
 def liveliness(row: RaceRow) -> tuple[int, bool, float]:
     """What makes a race worth watching: overtakes, a finish, a close one."""
-    return row.ego_overtakes + row.opponent_overtakes, row.crash == "", -abs(row.lead)
+    return row.ego_overtakes + row.opponent_overtakes, row.crash == "none", -abs(row.lead)
 
 
 def parse(kind: type[Arguments]) -> Arguments:

@@ -165,7 +165,7 @@ class DriveEnv(ScalarEnv):
     obstacles : Obstacles, int, dict, str or Path, optional
         Boxes that stand on the track, drawn for each episode: how many, or their settings
         (:class:`pcs_racing.envs.obstacles.Obstacles`).
-        The lidar sees them, a car that touches one has crashed as into a wall, and the lattice planner drives around.
+        The lidar sees them, a car that touches one has crashed as into a wall, and the lattice planner avoids most.
     render_mode : {"rgb_array", "human"}, optional
     view : {"track", "both", "car_0", "car_1"}
         What a frame shows.

@@ -116,7 +116,7 @@ class DuelEnv(ScalarEnv):
     obstacles : Obstacles, int, dict, str or Path, optional
         Boxes that stand on the track, drawn for each episode: how many, or their settings
         (:class:`pcs_racing.envs.obstacles.Obstacles`).
-        A car that touches one has crashed as into a wall, and the lattice planner drives around.
+        A car that touches one has crashed as into a wall, and the lattice planner avoids most.
     render_mode : {"rgb_array", "rgb_array_list", "human"}, optional
         With "rgb_array" a frame shows how a step ended; with "rgb_array_list" `render` returns all frames of the last
         step, 25 for each second of racing (:class:`pcs_racing.envs.video.RecordRaces` makes a video of them).

@@ -58,6 +58,7 @@ class Variety:
         self.obstacles = load_obstacles(obstacles)
         self.boxes = [np.empty((0, len(BOX)))] * episodes
         self._tracks: list[Track | None] = [None] * episodes  # with obstacles on them
+        self._blocked = False  # whether there was an obstacle yet
 
     @property
     def codes(self) -> dict[str, Mapping[int, str]]:
@@ -91,6 +92,8 @@ class Variety:
         InputError
             If a given box is impossible.
         """
+        if given is None and self.obstacles is None and not self._blocked:
+            return
         for i, row in enumerate(rows):
             self._tracks[row], self.boxes[row] = None, np.empty((0, len(BOX)))
             if given is None and self.obstacles is None:
@@ -104,6 +107,7 @@ class Variety:
 
     def _stand(self, row: int, track: Track, boxes: NDArray[np.float64]) -> None:
         if len(boxes):
+            self._blocked = True
             self._tracks[row], self.boxes[row] = with_obstacles(track, boxes), np.array(boxes)
 
     def draw(self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> None:
@@ -122,7 +126,7 @@ class Variety:
         """Cars and tracks of some episodes, for a batch that holds these alone."""
         vehicles = np.ascontiguousarray(self.vehicles[rows]) if self.drawn else None
         tracks = None
-        if any(self._tracks[row] is not None for row in rows):
+        if self._blocked and any(self._tracks[row] is not None for row in rows):
             tracks = tuple(self.track(row) for row in rows)
         return AS_THE_SETUP if vehicles is None and tracks is None else RaceConditions(vehicles, tracks)
 
