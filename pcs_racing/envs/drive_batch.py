@@ -333,6 +333,16 @@ class DriveBatch:
                 out,
             )
 
+    def both_views(self) -> NDArray[np.float32]:
+        """What each car of every race observes, or would if it were driven by a player, shape (B, 2, n)."""
+        out = np.empty((2 * self.episodes, len(self.elements)), np.float32)
+        sight = self._sight._replace(players=2)
+        rows, buffers = self._rows, self._buffers[0][2:]
+        observe_races(
+            self.track.arrays, self.state, self.vehicles, sight, *self._writing, rows, 0, len(rows), *buffers, out
+        )
+        return out.reshape(self.episodes, 2, -1)
+
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return actions as float64 of shape (B, players, 2), or raise an error that says what is wrong, and where."""
         wanted = (*shape, 2)

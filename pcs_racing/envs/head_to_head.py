@@ -1,59 +1,27 @@
 """The environment at the level of strategy for two agents, in PettingZoo's parallel and turn-by-turn interfaces."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
-from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.base.checks import check_whole
-from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
-from pcs_racing.envs.batch import check_options, check_rendering, check_reset_seed
 from pcs_racing.envs.game_batch import FILM_RATE, GameBatch
-from pcs_racing.envs.infos import words
-from pcs_racing.envs.over_batch import REBUILDING, WINDOW_TICKS
+from pcs_racing.envs.parallel import AGENTS, ParallelBatchEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.rendering import Renderer
 
-__all__ = ["AGENTS", "HeadToHeadEnv", "HeadToHeadState", "env", "parallel_env"]
-
-AGENTS = ("car_0", "car_1")
-
-Observations = dict[str, NDArray[np.float32]]
-Infos = dict[str, dict[str, Any]]
+__all__ = ["AGENTS", "HeadToHeadEnv", "env", "parallel_env"]
 
 
-class HeadToHeadState(NamedTuple):
-    """A moment of a :class:`HeadToHeadEnv`: a value that can be kept, copied, pickled and restored.
-
-    Attributes
-    ----------
-    batch : tuple
-        State of the batch of one game.
-    cycles : int
-        Steps since the reset.
-    over : bool
-        Whether no episode goes on.
-    generator : dict or None
-        State of the generator that draws the next episode; None before the first reset.
-    """
-
-    batch: tuple[Any, ...]
-    cycles: int
-    over: bool
-    generator: Mapping[str, Any] | None
-
-
-class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
+class HeadToHeadEnv(ParallelBatchEnv):
     """Two cars race each other; their players change, move by move, how aggressive and how restrained they drive.
 
     ## Description
@@ -155,12 +123,14 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
     - v0: first version.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "name": "head_to_head_v1",
         "render_modes": ["human", "rgb_array"],
         "render_fps": FILM_RATE,
         "is_parallelizable": True,
     }
+    batch_type = GameBatch
+    batch: GameBatch
 
     def __init__(
         self,
@@ -179,126 +149,13 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         max_cycles: int | None = None,
         **settings: Any,
     ) -> None:
-        check_rendering(render_mode, view)
-        if max_cycles is not None:
-            check_whole("max_cycles", max_cycles, 1)
         arguments = batch_arguments(HeadToHeadEnv, locals(), GameConfig, settings)
-        arguments.pop("max_cycles")
-        self._arguments = arguments
-        self._use(self._make_batch(arguments))
-        self.render_mode, self.view, self.render_size = render_mode, view, render_size
-        self.max_cycles = max_cycles
-        self.possible_agents = list(AGENTS[: self.batch.players])
-        self.agents: list[str] = []
-        box, discrete = self.batch.observation_space, self.batch.action_space
-        self.observation_spaces: dict[str, spaces.Space[Any]] = {
-            name: spaces.Box(box.low, box.high) for name in self.possible_agents
-        }
-        self.action_spaces: dict[str, spaces.Space[Any]] = {
-            name: spaces.Discrete(int(discrete.n)) for name in self.possible_agents
-        }
-        self.state_space = spaces.Box(np.tile(box.low, 2), np.tile(box.high, 2))
-        self._generator: np.random.Generator | None = None
-        self._cycles = 0
-        self._renderer: Renderer | None = None
-
-    def _make_batch(self, arguments: dict[str, Any]) -> GameBatch:
-        return GameBatch(1, threads=1, players=2 if arguments["opponent"] is None else 1, **arguments)
-
-    def _use(self, batch: GameBatch) -> None:
-        self.batch = batch
-        self.metadata = {**type(self).metadata, "codes": batch.codes}  # type: ignore[misc]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Pickle and copy everything but the window."""
-        return {**self.__dict__, "_renderer": None}
+        super().__init__(arguments, render_mode, view, render_size, max_cycles)
 
     @property
     def game(self) -> RaceGame:
         """The rules."""
         return self.batch.game
-
-    def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Observation space of an agent; always the same object."""
-        return self.observation_spaces[self._known(agent)]
-
-    def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Action space of an agent; always the same object."""
-        return self.action_spaces[self._known(agent)]
-
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
-        """Begin a new game; with a seed, the one that belongs to it.
-
-        Raises
-        ------
-        InputError
-            If the seed or an option is impossible or unknown.
-        """
-        number = check_reset_seed(seed)
-        given = check_options(options, (*REBUILDING, "state", "options", *self.batch.reset_options))
-        given.pop("options", None)  # what the API tests of PettingZoo hand over to every environment
-        state = given.pop("state", None)
-        if state is not None:
-            if given or number is not None:
-                raise InputError("reset option 'state' was given with others or a seed; it leaves nothing to choose")
-            self.set_state(state)
-            return self._observations(), self._infos()
-        changes = {name: given.pop(name) for name in REBUILDING if name in given}
-        batch = self._make_batch({**self._arguments, **changes}) if changes else self.batch
-        if batch.players != len(self.possible_agents):
-            raise InputError("reset option 'opponent' needs an environment that was made with an opponent")
-        generator = self._generator
-        if number is not None or generator is None:
-            generator = np.random.default_rng(number)
-        row = np.zeros(1, np.int64)
-        if number is not None:
-            batch.forget(row)
-        batch.restart(row, [generator], given)
-        if changes:
-            self.close()
-            self._arguments = {**self._arguments, **changes}
-            self._use(batch)
-        self._generator, self._cycles = generator, 0
-        self.agents = list(self.possible_agents)
-        if self.render_mode == "human":
-            self.render()
-        return self._observations(), self._infos()
-
-    def step(
-        self, actions: Mapping[str, Any]
-    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        """Let both cars move, and drive a step.
-
-        Raises
-        ------
-        InputError
-            If there is no game going on, an action is missing, or it is no move.
-        """
-        self.batch.started()
-        if not self.agents:
-            raise InputError("the game is over; call reset() to begin a new one")
-        agents = self.possible_agents
-        if not isinstance(actions, Mapping) or any(agent not in actions for agent in agents):
-            raise InputError(f"actions are {actions!r}; they must hold a move for each of {', '.join(agents)}")
-        moves = [actions[agent] for agent in agents]
-        _, rewards, terminated, _ = self.batch.step(
-            self.batch.check_actions(moves, (len(agents),)), [self._generator or np.random.default_rng()]
-        )
-        self._cycles += 1
-        over = bool(terminated[0])
-        cut = not over and self.max_cycles is not None and self._cycles >= self.max_cycles
-        if over or cut:
-            self.agents = []
-        if self.render_mode == "human":
-            for _ in self.batch.film(self._open_renderer(), 0, WINDOW_TICKS):
-                pass  # shown by the renderer
-        return (
-            self._observations(),
-            {agent: float(reward) for agent, reward in zip(agents, rewards, strict=True)},
-            dict.fromkeys(agents, over),
-            dict.fromkeys(agents, cut),
-            self._infos(),
-        )
 
     def state(self) -> NDArray[np.float32]:
         """Observations of both cars, one after the other.
@@ -308,79 +165,13 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         InputError
             Before the first reset.
         """
-        self.batch.started()
+        self._check_started()
         return self.batch.seen[0].reshape(-1).copy()
-
-    def outcome(self) -> dict[str, dict[str, Any]]:
-        """Return the info of each agent at this moment in words, for people."""
-        return {agent: words(info, self.batch.codes) for agent, info in self._infos().items()}
-
-    # The environment as a value
-
-    def get_state(self) -> HeadToHeadState:
-        """Return everything that the future of this environment depends on, as an independent value."""
-        generator = None if self._generator is None else self._generator.bit_generator.state
-        return HeadToHeadState(self.batch.get_state(), self._cycles, not self.agents, generator)
-
-    def set_state(self, state: HeadToHeadState) -> None:
-        """Continue from a moment that :meth:`get_state` of an environment with the same arguments returned.
-
-        Raises
-        ------
-        InputError
-            If it is no such moment, or belongs to another kind of game.
-        """
-        if not isinstance(state, HeadToHeadState):
-            raise InputError(f"state is of type {type(state).__name__}; it must be what get_state() returned")
-        generator = None
-        if state.generator is not None:
-            generator = np.random.default_rng()
-            try:
-                generator.bit_generator.state = state.generator
-            except (TypeError, ValueError, KeyError) as error:
-                raise InputError(f"the state's random generator can't be restored: {error}") from None
-        self.batch.set_state(state.batch)
-        self._generator, self._cycles = generator, state.cycles
-        self.agents = [] if state.over else list(self.possible_agents)
-
-    # Pictures
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Draw this moment: an array (height, width, 3) of uint8; None where a window shows it or nothing is drawn."""
-        if self.render_mode is None:
-            return None
-        self.batch.started()
-        return self.batch.draw(self._open_renderer(), 0)
 
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:
         """Drive the last step again and draw 25 moments of each second: what `render` gives, for videos."""
         if self.render_mode is not None:
             yield from self.batch.film(self._open_renderer(), 0)
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-
-    def _open_renderer(self) -> Renderer:
-        if self._renderer is None:
-            mode = self.render_mode or "rgb_array"
-            self._renderer = Renderer(self.batch.track, *self.render_size, mode, view=self.view, fps=FILM_RATE)
-        return self._renderer
-
-    # What the agents observe
-
-    def _observations(self) -> Observations:
-        return {agent: self.batch.seen[0, car].copy() for car, agent in enumerate(self.possible_agents)}
-
-    def _infos(self) -> Infos:
-        return {agent: self.batch.info(car) for car, agent in enumerate(self.possible_agents)}
-
-    def _known(self, agent: str) -> str:
-        if agent not in self.possible_agents:
-            raise InputError(f"agent {agent!r} is unknown; the agents are {', '.join(self.possible_agents)}")
-        return agent
 
 
 def parallel_env(**arguments: Any) -> HeadToHeadEnv:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.envs.drive import DriveVectorEnv
+from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 
@@ -28,6 +29,7 @@ KINDS: dict[str, type[Any]] = {
     "duel": DuelVectorEnv,
     "drive": DriveVectorEnv,
     "self-play": SelfPlayVectorEnv,
+    "drive-self-play": DriveHeadToHeadVectorEnv,
     "pcs_racing/Duel-v1": DuelVectorEnv,
     "pcs_racing/Drive-v1": DriveVectorEnv,
 }
@@ -41,7 +43,8 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
     ----------
     kind : str
         "duel" or "pcs_racing/Duel-v1"; "drive" or "pcs_racing/Drive-v1"; "self-play": both cars of ``num_envs / 2``
-        games belong to the learner, whose policy plays against itself.
+        games belong to the learner, whose policy plays against itself; "drive-self-play": the same at the level of
+        steering and speed.
     num_envs : int
         Number of environments; even for self-play.
     **arguments
