@@ -33,6 +33,7 @@ from pcs_racing.race.kernel import DT
 from pcs_racing.race.races import advance
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import RaceState, take
 from pcs_racing.track.track import Track
 
 __all__ = ["GameBatch"]
@@ -242,7 +243,9 @@ class GameBatch:
     def step(self, actions: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> BatchStep:
         """Let both cars of every game move, and drive a step."""
         state = self.started()
-        moves = actions if self.players == 2 else np.stack([actions[:, 0], self._replies(state, generators)], axis=1)
+        moves = actions
+        if self.players == 1:
+            moves = np.stack([actions[:, 0], self._replies(state, generators, self.seen[:, 1])], axis=1)
         self.before, self.state = state, self._apply(state, moves)
         self.moves = moves
         self.seen = self.game.observation(self.state)
@@ -261,10 +264,19 @@ class GameBatch:
             put_games(new, rows, self._on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions))
         return new
 
-    def _replies(self, state: GameState, generators: Sequence[np.random.Generator]) -> NDArray[np.int64]:
+    def _replies(
+        self,
+        state: GameState,
+        generators: Sequence[np.random.Generator],
+        seen: NDArray[np.float32],
+        among: NDArray[np.int64] | None = None,
+    ) -> NDArray[np.int64]:
+        """Moves of the opponents, which observe ``seen``, in all games or among some."""
         replies = np.zeros(self.episodes, np.int64)
-        for circuit, on in self.variety.groups(np.arange(self.episodes)):
+        among = np.arange(self.episodes) if among is None else among
+        for circuit, some in self.variety.groups(among):
             game, opponents = self._on(circuit)
+            on = among[some]
             for k, opponent in enumerate(opponents):
                 rows = on[self.drawn[on] == k]
                 if len(rows) == 0 or opponent.policies:
@@ -275,7 +287,7 @@ class GameBatch:
                     state,
                     1,
                     rows=rows,
-                    observation=self.seen[:, 1],
+                    observation=seen,
                     memories=self.memories,
                     generators=generators,
                     deterministic=self._deterministic,
@@ -342,36 +354,44 @@ class GameBatch:
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw a game as it stands."""
-        return self._draw(renderer, environment // self.players, self.started(), None)
+        episode = environment // self.players
+        return self._draw(renderer, episode, self.started().race, episode, None)
 
     def film(
         self, renderer: Renderer, environment: int, ticks: int | None = None
     ) -> Iterator[NDArray[np.uint8] | None]:
         """Drive the last step of a game again and draw it, a frame every so many simulation steps (4)."""
-        state, episode = self.started(), environment // self.players
-        if self.before is None or int(self.before.race.tick[episode]) >= int(state.race.tick[episode]):
-            return  # a new game, of which no move was driven yet
+        episode = environment // self.players
         game, conditions = self.game_of(episode), self.variety.conditions(np.array([episode]))
-        shown = take_games(self.before, [episode])
-        race, theta = shown.race, take_games(state, [episode]).theta
         trail: list[NDArray[np.float64]] = []
-        while (left := int(state.race.tick[episode] - race.tick[0])) > 0:
-            drive = min(ticks or FILM_TICKS, left)
-            advance(game.setup, race, theta, drive, threads=1, ittc=False, conditions=conditions)
-            trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
-            yield self._draw(renderer, episode, shown, np.array(trail))
+        for begun, theta in self._pieces(episode):
+            race, left = begun.copy(), game.config.step_ticks
+            while left > 0:
+                drive, before = min(ticks or FILM_TICKS, left), int(race.tick[0])
+                advance(game.setup, race, theta, drive, threads=1, ittc=False, conditions=conditions)
+                if int(race.tick[0]) == before:
+                    break  # it is over
+                trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
+                yield self._draw(renderer, episode, race, 0, np.array(trail))
+                left -= drive
+
+    def _pieces(self, episode: int) -> list[tuple[RaceState, NDArray[np.float64]]]:
+        """Where the pieces of driving of an episode's last step began, and the parameters that drove them."""
+        state = self.started()
+        if self.before is None or int(self.before.race.tick[episode]) >= int(state.race.tick[episode]):
+            return []  # a new game, of which no move was driven yet
+        return [(take(self.before.race, [episode]), state.theta[episode : episode + 1].copy())]
 
     def _draw(
-        self, renderer: Renderer, episode: int, state: GameState, trails: NDArray[np.float64] | None
+        self, renderer: Renderer, episode: int, race: RaceState, at: int, trails: NDArray[np.float64] | None
     ) -> NDArray[np.uint8] | None:
-        """Draw an episode, at the only moment of a state of one game or at its own in a state of all."""
-        race, i = state.race, 0 if state.games == 1 else episode
+        """Draw a moment of an episode: race ``at`` of some races."""
         moves = " | ".join(f"car_{car}: {self.codes['move'][int(self.moves[episode, car])]}" for car in range(2))
         opponent = f" | against {self.opponents[self.drawn[episode]].name}" if self.opponents else ""
-        text = f"{race.tick[i] * DT:.1f} s | lead of car_0 {race.lead[i]:+.1f} m | {moves}{opponent}"
-        plans = [path[:, :2] for path in race.path[i] if path.any()]
+        text = f"{race.tick[at] * DT:.1f} s | lead of car_0 {race.lead[at]:+.1f} m | {moves}{opponent}"
+        plans = [path[:, :2] for path in race.path[at] if path.any()]
         renderer.show(self.variety.track(episode), half_sizes(self.variety.vehicles[episode]))
-        return renderer.render(race.cars[i], plans=plans if len(plans) == 2 else None, trails=trails, text=text)
+        return renderer.render(race.cars[at], plans=plans if len(plans) == 2 else None, trails=trails, text=text)
 
     def forget(self, rows: NDArray[np.int64]) -> None:
         """Let what lasts for several episodes begin anew, as the generators of some episodes do."""

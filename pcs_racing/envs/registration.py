@@ -8,11 +8,13 @@ __all__ = ["GYMNASIUM_IDS", "PETTINGZOO_IDS", "register_environments"]
 PETTINGZOO_IDS = {
     "pcs_racing/head_to_head-v1": "pcs_racing.envs.head_to_head",
     "pcs_racing/drive_head_to_head-v0": "pcs_racing.envs.drive_head_to_head",
+    "pcs_racing/head_to_head_match-v0": "pcs_racing.envs.head_to_head_match",
 }
 """The module with ``parallel_env`` and ``env``, by name."""
 
 GYMNASIUM_IDS = {
     "pcs_racing/Duel-v1": ("pcs_racing.envs.duel:DuelEnv", "pcs_racing.envs.duel:DuelVectorEnv"),
+    "pcs_racing/Match-v0": ("pcs_racing.envs.match:MatchEnv", "pcs_racing.envs.match:MatchVectorEnv"),
     "pcs_racing/Drive-v1": ("pcs_racing.envs.drive:DriveEnv", "pcs_racing.envs.drive:DriveVectorEnv"),
 }
 """Where the environment and its vector environment are, by name."""
