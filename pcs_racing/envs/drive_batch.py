@@ -278,6 +278,9 @@ class DriveBatch:
             at[some] = grid.frenet[places[some], :, 0]
             grids.append(grid)
         self.variety.place_obstacles(rows, at, generators, boxes)
+        if boxes is not None:
+            for (course, some), grid in zip(groups, grids, strict=True):
+                self._check_clear(course.setup, rows[some], take(grid, places[some]))
         for (course, some), grid in zip(groups, grids, strict=True):
             for row in rows[some]:
                 arrays = self.variety.track(int(row)).arrays
@@ -285,15 +288,12 @@ class DriveBatch:
                 self._scenes[row] = course.scene._replace(arrays=arrays) if own else course.scene
                 self._uniform &= not own
             restart(self.state, grid, rows[some], places[some], seeds[some])
-        if boxes is not None:
-            self._check_clear(rows)
         if self._moving is not None:
             self._moving.restart(rows, self.state, self.theta)
 
-    def _check_clear(self, rows: NDArray[np.int64]) -> None:
-        """Refuse obstacles that a car stands in."""
-        placed = take(self.state, rows)
-        settle(self.setup.track, self.setup.vehicles, placed, self.variety.conditions(rows))
+    def _check_clear(self, setup: RaceSetup, rows: NDArray[np.int64], placed: RaceState) -> None:
+        """Refuse obstacles that a car would stand in."""
+        settle(setup.track, setup.vehicles, placed, self.variety.conditions(rows))
         wrong = np.flatnonzero(placed.crash[:, 0] == WALL_CRASH if self.alone else placed.crashed)
         if len(wrong):
             raise InputError(f"episode {rows[wrong[0]]}: a car starts in one of the obstacles")

@@ -379,6 +379,19 @@ def test_impossible_obstacles_of_a_reset_are_refused(single, vector, usual, oval
         env.reset(seed=0, options={"obstacles": boxes})
 
 
+def test_a_car_never_starts_in_an_obstacle(oval):
+    """An impossible reset changes nothing that is driven."""
+    env = DriveEnv(oval, None, beams=3)
+    env.reset(seed=0)
+    env.step([0.1, 0.0])
+    before = env.batch.state.copy()
+    poses = [[0.0, -4.0, 0.0], [4.0, 4.0, 3.1]]
+    with pytest.raises(InputError, match="starts in one of the obstacles"):
+        env.reset(options={"poses": poses, "obstacles": [[0.2, -4.0, 0.0, 0.4, 0.4]]})
+    for mine, own in zip(env.batch.state, before, strict=True):
+        np.testing.assert_array_equal(mine, own)
+
+
 @pytest.mark.parametrize(
     "changes", [{"shortest": 70.0, "longest": 60.0}, {"style": "square"}, {"episodes": 0}, {"width": 1.0}]
 )
