@@ -196,10 +196,10 @@ def test_the_next_circuit_is_built_while_this_one_is_driven(ovals):
 
 
 def test_a_random_circuit_can_be_raced_on():
-    settings = RandomCircuits(shortest=50.0, longest=70.0)
+    settings = RandomCircuits(style="hull")
     track = random_circuit(settings, 3)
     assert track.content_hash == random_circuit(settings, 3).content_hash
-    assert 40.0 < track.length < 75.0
+    assert 50.0 < track.length < 125.0
     assert set(track.calibration) == {"paper", "contest"}
     env = DuelEnv(track, "default", step_seconds=1.0, moves=1)
     for seed in range(3):
