@@ -5,7 +5,8 @@
 Everything is measured in one run, the variants in turn for several rounds, and the best round of each counts. Times
 are the thread's own, so other work on the machine disturbs little. All on one thread. "Control level" steps last 0.02
 s, the period at which planners steer; the cars roll straight on at 1 m/s, and begin anew when they crash. "Both cars"
-adds a scan for the opponent to that of the agent. SuperSuit's path is measured where it is installed.
+adds a scan for the opponent to that of the agent. In "two agents" both cars are steered, and steps are counted for each
+car: what a learner gets. SuperSuit's path is measured where it is installed.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import numpy as np
 
 from pcs_racing import Lidar
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 
 ROUNDS = 5
@@ -38,6 +40,20 @@ def drive_batch(track: str, envs: int, both: bool = False, **arguments) -> Work:
             if lidar is not None:
                 cars = env.batch.state.cars
                 lidar.scan(cars[:, 1][:, [0, 1, 4]], cars[:, 0][:, [0, 1, 4]])
+
+    return work, STEPS * envs
+
+
+def pair_batch(track: str, envs: int, **arguments) -> Work:
+    """Steps of a batch whose cars are all steered by agents, counted for each car."""
+    env = DriveHeadToHeadVectorEnv(envs, track=track, time_step=0.02, threads=1, **arguments)
+    env.reset(seed=0)
+    actions = np.tile(np.array([0.0, -0.75], np.float32), (envs, 1))
+
+    def work() -> None:
+        env.reset()
+        for _ in range(STEPS):
+            env.step(actions)
 
     return work, STEPS * envs
 
@@ -124,6 +140,9 @@ def main() -> None:
         "drive, batch, pure pursuit, 108 beams": drive_batch(track, envs, opponent="pure-pursuit", beams=108),
         "drive, batch, pure pursuit, 1080 beams": drive_batch(track, envs, opponent="pure-pursuit", beams=1080),
         "drive, batch, both cars 1080 beams": drive_batch(track, envs, both=True, opponent="pure-pursuit", beams=1080),
+        "two agents, batch": pair_batch(track, envs),
+        "two agents, batch, 108 beams": pair_batch(track, envs, beams=108),
+        "two agents, batch, 1080 beams": pair_batch(track, envs, beams=1080),
         "drive, scalar, pure pursuit": drive_scalar(track, opponent="pure-pursuit"),
         "drive, scalar, compiled call alone": drive_scalar(track, inner=True, opponent="pure-pursuit"),
         "drive, scalar, 1080 beams": drive_scalar(track, opponent="pure-pursuit", beams=1080),

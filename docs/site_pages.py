@@ -16,11 +16,17 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 ENVIRONMENTS = {
     "head_to_head": ("pcs_racing.envs.head_to_head", "HeadToHeadEnv", "Head to head: two agents"),
+    "drive_head_to_head": (
+        "pcs_racing.envs.drive_head_to_head",
+        "DriveHeadToHeadEnv",
+        "Drive head to head: two agents steer",
+    ),
     "duel": ("pcs_racing.envs.duel", "DuelEnv", "Duel: one agent's moves"),
     "drive": ("pcs_racing.envs.drive", "DriveEnv", "Drive: steering and speed"),
 }
 NAMES = {
     "head_to_head": '`pettingzoo.make("parallel", "pcs_racing/head_to_head-v1")`, or `"aec"`',
+    "drive_head_to_head": '`pettingzoo.make("parallel", "pcs_racing/drive_head_to_head-v0")`, or `"aec"`',
     "duel": '`gym.make("pcs_racing/Duel-v1")`',
     "drive": '`gym.make("pcs_racing/Drive-v1")`',
 }

@@ -107,6 +107,8 @@ MODULES = {
         duel: ; duel
         scalar vector over_batch reset_options: ; vector
         head_to_head: ; head_to_head
+        drive_head_to_head: ; drive_head_to_head
+        parallel: ; head_to_head drive_head_to_head
         """,
     ),
     **_modules(

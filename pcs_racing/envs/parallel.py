@@ -11,7 +11,7 @@ from pettingzoo import ParallelEnv
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.batch import Batch, BatchStep, check_options, check_rendering, check_reset_seed
+from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_reset_seed
 from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import REBUILDING, OverBatch
 
@@ -167,7 +167,7 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
         if not isinstance(actions, Mapping) or any(agent not in actions for agent in agents):
             raise InputError(f"actions are {actions!r}; they must hold an action for each of {', '.join(agents)}")
         checked = self.batch.check_actions([actions[agent] for agent in agents], (len(agents),))
-        done = self._drive(checked)
+        done = self.batch.step(checked, [self._generator or np.random.default_rng()])
         self._cycles += 1
         over = bool(done.terminated[0])
         late = self.max_cycles is not None and self._cycles >= self.max_cycles
@@ -237,12 +237,6 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
     def close(self) -> None:
         """Close the window, if there is one."""
         self._close_renderer()
-
-    # What subclasses change
-
-    def _drive(self, actions: NDArray[Any]) -> BatchStep:
-        """Make a step with checked actions."""
-        return self.batch.step(actions, [self._generator or np.random.default_rng()])
 
     # What the agents observe
 

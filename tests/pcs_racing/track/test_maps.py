@@ -321,7 +321,10 @@ def calibration(speeds: str = "[0.5, 1.0]", spacing: str = "0.45", places: str =
         (calibration(speeds="[1.0]"), r"speed_range in the calibration of contest must be \[low, high\]"),
         (calibration(speeds="[0.0, 1.0]"), "0 < low < high"),
         (calibration(speeds="[.nan, 1.0]"), "must be a number from 0 to 10"),
-        (calibration(spacing="-1.0"), "start_spacing in the calibration of contest is -1.0; it must be a number from 0 to 10"),
+        (
+            calibration(spacing="-1.0"),
+            "start_spacing in the calibration of contest is -1.0; it must be a number from 0 to 10",
+        ),
         (calibration(places="[]"), "must list stretches for each side"),
         (calibration(places="{front: []}"), r"start_places front .* must list \[first, last\]"),
         (calibration(places="{front: [[5.0, 1.0]]}"), "must be .* one after the other"),
