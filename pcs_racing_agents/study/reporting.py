@@ -121,7 +121,7 @@ def _findings(table: StudyTable) -> Iterator[str]:
         results = [difference.result for row in table.rows for difference in row.differences if difference.arm == arm]
         yield verdict_text(arm, table.base, results)
     gains = [row.gain.result for row in table.rows if row.gain is not None]
-    if gains:
+    if gains and table.best is not None:
         yield f"What looking at the race brings: {verdict_text(table.best, f'{table.blind}, which never looks', gains)}"
 
 
