@@ -318,13 +318,23 @@ class DriveBatch:
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
         """Write the observations of the players of some races into their rows of ``out``, shape (B * players, n)."""
+        self._see(rows, self.players, out)
+
+    def both_views(self) -> NDArray[np.float32]:
+        """What each car of every race observes, or would if it were driven by a player, shape (B, 2, n)."""
+        out = np.empty((2 * self.episodes, len(self.elements)), np.float32)
+        self._see(self._rows, 2, out)
+        return out.reshape(self.episodes, 2, -1)
+
+    def _see(self, rows: NDArray[np.int64], players: int, out: NDArray[np.float32]) -> None:
         scenes = [self._scenes[row] for row in rows]
         for first, last in runs_of(scenes):
+            scene = scenes[first]
             observe_races(
-                scenes[first].arrays,
+                scene.arrays,
                 self.state,
                 self.vehicles,
-                scenes[first].sight,
+                scene.sight._replace(players=players),
                 *self._writing,
                 rows,
                 first,
@@ -332,16 +342,6 @@ class DriveBatch:
                 *self._buffers[0][2:],
                 out,
             )
-
-    def both_views(self) -> NDArray[np.float32]:
-        """What each car of every race observes, or would if it were driven by a player, shape (B, 2, n)."""
-        out = np.empty((2 * self.episodes, len(self.elements)), np.float32)
-        sight = self._sight._replace(players=2)
-        rows, buffers = self._rows, self._buffers[0][2:]
-        observe_races(
-            self.track.arrays, self.state, self.vehicles, sight, *self._writing, rows, 0, len(rows), *buffers, out
-        )
-        return out.reshape(self.episodes, 2, -1)
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return actions as float64 of shape (B, players, 2), or raise an error that says what is wrong, and where."""
