@@ -361,7 +361,7 @@ def check_autoreset_mode(mode: Any) -> AutoresetMode:
     raise InputError(f"autoreset_mode is {mode!r}; it must be one of {names}")
 
 
-def split_seeds(seed: int | list[int | None] | None, episodes: int) -> list[int | None]:
+def split_seeds(seed: Any, episodes: int) -> list[int | None]:
     """One seed for each episode, as Gymnasium's own vector environments split them: i more for episode i.
 
     Raises
