@@ -51,7 +51,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="where the archive is written")
     parser.add_argument("--track", nargs="+", default=["Brackwater", "Pipkin"], help="circuits that choose")
-    parser.add_argument("--preset", default="contest")
+    parser.add_argument("--race", default="contest")
     parser.add_argument("--draws", type=int, default=96, help="policies that are drawn")
     parser.add_argument("--intervals", type=int, default=14, help="intervals of speed, a policy from each")
     parser.add_argument("--races", type=int, default=16, help="races against each rival on each circuit, even")

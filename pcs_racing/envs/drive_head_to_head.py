@@ -16,7 +16,6 @@ from pcs_racing.envs.parallel import AGENTS, ParallelBatchEnv, ParallelState
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.rendering import MODES
-from pcs_racing.track.track import Track
 
 __all__ = ["AGENTS", "DriveHeadToHeadEnv", "DriveHeadToHeadVectorEnv", "env", "parallel_env"]
 
@@ -67,8 +66,9 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
 
     Start line, side and the key of the race's noise are drawn from the generator. `reset(options=...)` takes `start`
     (arc length of the line in m, and side: 0 puts `car_0` on the left or in front) or `poses` (x, y, heading and
-    optionally speed of both cars). `track` and `opponent` replace the arguments from then on; `state` continues from
-    what `get_state()` returned. Other options are refused.
+    optionally speed of both cars), and `obstacles` (boxes: x, y, heading, length, width, in m and rad). `track`
+    and `opponent` replace the arguments from then on; `state` continues from what `get_state()` returned. Other options
+    are refused.
 
     ## Episode End
 
@@ -80,12 +80,14 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
 
     `info` of each agent holds numbers: `time` (s), `progress` and `lead` (own, m), `crash` and `opponent_crash`
     (`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), `fault` (1 if it is to blame), `overtakes`, `result`
-    (`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that pays nobody) and `opponent` (-1:
-    the other agent). `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
+    (`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that pays nobody), `opponent` (-1: the
+    other agent), `laps`, `lap_time`, `best_lap` and what was drawn for the episode, as in `DriveEnv`.
+    `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
 
     ## Arguments
 
-    - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`.
+    - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`; a list of these, of which one is drawn for
+      each episode; or `"random"`: a newly generated circuit for each episode.
     - `race` (`"paper"`): rules of the race: `"paper"`, `"contest"`, a YAML file or a `RaceConfig`.
     - `opponent` (`None`): what drives `car_1` in place of a second agent, as for `pcs_racing/Drive-v1`. Then `car_0` is
       the only agent.
@@ -125,7 +127,7 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
 
     def __init__(
         self,
-        track: str | Path | Track = "Tarnfjord",
+        track: Any = "Tarnfjord",
         race: str | Path | RaceConfig = "paper",
         *,
         opponent: Any = None,

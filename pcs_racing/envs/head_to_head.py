@@ -9,23 +9,16 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
-from pcs_racing.envs.game_batch import GameBatch, draw_game
-from pcs_racing.envs.parallel import AGENTS, Infos, Observations, ParallelBatchEnv, ParallelState
+from pcs_racing.envs.game_batch import FILM_RATE, GameBatch
+from pcs_racing.envs.parallel import AGENTS, ParallelBatchEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.game.state import GameState
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.races import advance
-from pcs_racing.race.state import RaceState
-from pcs_racing.track.track import Track
 
 __all__ = ["AGENTS", "HeadToHeadEnv", "env", "parallel_env"]
-
-FRAME_TICKS = 20  # simulation steps between two frames of a window
-WINDOW_FPS = 20.0  # so that a window shows four seconds of racing per second
-TRAIL = 10  # frames of trail behind each car
 
 
 class HeadToHeadEnv(ParallelBatchEnv):
@@ -77,9 +70,9 @@ class HeadToHeadEnv(ParallelBatchEnv):
     Start line, side, both policies and the steering noise (none in the preset `paper`) are drawn at random; then the
     first step is driven. Should it end in a crash, the game is drawn again. `reset(options=...)` takes `policies`
     (two indices of the archive; -1 draws one) and `start` (arc length of the line in m, and side: 0 puts `car_0` on
-    the left or in front). If both are given and the first step ends in a crash, the first call of `step` ends the
-    game. `track` and `opponent` replace the arguments from then on; `state` continues from what `get_state()`
-    returned. Other options are refused.
+    the left or in front), and `obstacles` (boxes: x, y, heading, length, width, in m and rad). If policies and start
+    are given and the first step ends in a crash, the first call of `step` ends the game. `track` and `opponent`
+    replace the arguments from then on; `state` continues from what `get_state()` returned. Other options are refused.
 
     ## Episode End
 
@@ -91,17 +84,25 @@ class HeadToHeadEnv(ParallelBatchEnv):
     `info` of each agent holds numbers: `time` (s), `progress` and `lead` (own, m), `crash` and `opponent_crash`
     (`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), `fault` (1 if it is to blame), `overtakes`, `result`
     (`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that pays nobody), `opponent` (-1: the
-    other agent), `move` and `opponent_move` (-1 before the first), `policy` (index in the archive) and `action_mask`.
+    other agent), `move` and `opponent_move` (-1 before the first), `policy` (index in the archive), `action_mask`,
+    `laps` (complete ones, from one crossing of the line s = 0 to the next), `lap_time` and `best_lap` (s, of the last
+    and the shortest of them; -1 if there is none), and where games differ in it, `track` and what `randomize` drew.
     `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
 
     ## Arguments
 
-    - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`.
+    - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`; a list of these, of which one is drawn for
+      each game; or `"random"`: a newly generated circuit for each game.
     - `archive` (`"default"`): an archive's name, its folder, or a `PolicyArchive`.
     - `race` (`"paper"`): rules of the race: `"paper"`, `"contest"`, a YAML file, a `RaceConfig`; or a `GameConfig`.
     - `opponent` (`None`): what drives `car_1` in place of a second agent: as for `pcs_racing/Duel-v1`. Then `car_0` is
       the only agent.
     - `deterministic_opponent` (`True`): whether a model takes its best move.
+    - `vehicle` (`F1TENTH`): parameters of both cars, or a list of two: `VehicleParams`, a dict of those that differ, or
+      a YAML file.
+    - `randomize` (`None`): ranges from which each game draws `friction`, `mass`, `steering_delay` and `steering_noise`.
+    - `obstacles` (`None`): boxes that stand on the track, drawn for each game: their number, or settings
+      (`pcs_racing.envs.obstacles.Obstacles`).
     - `render_mode` (`None`): `"rgb_array"`: `render()` returns a picture; `"human"`: every step is shown in a window.
     - `view` (`"both"`): `"track"`, `"both"`, `"car_0"` or `"car_1"`.
     - `render_size` (`(960, 640)`): width and height in pixels.
@@ -125,7 +126,7 @@ class HeadToHeadEnv(ParallelBatchEnv):
     metadata: dict[str, Any] = {  # noqa: RUF012
         "name": "head_to_head_v1",
         "render_modes": ["human", "rgb_array"],
-        "render_fps": WINDOW_FPS,
+        "render_fps": FILM_RATE,
         "is_parallelizable": True,
     }
     batch_type = GameBatch
@@ -133,12 +134,15 @@ class HeadToHeadEnv(ParallelBatchEnv):
 
     def __init__(
         self,
-        track: Track | str | Path = "Tarnfjord",
+        track: Any = "Tarnfjord",
         archive: PolicyArchive | str | Path = "default",
         race: GameConfig | RaceConfig | str | Path = "paper",
         *,
         opponent: Any = None,
         deterministic_opponent: bool = True,
+        vehicle: Any = F1TENTH,
+        randomize: Any = None,
+        obstacles: Any = None,
         render_mode: str | None = None,
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),
@@ -146,47 +150,12 @@ class HeadToHeadEnv(ParallelBatchEnv):
         **settings: Any,
     ) -> None:
         arguments = batch_arguments(HeadToHeadEnv, locals(), GameConfig, settings)
-        self._set_up(arguments, render_mode, view, render_size, max_cycles)
-
-    def _set_up(
-        self,
-        arguments: dict[str, Any],
-        render_mode: str | None,
-        view: str,
-        render_size: tuple[int, int],
-        max_cycles: int | None,
-    ) -> None:
-        """Make the batch and the spaces."""
         super().__init__(arguments, render_mode, view, render_size, max_cycles)
-        self._before: GameState | None = None  # what the last step began with: frames are driven again from it
 
     @property
     def game(self) -> RaceGame:
         """The rules."""
         return self.batch.game
-
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
-        """Begin a new game; with a seed, the one that belongs to it.
-
-        Raises
-        ------
-        InputError
-            If the seed or an option is impossible or unknown.
-        """
-        answer = super().reset(seed, options)
-        self._before = None
-        return answer
-
-    def set_state(self, state: ParallelState) -> None:
-        """Continue from a moment that :meth:`get_state` of an environment with the same arguments returned.
-
-        Raises
-        ------
-        InputError
-            If it is no such moment, or belongs to another kind of game.
-        """
-        super().set_state(state)
-        self._before = None
 
     def state(self) -> NDArray[np.float32]:
         """Observations of both cars, one after the other.
@@ -200,32 +169,9 @@ class HeadToHeadEnv(ParallelBatchEnv):
         return self.batch.seen[0].reshape(-1).copy()
 
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:
-        """Drive the last step again and draw five moments of each second: what `render` gives, for videos."""
-        if self.render_mode is None or self._before is None:
-            return
-        renderer = self._open_renderer()
-        trail: list[NDArray[np.float64]] = []
-        for begun, theta in self._pieces():
-            race = begun.copy()
-            state = self.batch.started()._replace(race=race)
-            for _ in range(0, self.game.config.step_ticks, FRAME_TICKS):
-                before = int(race.tick[0])
-                advance(self.game.setup, race, theta, FRAME_TICKS, threads=1)
-                if int(race.tick[0]) == before:
-                    break
-                trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
-                yield draw_game(renderer, self.batch, state, 0, np.array(trail))
-
-    def _pieces(self) -> list[tuple[RaceState, NDArray[np.float64]]]:
-        """Where the pieces of driving of the last step began, and the parameters that drove them."""
-        return [] if self._before is None else [(self._before.race, self.batch.started().theta)]
-
-    def _begin_step(self) -> None:
-        self._before = self.batch.started()
-
-    def _show(self) -> None:
-        for frame in self.frames():
-            del frame  # shown by the renderer
+        """Drive the last step again and draw 25 moments of each second: what `render` gives, for videos."""
+        if self.render_mode is not None:
+            yield from self.batch.film(self._open_renderer(), 0)
 
 
 def parallel_env(**arguments: Any) -> HeadToHeadEnv:

@@ -136,7 +136,10 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
         generator = self._generator
         if number is not None or generator is None:
             generator = np.random.default_rng(number)
-        batch.restart(np.zeros(1, np.int64), [generator], given)
+        row = np.zeros(1, np.int64)
+        if number is not None:
+            batch.forget(row)
+        batch.restart(row, [generator], given)
         if changes:
             self.close()
             self._arguments = {**self._arguments, **changes}
@@ -164,7 +167,6 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
         if not isinstance(actions, Mapping) or any(agent not in actions for agent in agents):
             raise InputError(f"actions are {actions!r}; they must hold an action for each of {', '.join(agents)}")
         checked = self.batch.check_actions([actions[agent] for agent in agents], (len(agents),))
-        self._begin_step()
         done = self.batch.step(checked, [self._generator or np.random.default_rng()])
         self._cycles += 1
         over = bool(done.terminated[0])
@@ -173,7 +175,7 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
         if over or cut:
             self.agents = []
         if self.render_mode == "human":
-            self._show()
+            self._show_step()
         return (
             {agent: done.observations[car].copy() for car, agent in enumerate(agents)},
             {agent: float(reward) for agent, reward in zip(agents, done.rewards, strict=True)},
@@ -235,15 +237,6 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
     def close(self) -> None:
         """Close the window, if there is one."""
         self._close_renderer()
-
-    # What subclasses change
-
-    def _begin_step(self) -> None:
-        """Do what is to be done before a step with checked actions."""
-
-    def _show(self) -> None:
-        """Show the step that was made in the window."""
-        self.render()
 
     # What the agents observe
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.artifacts import ManifestFormat
-from pcs_racing.base.checks import check_text, check_whole
+from pcs_racing.base.checks import check_text, check_whole, is_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing_agents.agents.setting import Setting
@@ -62,7 +62,8 @@ class Fit:
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise UnknownNameError(f"fit of {self.kind!r} is unknown; there are fits of {', '.join(KINDS)}")
-        if not isinstance(self.choice, KINDS[self.kind]) or isinstance(self.choice, bool):
+        index = KINDS[self.kind] is int
+        if not (is_whole(self.choice) if index else isinstance(self.choice, KINDS[self.kind])):
             raise InputError(f"the choice of {self.kind} is {self.choice!r}; it must be {_wanted(self.kind)}")
         if not isinstance(self.game, GameIdentity):
             raise InputError(f"game is {self.game!r}; it must be a GameIdentity")

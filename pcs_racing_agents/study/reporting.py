@@ -132,7 +132,7 @@ def _curves(study: Study) -> dict[str, list[Curve]]:
     return {name: read_curves(file) for name, file in files.items() if file.is_file()}
 
 
-REWARDS = {"worth": "worth of a race", "won": "races won", "at_fault": "crashes by own fault"}
+REWARDS = {"worth": "worth of a race", "won": "races won", "fault": "crashes by own fault"}
 
 
 def _reward_curves(study: Study) -> dict[str, list[Curve]]:

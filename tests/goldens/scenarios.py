@@ -241,8 +241,8 @@ _BY_NAME: dict[str, Callable[[str], Values]] = {
     "Duel": duel,
     "Match": match,
     "head_to_head": head_to_head,
-    "head_to_head_match": head_to_head_match,
     "drive_head_to_head": drive_head_to_head,
+    "head_to_head_match": head_to_head_match,
 }
 
 

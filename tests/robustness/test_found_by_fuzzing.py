@@ -82,7 +82,7 @@ def test_a_level_that_is_a_list(tmp_path):
 
 @pytest.mark.parametrize("number", ["nan", "inf", "1e300"])
 def test_tables_with_numbers_that_are_none(tmp_path, number):
-    races = dict.fromkeys(NEEDED, "0") | {"winner": "ego", "crash": "", "fault": "", "start_s": number}
+    races = dict.fromkeys(NEEDED, "0") | {"winner": "ego", "crash": "none", "fault": "none", "start_s": number}
     (tmp_path / "results.csv").write_text(",".join(races) + "\n" + ",".join(races.values()) + "\n")
     with pytest.raises(InputError):
         read_results(tmp_path / "results.csv")

@@ -51,7 +51,7 @@ def content(archive, watched) -> ReportContent:
             ("a", NASTY),
             race_table(
                 RaceRow(ego="a", opponent=NASTY, winner=winner, start_s=start)
-                for winner, start in (("ego", 1.0), ("ego", 1.0), ("", 2.0), ("opponent", 2.0))
+                for winner, start in (("ego", 1.0), ("ego", 1.0), ("none", 2.0), ("opponent", 2.0))
             ),
         ),
         situations=[
