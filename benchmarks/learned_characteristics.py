@@ -46,7 +46,7 @@ SETS = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder of the races; a stopped run goes on")
-    parser.add_argument("--preset", default="contest")
+    parser.add_argument("--race", default="contest")
     parser.add_argument("--archive", default="contest")
     parser.add_argument("--size", type=int, default=24, help="policies of a fresh pool")
     parser.add_argument("--races", type=int, default=16, help="races of each pair of the pool on each circuit")
@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--pieces", type=int, default=LearnSettings().pieces, help="pieces of a row of the regression")
     add_executor_options(parser)
     arguments = parser.parse_args()
-    config, planner = load_race_config(arguments.preset), get_planner("lattice")
+    config, planner = load_race_config(arguments.race), get_planner("lattice")
     settings = LearnSettings(pieces=arguments.pieces)
     stated = {"race": repr(config), "size": arguments.size, "races": arguments.races, "seeds": list(arguments.seeds)}
     archive = load_archive(arguments.archive)

@@ -43,7 +43,7 @@ def add(commands: Commands) -> None:
         commands,
         "characteristics",
         "learn characteristics from races, show them, and put an archive on their axes",
-        "pcs-racing characteristics learn --track Brackwater Pipkin --preset contest --out out/learned",
+        "pcs-racing characteristics learn --track Brackwater Pipkin --race contest --out out/learned",
         "pcs-racing characteristics apply --archive contest --learned out/learned/characteristics.yaml --out out/mine",
     )
     actions: Commands = group.add_subparsers(title="commands", metavar="COMMAND", required=True)
@@ -57,8 +57,8 @@ def _add_learn(actions: Commands) -> None:
         actions,
         "learn",
         "race all pairs of a pool, and learn axes that tell rating and cyclic plane from 8 s of driving",
-        "pcs-racing characteristics learn --track Brackwater Pipkin --preset contest --out out/learned",
-        "pcs-racing characteristics learn --archive contest --size 24 --preset contest --out out/mine",
+        "pcs-racing characteristics learn --track Brackwater Pipkin --race contest --out out/learned",
+        "pcs-racing characteristics learn --archive contest --size 24 --race contest --out out/mine",
     )
     add_tracks(parser)
     parser.add_argument("--planner", default="lattice", help="planner of a pool that is drawn (default: lattice)")
@@ -189,7 +189,7 @@ def _add_apply(actions: Commands) -> None:
         "--axes", nargs="+", metavar="NAME", help="axes of the new archive, learned or not (default: all learned ones)"
     )
     parser.add_argument("--name", help="name of the new archive (default: that of its folder)")
-    parser.add_argument("--preset", help="rules of the races (default: the archive's)")
+    parser.add_argument("--race", help="rules of the races (default: the archive's)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of starts and noise (default: 0)")
     add_setting_options(parser, ApplySettings, "opponents", "starts", "explored_opponents")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the new archive")
@@ -207,7 +207,7 @@ def run_apply(arguments: argparse.Namespace) -> None:
     if learned is None and not arguments.axes:
         raise InputError("there is nothing to change; give --learned, --axes or both")
     tracks: tuple[Track, ...] = tuple(load_track(name) for name in arguments.track)
-    config = load_race_config(arguments.preset or archive.preset)
+    config = load_race_config(arguments.race or archive.preset)
     axes = check_names("axes", arguments.axes or list(learned.names if learned is not None else ()))
     get_characteristics(axes)
     stated = {

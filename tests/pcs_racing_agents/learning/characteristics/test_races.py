@@ -96,7 +96,7 @@ def test_axes_are_needed():
 
 def test_learn_show_and_apply(tmp_path, capsys):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")
-    out, rules = tmp_path / "learned", ["--track", "Tarnfjord", "--preset", "contest", "--duration", "8"]
+    out, rules = tmp_path / "learned", ["--track", "Tarnfjord", "--race", "contest", "--duration", "8"]
     pool = ["--policies", *(f"lattice:pace={pace}" for pace in (0.1, 0.4, 0.7, 1.0)), "--races", "32"]
     few = ["--inputs", "speed", "restraint", "--opponents", "4", "--starts", "2", "--folds", "2", "--name", "mine"]
     assert main(["characteristics", "learn", *pool, *rules, *few, "--out", str(out)]) == 0
