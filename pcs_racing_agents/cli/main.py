@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli import (
     agents,
+    benchmark,
     compilation,
     explain,
     export,
@@ -95,6 +96,7 @@ def _parser() -> argparse.ArgumentParser:
         policies,
         synthesize,
         headroom,
+        benchmark,
         match,
         play,
         tree,
