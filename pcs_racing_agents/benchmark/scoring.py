@@ -50,8 +50,8 @@ class Score(NamedTuple):
         ``"seen"``, ``"unseen"``, ``"all"``, or a circuit.
     races : int
     score, low, high : float
-        Mean score (1 win, 0.5 tie, 0 else), and its 95 % interval, robust to clusters of start policies, opponents and
-        circuits.
+        Mean score (1 win, 0.5 tie, 0 else), and its 95 % interval, robust to clusters of start policies and of
+        opponents' variants; it holds for these circuits.
     own_crash, other_crash : float
         Shares of races that ended in a crash by the agent's own fault, and in another crash.
     """
@@ -135,8 +135,7 @@ def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]
 
 def _score(part: str, circuits: str, cells: list[CellRaces]) -> Score:
     scores, egos, opponents = _columns(cells)
-    names = np.concatenate([np.full(len(one.races), one.cell.circuit) for one in cells])
-    clusters = [labels for labels in (egos, opponents, names) if len(np.unique(labels)) > 1]
+    clusters = [labels for labels in (egos, opponents) if len(np.unique(labels)) > 1]
     estimate = clustered_mean(scores, *clusters)
     own = np.concatenate([one.races.fault[:, 0] > 0 for one in cells])
     crashed = np.concatenate([one.races.crashed for one in cells])

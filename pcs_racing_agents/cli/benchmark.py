@@ -1,4 +1,4 @@
-"""``pcs-racing benchmark`` and ``pcs-racing leaderboard``: score cards of agents by a fixed protocol, and their ranking."""
+"""``pcs-racing benchmark`` and ``pcs-racing leaderboard``: score cards of agents by a fixed protocol, and a ranking."""
 
 import argparse
 from pathlib import Path
