@@ -8,6 +8,7 @@ import io
 import json
 import re
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,11 @@ from pcs_racing_agents.jobs.fingerprint import fingerprint
 
 __all__ = ["Sb3Policy", "load_sb3_policy"]
 
-MAX_BYTES = 50_000_000
-ACTIVATIONS = {"Tanh": np.tanh, "ReLU": lambda values: np.maximum(values, 0.0)}
-LAYER = re.compile(r"mlp_extractor\.policy_net\.(\d+)\.weight")
-
 Floats = NDArray[np.float64]
+
+MAX_BYTES = 50_000_000
+ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {"Tanh": np.tanh, "ReLU": lambda values: np.maximum(values, 0.0)}
+LAYER = re.compile(r"mlp_extractor\.policy_net\.(\d+)\.weight")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,7 @@ class Sb3Policy:
         """Return the most probable move for each observation, whatever ``deterministic`` says."""
         if observation.shape[-1] != self.weights[0].shape[1]:
             raise InputError(
-                f"policy {self.name!r} takes observations of {self.weights[0].shape[1]} numbers; in this game they have "
+                f"policy {self.name!r} takes observations of {self.weights[0].shape[1]} numbers; here they have "
                 f"{observation.shape[-1]}"
             )
         values: Floats = np.asarray(observation, np.float64)

@@ -43,7 +43,7 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
 
 def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
     """Return the table as text, a row for each card."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for card in cards:
         whole, gain, reply = card.score(), card.gains.get("all"), card.best_reply
         rows.append(

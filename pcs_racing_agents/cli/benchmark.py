@@ -120,7 +120,7 @@ def _watched(own: "list[CellRaces]", results: "dict[str, list[CellRaces]]") -> "
     from pcs_racing_agents.tournament.watching import record_game
 
     others = next(iter(cells for name, cells in results.items() if cells is not own), own)
-    telling = []
+    telling: list[tuple[float, CellRaces, int]] = []
     for cell, other in zip(own, others, strict=True):
         surprise = (cell.races.score - other.races.score) * (1.0 if len(telling) % 2 == 0 else -1.0)
         race = int(np.argmax(surprise))
