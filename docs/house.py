@@ -10,6 +10,7 @@ INK, LINE, PAPER = "#1f2933", "#52606d", "#ffffff"
 FLOORS = [
     ("agents", "cli/", "the commands of pcs-racing"),
     ("agents", "view/", "the page on which races are filtered and watched"),
+    ("agents", "benchmark/", "a fixed protocol, score cards, a leaderboard"),
     ("agents", "study/", "the paper's study: stages, table, report"),
     ("agents", "explain/", "why an agent made a move, in words and pictures"),
     ("agents", "learning/", "PPO; learned responses and characteristics"),

@@ -11,6 +11,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli import (
     agents,
     characteristics,
+    benchmark,
     compilation,
     explain,
     export,
@@ -97,6 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         synthesize,
         headroom,
         characteristics,
+        benchmark,
         match,
         play,
         tree,
