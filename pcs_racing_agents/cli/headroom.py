@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> None:
         track_game,
         write_headroom,
     )
-    from pcs_racing_agents.tournament.policy_pool import PolicyPool, pool_payoffs
+    from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 
     if arguments.policies:
         names, policies = list(arguments.policies), tuple(parse_policy(text) for text in arguments.policies)

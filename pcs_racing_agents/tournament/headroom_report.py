@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
-from pcs_racing_agents.tournament.headroom import (
+from pcs_racing_agents.payoffs.headroom import (
     CyclicPlane,
     Headroom,
     cyclic_planes,
@@ -41,7 +41,7 @@ class TrackGame(NamedTuple):
     track : str
         Name of the circuit.
     payoffs : ndarray, shape (F, N, N)
-        See :func:`pcs_racing_agents.tournament.policy_pool.pool_payoffs`.
+        See :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`.
     headroom : Headroom
     transitive_share : float
     planes : list of CyclicPlane

@@ -1,6 +1,6 @@
 """Payoffs of all pairs of a pool of policies, each fixed for a whole race.
 
-This is the game of choosing a policy before the start; :mod:`pcs_racing_agents.tournament.headroom` analyses it.
+This is the game of choosing a policy before the start; :mod:`pcs_racing_agents.payoffs.headroom` analyses it.
 """
 
 from concurrent.futures import Executor

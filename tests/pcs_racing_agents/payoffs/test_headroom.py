@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import InputError
-from pcs_racing_agents.tournament.headroom import (
+from pcs_racing_agents.payoffs.headroom import (
     cyclic_part,
     cyclic_planes,
     headroom,

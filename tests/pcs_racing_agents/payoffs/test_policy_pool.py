@@ -5,7 +5,7 @@ import pytest
 
 from pcs_racing import InputError, load_race_config, parse_policy
 from pcs_racing_agents.jobs.jobs import make_executor, open_job
-from pcs_racing_agents.tournament.policy_pool import PolicyPool, pool_payoffs
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 
 SLOW, EQUAL, FAST = (parse_policy(f"lattice:pace={pace}") for pace in (0.2, 0.5, 1.0))
 
@@ -34,7 +34,7 @@ def test_payoffs_are_antisymmetric_and_the_faster_policy_wins(payoffs):
 
 
 def test_processes_and_blocks_of_pairs_make_no_difference(payoffs, monkeypatch):
-    monkeypatch.setattr("pcs_racing_agents.tournament.policy_pool._RACES_AT_ONCE", 1)
+    monkeypatch.setattr("pcs_racing_agents.payoffs.policy_pool._RACES_AT_ONCE", 1)
     with make_executor("processes", 2) as executor:
         np.testing.assert_array_equal(pool_payoffs(pool(), executor=executor), payoffs)
 
@@ -43,7 +43,7 @@ def test_a_job_is_taken_up_where_it_was_left(payoffs, tmp_path, monkeypatch):
     for _ in range(2):
         with open_job(tmp_path, "headroom", {}) as job:
             np.testing.assert_array_equal(pool_payoffs(pool(), job=job), payoffs)
-        monkeypatch.setattr("pcs_racing_agents.tournament.policy_pool.advance", None)  # nothing is raced again
+        monkeypatch.setattr("pcs_racing_agents.payoffs.policy_pool.advance", None)  # nothing is raced again
 
 
 @pytest.mark.parametrize(
