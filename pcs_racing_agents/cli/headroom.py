@@ -64,6 +64,7 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Race all pairs, print the table, and write files and pictures."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
+    from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
     from pcs_racing_agents.pictures.style import save_picture
     from pcs_racing_agents.tournament.headroom_report import (
         headroom_picture,
@@ -71,7 +72,6 @@ def run(arguments: argparse.Namespace) -> None:
         track_game,
         write_headroom,
     )
-    from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 
     if arguments.policies:
         names, policies = list(arguments.policies), tuple(parse_policy(text) for text in arguments.policies)

@@ -7,9 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
-from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.payoffs.headroom import (
     CyclicPlane,
     Headroom,
@@ -19,6 +16,9 @@ from pcs_racing_agents.payoffs.headroom import (
     ratings,
     transitive_share,
 )
+from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
+from pcs_racing_agents.results.csv_files import write_csv
+from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.tournament.meta_game import zero_sum_equilibrium
 
 __all__ = ["TrackGame", "headroom_picture", "headroom_text", "track_game", "write_headroom"]
