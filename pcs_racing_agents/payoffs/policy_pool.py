@@ -77,13 +77,20 @@ class PolicyPool:
 
 
 def pool_payoffs(
-    pool: PolicyPool, *, job: Job | None = None, executor: Executor | None = None, progress: Progress | None = None
+    pool: PolicyPool,
+    *,
+    name: str = "pairs",
+    job: Job | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
 ) -> Floats:
     """Race all pairs of a pool.
 
     Parameters
     ----------
     pool : PolicyPool
+    name : str
+        Of the group of tasks in the job.
     job : Job, optional
         Stores results, so that a stopped run can be resumed.
     executor : Executor, optional
@@ -102,7 +109,7 @@ def pool_payoffs(
     tasks = [(pool, track, block) for track in range(len(pool.tracks)) for block in blocks]
     race = _race_block if executor is None else partial(_race_block, threads=1)
     if job is not None:
-        results = job.run("pairs", race, tasks, executor=executor, progress=progress)
+        results = job.run(name, race, tasks, executor=executor, progress=progress)
     else:
         results = list((map if executor is None else executor.map)(race, tasks))
     payoffs = np.zeros((len(pool.tracks), pool.folds, len(pool.policies), len(pool.policies)))
