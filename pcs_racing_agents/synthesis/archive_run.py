@@ -140,7 +140,7 @@ def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenar
 
 
 def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
-    """Roots of the three stages, of the scouts, of the optimiser, and of the payoffs of the choice and the judgement."""
+    """Roots of the three stages, of the scouts, of the optimiser, and of the payoffs in choice and judgement."""
     return np.random.SeedSequence(config.seed).spawn(7)
 
 

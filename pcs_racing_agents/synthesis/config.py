@@ -32,8 +32,6 @@ CHOICES = ("pareto", "headroom")
 """How policies are chosen for an archive: those that none clearly beats, or a pool that holds a game."""
 
 KIND = "archive"
-PAYOFF_FOLDS, JUDGING_FOLDS = 8, 16
-"""Folds of the races of a payoff matrix, each of at least one start line, from both sides."""
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
 _SECONDS = number(0.1, 3600.0)
@@ -112,16 +110,16 @@ class ArchiveConfig(Settings):
         "difference.",
     )
     groups: int = setting(
-        8,
+        4,
         whole(1, 1000),
-        "With choose: headroom, intervals of the first axis from which equally many policies are taken.",
+        "With choose: headroom, groups of candidates along the first axis from which equally many policies are taken.",
     )
     payoff_races: int = setting(
-        16, whole(8, 100_000), "With choose: headroom, races of each pair of candidates on each track."
+        16, whole(4, 100_000), "With choose: headroom, races of each pair of candidates on each track."
     )
     judging_races: int = setting(
         64,
-        whole(8, 100_000),
+        whole(4, 100_000),
         "With choose: headroom, races of each pair of the chosen policies on each track, whose headroom the manifest "
         "states.",
     )
@@ -182,9 +180,9 @@ class ArchiveConfig(Settings):
             )
         if self.groups > self.most:
             raise ConfigError(f"groups is {self.groups}, above most, {self.most}")
-        for key, folds in (("payoff_races", PAYOFF_FOLDS), ("judging_races", JUDGING_FOLDS)):
-            if getattr(self, key) % (2 * folds):
-                raise ConfigError(f"{key} is {getattr(self, key)}; it must be a multiple of {2 * folds}")
+        for key in ("payoff_races", "judging_races"):
+            if getattr(self, key) % 4:
+                raise ConfigError(f"{key} is {getattr(self, key)}; it must be a multiple of 4")
         both = set(self.tracks) & set(self.judging_tracks or ())
         if both:
             raise ConfigError(f"judging_tracks names {sorted(both)[0]!r}, which has a say in the choice")

@@ -1,12 +1,13 @@
 """The choice of an archive for headroom: policies of all speeds, each of which some others beat.
 
-A Pareto front of speed and restraint is a line of ever faster policies, and where the faster one wins, one policy is the
-best reply to all others. Here the archive is a pool that holds a game of rock, paper and scissors: *candidates* of all
-speeds race each other on all circuits, and the pool with the most headroom, with equally many policies from each
-interval of the first axis, is kept (:func:`pcs_racing_agents.payoffs.choosing.choose_pool`).
+A Pareto front of speed and restraint is a line of ever faster policies, and where the faster one wins, one policy is
+the best reply to all others. Here the archive is a pool that holds a game of rock, paper and scissors: *candidates* of
+all speeds race each other on all circuits, and the pool with the most headroom, with equally many policies from each
+group along the first axis, is kept (:func:`pcs_racing_agents.payoffs.choosing.choose_pool`).
 """
 
 from collections.abc import Mapping
+from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from pcs_racing_agents.payoffs.choosing import choose_pool, denoised, pool_headr
 from pcs_racing_agents.payoffs.headroom import headroom, transitive_share
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool
 from pcs_racing_agents.synthesis.archive_search import PolicyRaces
-from pcs_racing_agents.synthesis.config import JUDGING_FOLDS, PAYOFF_FOLDS, ArchiveConfig
+from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import Evaluation
 
 __all__ = ["best_of_each_interval", "choose_for_headroom", "judge_headroom"]
@@ -27,6 +28,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Notes = Mapping[str, str | float]
 
+MOST_FOLDS = 16
 INTERVALS_PER_GROUP = 4
 """Candidates are spread more evenly along the first axis than the pool has to be."""
 
@@ -65,9 +67,7 @@ def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tupl
             f"{len(rows)} candidates differ in {config.axes[0]}; a pool of {config.most} needs more: search longer, "
             "raise crash_limit or lower most"
         )
-    payoffs = races.payoffs(
-        "choice", _pool(config, theta[rows], config.tracks, config.payoff_races, PAYOFF_FOLDS, seed)
-    )
+    payoffs = races.payoffs("choice", _pool(config, theta[rows], config.tracks, config.payoff_races, seed))
     expected = np.array([denoised(folds) for folds in payoffs])
     groups = np.array_split(np.arange(len(rows)), config.groups)
     pool = choose_pool(expected, groups, config.most, seed=seed)
@@ -89,7 +89,7 @@ def judge_headroom(races: PolicyRaces, parameters: Floats, seed: int) -> Notes:
     """
     config = races.config
     tracks = (*config.tracks, *(config.judging_tracks or ()))
-    payoffs = races.payoffs("judgement", _pool(config, parameters, tracks, config.judging_races, JUDGING_FOLDS, seed))
+    payoffs = races.payoffs("judgement", _pool(config, parameters, tracks, config.judging_races, seed))
     estimates = [headroom(folds) for folds in payoffs]
     notes: dict[str, str | float] = {}
     for name, part in (("", slice(len(config.tracks))), ("_elsewhere", slice(len(config.tracks), None))):
@@ -132,11 +132,9 @@ def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: in
     return np.asarray(chosen[np.argsort(axis[chosen], kind="stable")], np.int64)
 
 
-def _pool(
-    config: ArchiveConfig, parameters: Floats, tracks: tuple[str, ...], races: int, folds: int, seed: int
-) -> PolicyPool:
-    """Return the races of all pairs of some policies."""
+def _pool(config: ArchiveConfig, parameters: Floats, tracks: tuple[str, ...], races: int, seed: int) -> PolicyPool:
+    """Return the races of all pairs of some policies, in as many folds as there are start lines, 16 at most."""
     planner = get_planner(config.planner)
     policies = tuple(Policy(planner, theta, f"policy {k}") for k, theta in enumerate(parameters))
     rules = config.rules_of(config.final_duration)
-    return PolicyPool(policies, tracks, rules, races=races, folds=folds, seed=seed)
+    return PolicyPool(policies, tracks, rules, races=races, folds=gcd(races // 2, MOST_FOLDS), seed=seed)
