@@ -145,7 +145,8 @@ class PolicyRaces:
 
     def payoffs(self, stage: str, pool: PolicyPool) -> Floats:
         """Race all pairs of a pool, or read what an earlier run of the job has left, shape (T, F, N, N)."""
-        return pool_payoffs(pool, name=stage, job=self.job, executor=self.executor, progress=self.progress(stage))
+        payoffs = pool_payoffs(pool, name=stage, job=self.job, executor=self.executor, progress=self.progress(stage))
+        return np.asarray(payoffs.mean(axis=2))  # over the slots
 
     def progress(self, stage: str) -> Progress:
         """Return a callback for the tasks of a stage."""

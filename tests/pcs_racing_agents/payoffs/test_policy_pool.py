@@ -27,10 +27,19 @@ def payoffs():
     return pool_payoffs(pool())
 
 
-def test_payoffs_are_antisymmetric_and_the_faster_policy_wins(payoffs):
-    assert payoffs.shape == (1, 4, 3, 3)
-    np.testing.assert_array_equal(payoffs, -payoffs.transpose(0, 1, 3, 2))
-    assert payoffs.mean(axis=(0, 1))[2, 0] > 0.2
+def test_the_faster_policy_wins_and_what_it_wins_the_other_one_loses(payoffs):
+    assert payoffs.shape == (1, 4, 2, 3, 3)
+    # What the row wins in one slot the column loses in the other.
+    np.testing.assert_array_equal(payoffs[:, :, 0], -payoffs[:, :, 1].transpose(0, 1, 3, 2))
+    assert payoffs.mean(axis=(0, 1, 2))[2, 0] > 0.2
+
+
+def test_of_two_equal_cars_the_one_in_front_wins():
+    """Staggered, without noise; also against itself, where either car may be the policy."""
+    rules = load_race_config("contest", duration=6.0, steering_noise=0.0)
+    front, behind = pool_payoffs(pool(config=rules)).mean(axis=(0, 1))
+    assert (np.diag(front) > 0.3).all()
+    np.testing.assert_array_equal(np.diag(front), -np.diag(behind))
 
 
 def test_processes_and_blocks_of_pairs_make_no_difference(payoffs, monkeypatch):
