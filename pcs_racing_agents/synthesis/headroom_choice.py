@@ -7,7 +7,6 @@ group along the first axis, is kept (:func:`pcs_racing_agents.payoffs.choosing.c
 """
 
 from collections.abc import Mapping
-from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,8 +132,10 @@ def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: in
 
 
 def _pool(config: ArchiveConfig, parameters: Floats, tracks: tuple[str, ...], races: int, seed: int) -> PolicyPool:
-    """Return the races of all pairs of some policies, in as many folds as there are start lines, 16 at most."""
+    """Return the races of all pairs of some policies, in as many folds as there are start lines, or up to 16."""
     planner = get_planner(config.planner)
     policies = tuple(Policy(planner, theta, f"policy {k}") for k, theta in enumerate(parameters))
     rules = config.rules_of(config.final_duration)
-    return PolicyPool(policies, tracks, rules, races=races, folds=gcd(races // 2, MOST_FOLDS), seed=seed)
+    lines = races // 2
+    folds = max(k for k in range(2, MOST_FOLDS + 1, 2) if lines % k == 0)  # as many added as subtracted: an even number
+    return PolicyPool(policies, tracks, rules, races=races, folds=folds, seed=seed)

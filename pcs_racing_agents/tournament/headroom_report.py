@@ -47,8 +47,9 @@ knows its place on the grid, over the best fixed policy of each place; slot: wha
 transitive: share of the payoffs' variance that ratings explain, noise removed; cycles: planes of rock, paper and scissors stronger than noise;
 strength, noise: singular value of the first plane, and what noise alone reaches in 95 of 100 draws; equilibrium:
 policies with more than 1 % of the probability"""
-LEAD_NOTE = """lead plan: what the best plan "this policy while ahead, that one while behind" wins over the best fixed policy;
-then H: what knowing the opponent is worth to a driver with such plans, over the best of them; errors: over opponents"""
+LEAD_NOTE = """lead plan: what the best plan "this policy while ahead, that one while behind" wins over the best fixed
+policy; then H: what knowing the opponent is worth to a driver with such plans, over the best of them; errors: over
+opponents"""
 
 
 class TrackGame(NamedTuple):
