@@ -34,7 +34,7 @@ def main() -> None:
         played = play_games(game, never, never, **given)
         middle = time.perf_counter()
         state = start_races(game.setup, given["starts"], played.noise)
-        theta = np.ascontiguousarray(game.archive.parameters[policies])
+        theta = np.ascontiguousarray(game.theta(policies))
         advance(game.setup, state, theta, game.setup.config.ticks, threads=1)
         rounds.append((middle - begin, time.perf_counter() - middle))
         np.testing.assert_array_equal(state.lead, played.lead)  # the very same races

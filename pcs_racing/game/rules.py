@@ -105,8 +105,9 @@ class RaceGame:
         )
         setup = RaceSetup(self.track, self.config.race_rules, (first, second))
         theta = np.zeros((len(self.archive), setup.theta_size))
-        width = min(theta.shape[1], self.archive.parameters.shape[1])  # less if neither car can drive its policies
-        theta[:, :width] = self.archive.parameters[:, :width]
+        policies = self.archive.complete(self.archive.parameters)
+        width = min(theta.shape[1], policies.shape[1])  # less if neither car can drive its policies
+        theta[:, :width] = policies[:, :width]
         object.__setattr__(self, "_theta", theta)
         object.__setattr__(self, "_setup", setup)
         object.__setattr__(

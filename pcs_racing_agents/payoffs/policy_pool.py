@@ -89,7 +89,7 @@ class PolicyPool:
         return seeds.generate_state(self.races, np.uint64).astype(np.uint64)
 
     def by_fold(self, scores: Floats) -> Floats:
-        """Return mean payoffs in each fold and slot, shape (..., F, 2), from the scores of all races, shape (..., R)."""
+        """Return mean payoffs by fold and slot, shape (..., F, 2), from the scores of all races, shape (..., R)."""
         folds = scores.reshape(*scores.shape[:-1], -1, self.folds, 2)
         return np.asarray(folds.mean(axis=-3) - 0.5)
 

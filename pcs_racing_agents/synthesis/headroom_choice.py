@@ -47,7 +47,7 @@ def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tupl
     Returns
     -------
     parameters : ndarray, shape (config.most, P)
-        In the order of the first axis.
+        Those that vary, in the order of the first axis.
     notes : Mapping
         What the choice expects of the pool.
 
@@ -134,7 +134,8 @@ def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: in
 def _pool(config: ArchiveConfig, parameters: Floats, tracks: tuple[str, ...], races: int, seed: int) -> PolicyPool:
     """Return the races of all pairs of some policies, in as many folds as there are start lines, or up to 16."""
     planner = get_planner(config.planner)
-    policies = tuple(Policy(planner, theta, f"policy {k}") for k, theta in enumerate(parameters))
+    complete = planner.complete(config.varied, parameters)
+    policies = tuple(Policy(planner, theta, f"policy {k}") for k, theta in enumerate(complete))
     rules = config.rules_of(config.final_duration)
     lines = races // 2
     folds = max(k for k in range(2, MOST_FOLDS + 1, 2) if lines % k == 0)  # as many added as subtracted: an even number

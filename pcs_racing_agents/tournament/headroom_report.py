@@ -44,9 +44,9 @@ LEAD_HEAD = ("track", "lead plan", "error", "then H", "error", "ahead", "behind"
 NOTE = """H: what knowing the opponent before the start is worth, in races won, over the best fixed policy; low: a bound
 from below; opponents, pool: standard errors over opponents and over draws of the pool; in slot: H for a driver that
 knows its place on the grid, over the best fixed policy of each place; slot: what choosing by the place alone is worth;
-transitive: share of the payoffs' variance that ratings explain, noise removed; cycles: planes of rock, paper and scissors stronger than noise;
-strength, noise: singular value of the first plane, and what noise alone reaches in 95 of 100 draws; equilibrium:
-policies with more than 1 % of the probability"""
+transitive: share of the payoffs' variance that ratings explain, noise removed; cycles: planes of rock, paper and
+scissors stronger than noise; strength, noise: singular value of the first plane, and what noise alone reaches in 95 of
+100 draws; equilibrium: policies with more than 1 % of the probability"""
 LEAD_NOTE = """lead plan: what the best plan "this policy while ahead, that one while behind" wins over the best fixed
 policy; then H: what knowing the opponent is worth to a driver with such plans, over the best of them; errors: over
 opponents"""

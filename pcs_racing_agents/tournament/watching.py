@@ -77,7 +77,7 @@ def record_match(
             if isinstance(competitor, Driver):
                 parameters = competitor.policies[variants[car]].parameters
             else:
-                parameters = arena.archive.parameters[match.policy[0, car, step]]
+                parameters = arena.archive.policy(int(match.policy[0, car, step])).parameters
             theta[step, car, : len(parameters)] = parameters
     replay = record_drive(
         arena.setup,
