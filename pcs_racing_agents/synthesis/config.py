@@ -32,6 +32,8 @@ CHOICES = ("pareto", "headroom")
 """How policies are chosen for an archive: those that none clearly beats, or a pool that holds a game."""
 
 KIND = "archive"
+HEADROOM_SETTINGS = ("groups", "payoff_races", "judging_races", "judging_tracks")
+"""Settings that only matter with ``choose: headroom``."""
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
 _SECONDS = number(0.1, 3600.0)

@@ -95,7 +95,8 @@ def judge_headroom(races: PolicyRaces, parameters: Floats, seed: int) -> Notes:
         if estimates[part]:
             notes[f"headroom{name}"] = float(np.mean([estimate.value for estimate in estimates[part]]))
             notes[f"headroom_low{name}"] = float(np.mean([estimate.low for estimate in estimates[part]]))
-            notes[f"transitive_share{name}"] = float(np.mean([transitive_share(folds) for folds in payoffs[part]]))
+            shares = [share for share in map(transitive_share, payoffs[part]) if np.isfinite(share)]
+            notes[f"transitive_share{name}"] = float(np.mean(shares)) if shares else "unknown"
     for track, estimate in zip(tracks, estimates, strict=True):
         notes[f"headroom_{track}"] = f"{estimate.value:+.3f} +- {estimate.opponents_error:.3f}"
     last = races.history[-1]

@@ -71,11 +71,10 @@ def test_the_manifest_says_how_it_was_chosen_and_what_it_holds(made):
     settings = made[0].settings
     assert settings["choose"] == "headroom"
     assert settings["choice_candidates"] == 8
-    assert settings["choice_headroom"] >= settings["choice_headroom_of_all_candidates"] - 0.5
     assert set(settings["track_hashes"].replace(",", "").split()) >= {"Pipkin", "Tarnfjord"}
-    for name in ("headroom", "headroom_low", "transitive_share"):
-        assert np.isfinite(settings[name])
-        assert np.isfinite(settings[f"{name}_elsewhere"])
+    for name in ("headroom", "headroom_elsewhere"):
+        assert settings[name.replace("headroom", "headroom_low")] <= settings[name] + 1e-9
+        assert name.replace("headroom", "transitive_share") in settings
     assert float(settings["headroom_Tarnfjord"].split()[0]) == pytest.approx(settings["headroom_elsewhere"], abs=5e-4)
 
 
