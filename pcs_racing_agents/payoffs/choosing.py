@@ -56,14 +56,16 @@ def pool_headroom(payoffs: Floats, pools: Indices) -> Floats:
     return np.asarray((played.max(axis=-2).mean(axis=-1) - played.mean(axis=-1).max(axis=-1)).T)
 
 
-def choose_pool(payoffs: Floats, groups: Sequence[Indices], count: int, *, starts: int = 8, seed: int = 0) -> Indices:
+def choose_pool(
+    payoffs: ArrayLike, groups: Sequence[ArrayLike], count: int, *, starts: int = 8, seed: int = 0
+) -> Indices:
     """Choose the pool with the greatest headroom, mean over circuits, by exchanging one policy at a time.
 
     Parameters
     ----------
-    payoffs : ndarray, shape (T, N, N)
+    payoffs : array_like, shape (T, N, N)
         Without noise (:func:`denoised`), on T circuits.
-    groups : sequence of ndarray of int
+    groups : sequence of array_like of int
         Disjoint sets of policies, from which equally many are taken; if ``count`` is no multiple of their number, one
         more from some of them, evenly spaced.
     count : int
@@ -84,14 +86,15 @@ def choose_pool(payoffs: Floats, groups: Sequence[Indices], count: int, *, start
         If a group holds too few policies.
     """
     check_whole("count", count, 3)
+    matrices, sets = np.asarray(payoffs, np.float64), [np.asarray(group, np.int64) for group in groups]
     places = np.arange(count) * len(groups) // count  # the group of each place in the pool
-    for number, group in enumerate(groups):
+    for number, group in enumerate(sets):
         if len(group) < np.count_nonzero(places == number):
             raise InputError(f"group {number} holds {len(group)} policies; a pool of {count} needs more of them")
     rng = np.random.default_rng(seed)
     best, best_value = np.zeros(0, np.int64), -np.inf
     for _ in range(starts):
-        pool, value = _exchanged(payoffs, groups, places, rng)
+        pool, value = _exchanged(matrices, sets, places, rng)
         if value > best_value:
             best, best_value = pool, value
     return np.sort(best)
