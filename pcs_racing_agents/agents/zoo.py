@@ -60,7 +60,8 @@ class Entry:
     source : str
         Where the idea comes from.
     needs : str
-        What must be trained before it can race: "", "fit" or "network"; "agents" if its members may need training.
+        What must be trained before it can race: "", "fit", "network" or "table"; "agents" if its members may need
+        training.
     defaults : Mapping
         Options that differ from those of other entries with the same function.
     moves : bool
@@ -91,6 +92,7 @@ SHIPPED = {
     "restricted-response": "pcs_racing_agents.agents.mixture:RESTRICTED_RESPONSE",
     "psro": "pcs_racing_agents.agents.mixture:PSRO",
     "ppo": "pcs_racing_agents.agents.from_network:PPO",
+    "remember": "pcs_racing_agents.agents.remember:REMEMBER",
     "receding-horizon": "pcs_racing_agents.agents.receding_horizon:RECEDING_HORIZON",
     "random-policy": "pcs_racing_agents.agents.drivers:RANDOM_POLICY",
     "lane-switcher": "pcs_racing_agents.agents.drivers:LANE_SWITCHER",

@@ -15,7 +15,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import take_games
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver
-from pcs_racing_agents.tournament.matches import game_between
+from pcs_racing_agents.tournament.games import game_between
 
 __all__ = ["ResponseUtility", "best_response_utility"]
 
