@@ -74,8 +74,8 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Race all pairs, print the table, and write files and pictures."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
-    from pcs_racing_agents.payoffs.lead_plans import lead_plan_payoffs, lead_plan_value, lead_plans
-    from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
+    from pcs_racing_agents.payoffs.lead_plans import lead_plan_payoffs, lead_plan_value, make_lead_plans
+    from pcs_racing_agents.payoffs.policy_pool import PolicyPool, slot_payoffs
     from pcs_racing_agents.pictures.style import save_picture
     from pcs_racing_agents.results.csv_files import write_csv
     from pcs_racing_agents.results.text_table import aligned
@@ -103,12 +103,12 @@ def run(arguments: argparse.Namespace) -> None:
         "seed": pool.seed,
     }
     members = members_of(len(policies), arguments.lead_plans)
-    plans = lead_plans(len(policies), members) if members else []
+    plans = make_lead_plans(len(policies), members) if members else []
     pairs = len(pool.pairs) + len(plans) * len(policies)
     with executor_from(arguments) as executor:
         announce(racing_seconds(len(tracks) * pairs * pool.races, pool.config.duration), cores_of(arguments))
         with open_job(arguments.out, "headroom", settings) as job:
-            payoffs = pool_payoffs(pool, job=job, executor=executor, progress=show_progress("blocks"))
+            payoffs = slot_payoffs(pool, job=job, executor=executor, progress=show_progress("blocks"))
             games = [track_game(track.name, folds) for track, folds in zip(tracks, payoffs, strict=True)]
             print(headroom_text(games, names))
             if plans:

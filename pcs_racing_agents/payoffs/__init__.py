@@ -12,8 +12,8 @@ from pcs_racing_agents.payoffs.headroom import (
     slot_headroom,
     transitive_share,
 )
-from pcs_racing_agents.payoffs.lead_plans import LeadPlanValue, lead_plan_payoffs, lead_plan_value, lead_plans
-from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
+from pcs_racing_agents.payoffs.lead_plans import LeadPlanValue, lead_plan_payoffs, lead_plan_value, make_lead_plans
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, slot_payoffs
 
 __all__ = [
     "CyclicPlane",
@@ -28,10 +28,11 @@ __all__ = [
     "headroom",
     "lead_plan_payoffs",
     "lead_plan_value",
-    "lead_plans",
+    "make_lead_plans",
     "pool_headroom",
     "pool_payoffs",
     "ratings",
     "slot_headroom",
+    "slot_payoffs",
     "transitive_share",
 ]

@@ -150,7 +150,7 @@ def slot_headroom(payoffs: ArrayLike) -> SlotHeadroom:
     ----------
     payoffs : array_like, shape (F, 2, N, N)
         Payoff in each of F >= 2 folds and each slot of the row's policy
-        (:func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`); the mean over slots is antisymmetric.
+        (:func:`pcs_racing_agents.payoffs.policy_pool.slot_payoffs`); the mean over slots is antisymmetric.
 
     Raises
     ------

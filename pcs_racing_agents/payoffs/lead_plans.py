@@ -20,7 +20,7 @@ from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job, Progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, race_scores
 
-__all__ = ["LeadPlanValue", "lead_plan_payoffs", "lead_plan_value", "lead_plans"]
+__all__ = ["LeadPlanValue", "lead_plan_payoffs", "lead_plan_value", "make_lead_plans"]
 
 Floats = NDArray[np.float64]
 Plan = tuple[int, int]
@@ -52,7 +52,7 @@ class LeadPlanValue:
     best: Plan
 
 
-def lead_plans(policies: int, members: Sequence[int]) -> list[Plan]:
+def make_lead_plans(policies: int, members: Sequence[int]) -> list[Plan]:
     """Return plans (policy ahead, policy behind): every policy all the time, then all pairs of different members."""
     fixed = [(k, k) for k in range(policies)]
     return [*fixed, *((ahead, behind) for ahead in members for behind in members if ahead != behind)]

@@ -23,7 +23,7 @@ from pcs_racing.track.track import Track, as_track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job, Progress
 
-__all__ = ["PolicyPool", "pool_payoffs", "race_scores"]
+__all__ = ["PolicyPool", "pool_payoffs", "race_scores", "slot_payoffs"]
 
 Floats = NDArray[np.float64]
 
@@ -102,7 +102,23 @@ def pool_payoffs(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Floats:
-    """Race all pairs of a pool.
+    """Race all pairs of a pool; payoffs whatever the slot on the grid, shape (T, F, N, N), antisymmetric.
+
+    The mean over the slots of what :func:`slot_payoffs` returns for the same arguments.
+    """
+    payoffs = slot_payoffs(pool, name=name, job=job, executor=executor, progress=progress)
+    return np.asarray(payoffs.mean(axis=2))
+
+
+def slot_payoffs(
+    pool: PolicyPool,
+    *,
+    name: str = "pairs",
+    job: Job | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Floats:
+    """Race all pairs of a pool; payoffs by slot of the grid.
 
     Parameters
     ----------

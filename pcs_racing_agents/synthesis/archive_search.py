@@ -147,8 +147,7 @@ class PolicyRaces:
 
     def payoffs(self, stage: str, pool: PolicyPool) -> Floats:
         """Race all pairs of a pool, or read what an earlier run of the job has left, shape (T, F, N, N)."""
-        payoffs = pool_payoffs(pool, name=stage, job=self.job, executor=self.executor, progress=self.progress(stage))
-        return np.asarray(payoffs.mean(axis=2))  # over the slots
+        return pool_payoffs(pool, name=stage, job=self.job, executor=self.executor, progress=self.progress(stage))
 
     def progress(self, stage: str) -> Progress:
         """Return a callback for the tasks of a stage."""

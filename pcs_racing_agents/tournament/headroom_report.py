@@ -86,7 +86,7 @@ def track_game(track: str, slots: Floats) -> TrackGame:
     ----------
     track : str
     slots : ndarray, shape (F, 2, N, N)
-        See :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`.
+        See :func:`pcs_racing_agents.payoffs.policy_pool.slot_payoffs`.
     """
     payoffs = slots.mean(axis=1)
     return TrackGame(
