@@ -68,10 +68,11 @@ def study_table(study: Study, study_races: Sequence[StudyRaces], name: str) -> S
 
 
 def best_blind(study: Study) -> str | None:
-    """Return the arm without observations that won most training races; None without such arms.
+    """Return the blind arm that won most training races; None without such arms.
 
-    It is the better of the best fixed policy and the best open-loop sequence. That sequence is at least as good on
-    those races as any constant move, since its search begins with the best of these.
+    It is the best of the best fixed policy, the best open-loop sequence and the best lead plan. The sequence is at
+    least as good on those races as any constant move, and the plan as any of the fixed policies, since their searches
+    begin with the best of these.
     """
     if not set(BEST_BLIND) <= set(study.config.arms):
         return None

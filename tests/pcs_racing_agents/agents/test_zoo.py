@@ -16,6 +16,7 @@ def learned(name: str, setting) -> dict:
     given = {
         "best-schedule": {"moves": ["stay"] * 4},
         "best-fixed": {"target": 3},
+        "best-lead-plan": {"targets": {"behind": 3, "ahead": 5}},
         "psro": {"weights": {"never-switch": 1.0, "random-moves": 1.0}},
         "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
         "remember": {"table": made_up_behaviours(setting)},
