@@ -102,13 +102,20 @@ def test_policies_do_not_disturb_each_other(scenarios, raced):
 
 def test_the_spread_is_that_of_a_mean_over_races():
     """Where each race has as many pieces: the textbook's standard error; and as good where crashes cut races short."""
+
+    def nobody(policies: int) -> dict[str, np.ndarray]:
+        """Races without a winner."""
+        return {"winner": np.full((policies, 50), -1)}
+
     rng = np.random.default_rng(0)
     totals = rng.normal(3.0, 2.0, (4, 50, 1))
-    whole = summarise({"totals": totals, "pieces": np.full((4, 50), 2), "own_crash": np.zeros((4, 50), bool)})
+    whole = summarise(
+        {"totals": totals, "pieces": np.full((4, 50), 2), "own_crash": np.zeros((4, 50), bool), **nobody(4)}
+    )
     np.testing.assert_allclose(whole.spread[:, 0], (totals[..., 0] / 2.0).std(axis=1, ddof=1) / np.sqrt(50.0))
     pieces = rng.integers(1, 3, (4000, 50))
     values = rng.normal(3.0, 2.0, (4000, 50, 1)) + 3.0 * (pieces[..., None] - 1)
-    cut = summarise({"totals": values, "pieces": pieces, "own_crash": np.zeros((4000, 50), bool)})
+    cut = summarise({"totals": values, "pieces": pieces, "own_crash": np.zeros((4000, 50), bool), **nobody(4000)})
     assert cut.spread.mean() == pytest.approx(cut.coordinates.std(), rel=0.06)
 
 
