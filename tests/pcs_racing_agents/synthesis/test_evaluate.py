@@ -123,7 +123,7 @@ def test_a_refreshed_set_of_opponents(scenarios):
     fresh = scenarios.against(policies(3, 9))
     np.testing.assert_array_equal(fresh.start_s, scenarios.start_s)
     assert (fresh.opponents != scenarios.opponents).any()
-    with pytest.raises(InputError, match=r"opponents have shape \(2, 16\); these races need \(3, 16\)"):
+    with pytest.raises(InputError, match=r"opponents have shape \(2, 17\); these races need \(3, 17\)"):
         scenarios.against(policies(2))
 
 
@@ -131,8 +131,8 @@ def test_a_refreshed_set_of_opponents(scenarios):
     ("change", "message"),
     [
         ({"tracks": []}, "there are no tracks"),
-        ({"opponents": np.zeros((0, 16))}, r"there are no opponents"),
-        ({"opponents": np.zeros((3, 2))}, r"opponents has shape \(3, 2\); it must have \(any, 16\)"),
+        ({"opponents": np.zeros((0, 17))}, r"there are no opponents"),
+        ({"opponents": np.zeros((3, 2))}, r"opponents has shape \(3, 2\); it must have \(any, 17\)"),
         ({"segment_seconds": 3.0}, "a race of 4 s is no multiple of segment_seconds, 3 s"),
         ({"segment_seconds": 0.0}, "no multiple of segment_seconds, 0 s"),
         ({"starts": 0}, "start_lines is 0"),
@@ -156,7 +156,7 @@ def test_impossible_races(oval, change, message):
 
 
 def test_policies_of_the_wrong_shape(scenarios):
-    with pytest.raises(InputError, match=r"parameters has shape \(2, 3\); it must have \(any, 16\)"):
+    with pytest.raises(InputError, match=r"parameters has shape \(2, 3\); it must have \(any, 17\)"):
         evaluate(scenarios, np.zeros((2, 3)))
 
 
