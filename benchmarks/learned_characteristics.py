@@ -29,8 +29,8 @@ from pcs_racing_agents.learning.characteristics.learn import (
 )
 from pcs_racing_agents.learning.characteristics.pools import draw_pool
 from pcs_racing_agents.learning.characteristics.validation import judge
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.results.text_table import markdown
-from pcs_racing_agents.tournament.policy_pool import PolicyPool, pool_payoffs
 
 LEARNED_ON = ("Pipkin", "Saltmere", "Vellindra", "Larkmoor")
 JUDGED_ON = ("Brackwater", "Tarnfjord", "Kestrelheim", "Quillburg")

@@ -58,6 +58,7 @@ REFERENCE = {
     "pcs_racing_agents.jobs": "Long work",
     "pcs_racing_agents.results": "Results",
     "pcs_racing_agents.pictures": "Style of pictures",
+    "pcs_racing_agents.payoffs": "Payoffs of pools of policies",
     "pcs_racing_agents.synthesis": "Synthesis",
     "pcs_racing_agents.solvers": "Solvers",
     "pcs_racing_agents.trees": "Game trees",

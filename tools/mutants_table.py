@@ -144,12 +144,18 @@ MODULES = {
     ),
     **_modules(
         "statistics",
+        "pcs_racing_agents/payoffs",
+        """
+        headroom: headroom
+        policy_pool: ; policy_pool
+        """,
+    ),
+    **_modules(
+        "statistics",
         "pcs_racing_agents/tournament",
         """
         ratings: ratings
         meta_game: meta_game
-        headroom: headroom
-        policy_pool: ; policy_pool
         best_response: ; best_response
         table: ; tournament_table
         statistics/clusters: statistics

@@ -29,7 +29,7 @@ from pcs_racing_agents.learning.characteristics.apply import ApplySettings, appl
 from pcs_racing_agents.learning.characteristics.learn import LearnSettings, learn_characteristics
 from pcs_racing_agents.learning.characteristics.pools import CANDIDATE_RACES, CANDIDATES, draw_pool
 from pcs_racing_agents.learning.characteristics.report import learned_text, learning_text, write_weights
-from pcs_racing_agents.tournament.policy_pool import PolicyPool
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool
 
 __all__ = ["add"]
 

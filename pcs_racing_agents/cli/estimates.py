@@ -124,13 +124,7 @@ def _tree(rate: float, config: GameConfig, branches: int) -> float:
 
 def synthesis_seconds(config: ArchiveConfig) -> float:
     """Estimate the processor seconds of an archive: the races of its search, its selection and its measurement."""
-    sides = 2 * len(config.tracks)
-    search = (config.scouts + config.generations * config.population) * config.opponents * config.starts
-    choice = config.candidates * config.choice_opponents * config.choice_starts
-    final = config.most * config.final_opponents * config.final_starts
-    return racing_seconds(sides * (search + choice), config.duration) + racing_seconds(
-        sides * final, config.final_duration
-    )
+    return RACING * sum(config.work.values())
 
 
 def ppo_seconds(settings: PPOSettings) -> float:

@@ -10,8 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli import (
     agents,
-    characteristics,
     benchmark,
+    characteristics,
     compilation,
     explain,
     export,

@@ -28,7 +28,7 @@ PolicyTask: TypeAlias = tuple[Scenarios, Floats]
 
 
 class Evaluation(NamedTuple):
-    """Coordinates and own crashes of K policies.
+    """Coordinates, own crashes and wins of K policies.
 
     Attributes
     ----------
@@ -38,11 +38,14 @@ class Evaluation(NamedTuple):
         Share of the races that ended by a crash of the policy's own fault.
     spread : ndarray, shape (K, G)
         Standard error of the coordinates, were the races drawn again.
+    won : ndarray, shape (K,)
+        Share of the races that the policy won.
     """
 
     coordinates: Floats
     own_crash: Floats
     spread: Floats
+    won: Floats
 
 
 def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
@@ -132,7 +135,7 @@ def summarise(raced: Arrays) -> Evaluation:
     coordinates = totals.sum(axis=1) / pieces.sum(axis=1)[:, None]
     residuals = totals - coordinates[:, None] * pieces[..., None]
     spread = np.sqrt(races / max(races - 1, 1) * (residuals**2).sum(axis=1)) / pieces.sum(axis=1)[:, None]
-    return Evaluation(coordinates, raced["own_crash"].mean(axis=1), spread)
+    return Evaluation(coordinates, raced["own_crash"].mean(axis=1), spread, (raced["winner"] == 0).mean(axis=1))
 
 
 def evaluate(

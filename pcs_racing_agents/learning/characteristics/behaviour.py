@@ -68,7 +68,7 @@ def measure_behaviour(
     seed : int
         Root of start lines and noise.
     job, executor, progress
-        As for :func:`pcs_racing_agents.tournament.policy_pool.pool_payoffs`.
+        As for :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`.
     name : str
         Of the group of tasks in the job.
 

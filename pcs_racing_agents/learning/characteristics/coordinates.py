@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_array
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.headroom import cyclic_planes, ratings
+from pcs_racing_agents.payoffs.headroom import cyclic_planes, ratings
 
 __all__ = ["COORDINATES", "PayoffCoordinates", "payoff_coordinates"]
 
@@ -77,7 +77,7 @@ def payoff_coordinates(payoffs: ArrayLike, behaviour: ArrayLike) -> PayoffCoordi
     Parameters
     ----------
     payoffs : array_like, shape (F, N, N)
-        As for :func:`pcs_racing_agents.tournament.headroom.cyclic_planes`.
+        As for :func:`pcs_racing_agents.payoffs.headroom.cyclic_planes`.
     behaviour : array_like, shape (N,)
         What the first coordinate of the plane is to grow with; a plane has no direction of its own.
 

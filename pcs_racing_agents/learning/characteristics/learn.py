@@ -1,6 +1,6 @@
 """Learned characteristics: from a payoff matrix and behaviour in short pieces of racing to axes of a space.
 
-1. All pairs of a pool race (:func:`~pcs_racing_agents.tournament.policy_pool.pool_payoffs`). The mean payoff matrix of
+1. All pairs of a pool race (:func:`~pcs_racing_agents.payoffs.policy_pool.pool_payoffs`). The mean payoff matrix of
    all circuits gives each policy a rating and a place in the leading cyclic plane.
 2. Every policy is measured in pieces of racing: other characteristics, such as speed and restraint.
 3. Ridge regression of 1 on 2, with cross-validation that leaves policies and circuits out. The result is a
@@ -35,7 +35,7 @@ from pcs_racing_agents.learning.characteristics.ridge import (
     term_values,
 )
 from pcs_racing_agents.learning.characteristics.validation import Accuracy, cross_validate, draw_rows
-from pcs_racing_agents.tournament.policy_pool import PolicyPool, pool_payoffs
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 
 __all__ = [
     "JUDGED",
@@ -159,7 +159,7 @@ def fit_characteristics(
     Parameters
     ----------
     payoffs : ndarray, shape (T, F, N, N)
-        See :func:`pcs_racing_agents.tournament.policy_pool.pool_payoffs`.
+        See :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`.
     behaviour : ndarray, shape (T, N, M, I)
         See :func:`pcs_racing_agents.learning.characteristics.behaviour.measure_behaviour`.
     settings : LearnSettings, optional

@@ -54,7 +54,7 @@ def draw_pool(
     segment_seconds : float
         Length of the pieces in which speed is measured, s.
     job, executor, progress
-        As for :func:`pcs_racing_agents.tournament.policy_pool.pool_payoffs`.
+        As for :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`.
 
     Returns
     -------

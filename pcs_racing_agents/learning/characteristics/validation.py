@@ -16,7 +16,7 @@ from pcs_racing_agents.learning.characteristics.ridge import (
     standardise,
     term_values,
 )
-from pcs_racing_agents.tournament.headroom import jackknife_error
+from pcs_racing_agents.payoffs.headroom import jackknife_error
 
 __all__ = ["DRAWS", "Accuracy", "cross_validate", "draw_rows", "explained", "judge"]
 

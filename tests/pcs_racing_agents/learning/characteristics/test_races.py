@@ -16,7 +16,7 @@ from pcs_racing_agents.learning.characteristics.apply import ApplySettings, appl
 from pcs_racing_agents.learning.characteristics.behaviour import measure_behaviour, measure_payoffs
 from pcs_racing_agents.learning.characteristics.learn import LearnSettings, learn_characteristics
 from pcs_racing_agents.learning.characteristics.pools import draw_pool
-from pcs_racing_agents.tournament.policy_pool import PolicyPool
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool
 
 CONFIG = load_race_config("contest", duration=4.0)
 TRACKS = ("Tarnfjord", "Pipkin")
@@ -64,7 +64,7 @@ def test_workers_and_resumed_jobs_learn_the_same(tmp_path, monkeypatch):
     with make_executor("processes", 2) as executor:
         assert learn_characteristics(pool, settings, executor=executor).characteristics == expected
     monkeypatch.setattr("pcs_racing_agents.synthesis.evaluate.advance", None)  # nothing is raced again
-    monkeypatch.setattr("pcs_racing_agents.tournament.policy_pool.advance", None)
+    monkeypatch.setattr("pcs_racing_agents.payoffs.policy_pool.advance", None)
     with open_job(tmp_path, "characteristics", {}) as job:
         assert learn_characteristics(pool, settings, job=job).characteristics == expected
 

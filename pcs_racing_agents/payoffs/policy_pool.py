@@ -1,12 +1,12 @@
 """Payoffs of all pairs of a pool of policies, each fixed for a whole race.
 
-This is the game of choosing a policy before the start; :mod:`pcs_racing_agents.tournament.headroom` analyses it.
+This is the game of choosing a policy before the start; :mod:`pcs_racing_agents.payoffs.headroom` analyses it.
 """
 
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,12 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track, as_track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job, Progress
 
-__all__ = ["PolicyPool", "pool_payoffs"]
+__all__ = ["PolicyPool", "pool_payoffs", "race_scores", "slot_payoffs"]
 
 Floats = NDArray[np.float64]
 
@@ -72,18 +73,58 @@ class PolicyPool:
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """All pairs of different policies, the lower index first."""
-        return list(combinations(range(len(self.policies)), 2))
+        """All pairs of policies, the lower index first; a policy also races against itself."""
+        return list(combinations_with_replacement(range(len(self.policies)), 2))
+
+    def starts(self, number: int) -> tuple[Track, Starts]:
+        """Return a circuit and where its races start: two of them on each line, from both sides."""
+        track = as_track(self.tracks[number])
+        rules = replace(self.config, start_lines=self.races // 2)
+        lines = start_lines(track, rules, np.random.SeedSequence(self.seed, spawn_key=(number,)))
+        return track, Starts(np.repeat(lines, 2), np.tile([0, 1], len(lines)))
+
+    def noise(self, *key: int) -> NDArray[np.uint64]:
+        """Return noise keys of the races of a pair, which depend on its numbers and not on the block that races it."""
+        seeds = np.random.SeedSequence(self.seed, spawn_key=key)
+        return seeds.generate_state(self.races, np.uint64).astype(np.uint64)
+
+    def by_fold(self, scores: Floats) -> Floats:
+        """Return mean payoffs by fold and slot, shape (..., F, 2), from the scores of all races, shape (..., R)."""
+        folds = scores.reshape(*scores.shape[:-1], -1, self.folds, 2)
+        return np.asarray(folds.mean(axis=-3) - 0.5)
 
 
 def pool_payoffs(
-    pool: PolicyPool, *, job: Job | None = None, executor: Executor | None = None, progress: Progress | None = None
+    pool: PolicyPool,
+    *,
+    name: str = "pairs",
+    job: Job | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
 ) -> Floats:
-    """Race all pairs of a pool.
+    """Race all pairs of a pool; payoffs whatever the slot on the grid, shape (T, F, N, N), antisymmetric.
+
+    The mean over the slots of what :func:`slot_payoffs` returns for the same arguments.
+    """
+    payoffs = slot_payoffs(pool, name=name, job=job, executor=executor, progress=progress)
+    return np.asarray(payoffs.mean(axis=2))
+
+
+def slot_payoffs(
+    pool: PolicyPool,
+    *,
+    name: str = "pairs",
+    job: Job | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Floats:
+    """Race all pairs of a pool; payoffs by slot of the grid.
 
     Parameters
     ----------
     pool : PolicyPool
+    name : str
+        Of the group of tasks in the job.
     job : Job, optional
         Stores results, so that a stopped run can be resumed.
     executor : Executor, optional
@@ -93,48 +134,48 @@ def pool_payoffs(
 
     Returns
     -------
-    ndarray, shape (T, F, N, N)
-        Score of the row's policy against the column's minus one half, for every circuit and fold; a tie and a crash
-        that pays nobody count one half.
+    ndarray, shape (T, F, 2, N, N)
+        Score of the row's policy against the column's minus one half, for every circuit, fold and slot of the row's
+        policy: 0 on the left or in front, 1 on the right or behind. A tie and a crash that pays nobody count one half.
+        The mean over the slots is antisymmetric.
     """
     step = max(1, _RACES_AT_ONCE // pool.races)
     blocks = [pool.pairs[first : first + step] for first in range(0, len(pool.pairs), step)]
     tasks = [(pool, track, block) for track in range(len(pool.tracks)) for block in blocks]
     race = _race_block if executor is None else partial(_race_block, threads=1)
     if job is not None:
-        results = job.run("pairs", race, tasks, executor=executor, progress=progress)
+        results = job.run(name, race, tasks, executor=executor, progress=progress)
     else:
         results = list((map if executor is None else executor.map)(race, tasks))
-    payoffs = np.zeros((len(pool.tracks), pool.folds, len(pool.policies), len(pool.policies)))
+    count = len(pool.policies)
+    payoffs = np.zeros((len(pool.tracks), pool.folds, 2, count, count))
     for (_, track, block), result in zip(tasks, results, strict=True):
-        i, j = np.transpose(block)
-        payoffs[track, :, i, j] = result["payoffs"]
-        payoffs[track, :, j, i] = -result["payoffs"]
+        for (i, j), won in zip(block, result["payoffs"], strict=True):
+            if i == j:  # either car is the policy
+                front = (won[:, 0] - won[:, 1]) / 2.0
+                won = np.stack([front, -front], axis=1)
+            payoffs[track, :, :, i, j] = won
+            payoffs[track, :, :, j, i] = -won[:, ::-1]
     return payoffs
 
 
 def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: int | None = None) -> Arrays:
-    """Race some pairs on one circuit: their payoffs in every fold, shape (pairs, F)."""
+    """Race some pairs on one circuit: their payoffs in every fold and slot, shape (pairs, F, 2)."""
     pool, number, pairs = task
-    track = as_track(pool.tracks[number])
-    rules = replace(pool.config, start_lines=pool.races // 2)
-    lines = start_lines(track, rules, np.random.SeedSequence(pool.seed, spawn_key=(number,)))
-    starts = Starts(np.repeat(lines, 2), np.tile([0, 1], len(lines)))
+    track, starts = pool.starts(number)
     scores = np.empty((len(pairs), pool.races))
     for row, (i, j) in enumerate(pairs):
         ego, rival = pool.policies[i], pool.policies[j]
-        # A pair's noise depends on the two policies' places in the pool, not on the block that races it.
-        noise = (
-            np.random.SeedSequence(pool.seed, spawn_key=(number, i, j))
-            .generate_state(pool.races, np.uint64)
-            .astype(np.uint64)
-        )
         setup = RaceSetup(track, pool.config, (ego.planner, rival.planner))
-        state = start_races(setup, starts, noise)
+        state = start_races(setup, starts, pool.noise(number, i, j))
         theta = np.stack([pad_parameters([policy], setup.theta_size)[0] for policy in (ego, rival)])
         theta = np.ascontiguousarray(np.broadcast_to(theta, (pool.races, *theta.shape)))
         advance(setup, state, theta, pool.config.ticks, threads=threads, ittc=False)
-        won = winners(pool.config, state)
-        scores[row] = np.where(won == 0, 1.0, np.where(won == 1, 0.0, 0.5))
-    folds = scores.reshape(len(pairs), pool.races // 2 // pool.folds, pool.folds, 2)
-    return {"payoffs": folds.mean(axis=(1, 3)) - 0.5}
+        scores[row] = race_scores(pool.config, state)
+    return {"payoffs": pool.by_fold(scores)}
+
+
+def race_scores(config: RaceConfig, state: RaceState) -> Floats:
+    """Return the score of car 0 in races that are over: 1 for a win, 0 for a loss, else one half."""
+    won = winners(config, state)
+    return np.where(won == 0, 1.0, np.where(won == 1, 0.0, 0.5))
