@@ -32,9 +32,9 @@ def add(commands: Commands) -> None:
         commands,
         "headroom",
         "race all pairs of an archive's policies, and print what knowing the opponent is worth",
-        "pcs-racing headroom --archive contest --preset contest --out out/headroom",
-        "pcs-racing headroom --archive contest --preset contest --lead-plans 6 --out out/plans",
-        "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --preset contest --out out/mine",
+        "pcs-racing headroom --archive contest --race contest --out out/headroom",
+        "pcs-racing headroom --archive contest --race contest --lead-plans 6 --out out/plans",
+        "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --race contest --out out/mine",
     )
     add_tracks(parser)
     parser.add_argument("--archive", default="contest", help="archive: its name or folder (default: contest)")
