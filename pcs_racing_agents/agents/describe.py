@@ -19,7 +19,7 @@ NEEDS = {
     "": "nothing",
     "fit": "a fit to training races, the file `ARCHIVE-RACE-{name}.yaml` or `fit=FILE`",
     "network": "the network `ARCHIVE-RACE-{kind}`, or `network=FOLDER`",
-    "agents": "what its member agents need",
+    "networks": "the network set `ARCHIVE-RACE-{kind}`, or `networks=FOLDER`",
 }
 
 

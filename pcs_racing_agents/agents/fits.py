@@ -1,4 +1,4 @@
-"""Choices made on training races, as small files: a plan of moves, a policy to walk to, the weights of a mixture.
+"""Choices made on training races, as small files: a plan of moves, a policy to walk to.
 
 :mod:`pcs_racing_agents.tournament.fitting` makes them; the agents that follow them read them from here.
 """
@@ -20,8 +20,8 @@ __all__ = ["Fit", "FitSource", "find_fit", "fit_facts", "load_fit", "make_fit", 
 FIT_FORMAT = ManifestFormat(
     "fit", ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"), "save_fit"
 )
-KINDS = {"best-schedule": list, "best-fixed": int, "psro": dict}
-"""What kinds there are, and what a choice of each is: names of moves, the index of a policy, weights by agent."""
+KINDS = {"best-schedule": list, "best-fixed": int}
+"""What kinds there are, and what a choice of each is: names of moves, the index of a policy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class Fit:
     ----------
     kind : str
         Name of the agent that it is for.
-    choice : list of str, int, or dict of str to float
-        Names of the moves; index of the policy; weights by name of the agent.
+    choice : list of str or int
+        Names of the moves; index of the policy.
     game : GameIdentity
         The game that it was made on; a file records no names of moves and elements.
     training : Mapping
@@ -153,4 +153,4 @@ def _recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
 
 
 def _wanted(kind: str) -> str:
-    return {"best-schedule": "a list of moves", "best-fixed": "the index of a policy"}.get(kind, "weights by agent")
+    return {"best-schedule": "a list of moves", "best-fixed": "the index of a policy"}[kind]
