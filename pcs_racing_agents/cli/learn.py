@@ -47,9 +47,9 @@ def add(commands: Commands) -> None:
     )
     add_pool(parser)
     add_rules(parser)
-    configs = "; ".join(f"{name}: {', '.join(shipped_configs(name)) or 'none'}" for name in METHODS)
+    configs = "; ".join(f"{name}: {', '.join(_configs(name))}" for name in METHODS)
     parser.add_argument(
-        "--config", metavar="NAME", help=f"settings of the method, shipped ones or a YAML file ({configs})"
+        "--config", metavar="NAME", help=f"settings of the method, the first by default, or a YAML file ({configs})"
     )
     parser.add_argument("--name", help="name of the agent's networks (default: the method)")
     parser.add_argument(
@@ -102,6 +102,12 @@ def run(arguments: argparse.Namespace) -> None:
     print(f"written: {folder}; race it as {arguments.method}:{option}={folder}")
 
 
+def _configs(method: str) -> list[str]:
+    """Return the shipped settings of a method, those that it takes by default first."""
+    first = "response" if method == "response" else "default"
+    return [first, *(name for name in shipped_configs(method) if name != first)]
+
+
 def games_of(arguments: argparse.Namespace) -> "tuple[Setting, list[RaceGame]]":
     """Return archive and rules that the options name, and the game on each circuit."""
     from pcs_racing_agents.agents.setting import make_setting
@@ -144,7 +150,8 @@ def _method(
     from pcs_racing_agents.learning.robust import learn_psro, learn_robust, load_psro_settings, load_robust_settings
     from pcs_racing_agents.learning.self_play import RaceArena, learn_self_play, load_self_play_settings
 
-    source, changes = arguments.config, {"seed": arguments.seed}
+    source = arguments.config or _configs(arguments.method)[0]
+    changes = {"seed": arguments.seed}
     config, moves, count = games[0].config, len(games[0].move_names), len(games)
     told: dict[str, Any] = {"name": name, "progress": show_progress("tasks")}
     if arguments.method == "response":

@@ -42,7 +42,7 @@ def add(commands: Commands) -> None:
         "--baseline", default="never-switch", metavar="AGENT", help="agent to gain over (default: never-switch)"
     )
     add_rules(parser)
-    for option, kind, default in (("--config", "robust", None), ("--reply", "response", "best-reply")):
+    for option, kind, default in (("--config", "robust", "default"), ("--reply", "response", "best-reply")):
         what = "the robust responses" if option == "--config" else "the best replies"
         known = ", ".join(shipped_configs(kind)) or "none shipped"
         parser.add_argument(

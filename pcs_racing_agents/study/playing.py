@@ -75,7 +75,7 @@ def play_against_itself(study: Study) -> None:
 
         learned = _learn(study, name, plain_settings(seeded), learn)
         if name == "sampled-cfr":
-            # The last network predicts mean regrets over all iterations: the paper's agent makes the move of the highest.
+            # The last network predicts mean regrets over all iterations; the paper plays the move of the highest.
             regrets = replace(
                 learned.networks[-1], name="regret", target="regret", training={**learned.training, "sampled": True}
             )

@@ -11,6 +11,7 @@ from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
@@ -182,4 +183,24 @@ def excess_estimate(races: RaceTable) -> Estimate:
     if len(np.unique(opponent)) == 1:  # a driver with a single policy
         return clustered_mean(excess, ego, line)
     one_pool = bool((races.path[:, :, 0] >= 0).all())  # both start with policies of the archive
+    if one_pool:
+        excess = _without_policies(excess, races.track.codes.astype(np.int64), ego, opponent)
     return clustered_mean(excess, ego, opponent, line, same_pool=one_pool)
+
+
+def _without_policies(
+    excess: NDArray[np.float64], track: NDArray[np.int64], ego: NDArray[np.int64], opponent: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the excess of races without what the two start policies bring.
+
+    Where policy i as ego met policy j as opponent and the other way round, half of the difference of the two means is
+    what the stronger policy wins, for whoever has it. It is the same with opposite signs in both directions: taking it
+    off leaves the mean as it is, and takes away variance that the design has balanced.
+    """
+    size = int(max(ego.max(), opponent.max())) + 1
+    cells = (track * size + ego) * size + opponent
+    mirrored = (track * size + opponent) * size + ego
+    count = np.bincount(cells, minlength=int(max(cells.max(), mirrored.max())) + 1)
+    mean = np.bincount(cells, excess, len(count)) / np.maximum(count, 1)
+    balanced = count[cells] == count[mirrored]
+    return excess - np.where(balanced, 0.5 * (mean[cells] - mean[mirrored]), 0.0)

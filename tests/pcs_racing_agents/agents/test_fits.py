@@ -8,7 +8,7 @@ from pcs_racing_agents.agents.fits import Fit, find_fit, load_fit, make_fit, sav
 from pcs_racing_agents.agents.zoo import build
 
 PLAN = ["stay", "restraint +", "aggressiveness -", "stay"]
-CHOICES = {"best-schedule": PLAN, "best-fixed": 3, "psro": {"never-switch": 0.25, "random-moves": 0.75}}
+CHOICES = {"best-schedule": PLAN, "best-fixed": 3}
 
 
 @pytest.mark.parametrize("kind", CHOICES)
@@ -18,7 +18,7 @@ def test_a_fit_is_kept_and_followed(setting, tmp_path, kind, seen):
     assert vars(load_fit(path)) == vars(fit)
     agent = build(kind, setting, fit=str(path))
     assert agent.facts["trained on"] == "races 10, reached 0.5"
-    direct = {"best-schedule": {"moves": PLAN}, "best-fixed": {"target": 3}, "psro": {"weights": CHOICES["psro"]}}
+    direct = {"best-schedule": {"moves": PLAN}, "best-fixed": {"target": 3}}
     same = build(kind, setting, **direct[kind])
     assert (agent.predict(seen[0])[0] == same.predict(seen[0])[0]).all()
     assert [entry.name for entry in tmp_path.iterdir()] == ["fit.yaml"]
@@ -33,12 +33,11 @@ def test_a_fit_of_another_game_is_refused(setting, archive):
     with pytest.raises(InputError, match="was made for archive"):
         find_fit("best-fixed", make_setting(fewer, setting.config), fit)
     with pytest.raises(InputError, match="is one of 'best-fixed'"):
-        find_fit("psro", setting, fit)
-    for kind, given in (("best-fixed", {"target": 3}), ("psro", {"weights": {"never-switch": 1.0}})):
-        with pytest.raises(InputError, match=f"agent '{kind}' got .* and a fit"):
-            build(kind, setting, fit=fit, **given)
+        find_fit("best-schedule", setting, fit)
+    with pytest.raises(InputError, match=r"agent 'best-fixed' got .* and a fit"):
+        build("best-fixed", setting, fit=fit, target=3)
     with pytest.raises(UnknownNameError, match="none is shipped for archive 'toy' and rules 'paper'"):
-        find_fit("psro", setting)
+        find_fit("best-schedule", setting)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from pcs_racing_agents.agents import Agent, Decider, Driver, make, names, parse_
 from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.describe import describe
 from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, options
+from pcs_racing_agents.networks import NetworkSet
 
 
 def learned(name: str, setting) -> dict:
@@ -16,12 +17,13 @@ def learned(name: str, setting) -> dict:
     given = {
         "best-schedule": {"moves": ["stay"] * 4},
         "best-fixed": {"target": 3},
-        "psro": {"weights": {"never-switch": 1.0, "random-moves": 1.0}},
         "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
-        "restricted-response": {"exploit": "random-moves", "safe": "never-switch"},
     }
     if name in SHIPPED and entries()[name].needs == "network" and name != "adaptive":
         return {"network": untrained(setting)}
+    if name in SHIPPED and entries()[name].needs == "networks":
+        networks = tuple(untrained(setting, "advantage", seed) for seed in (1, 2))
+        return {"networks": NetworkSet("untrained", networks, np.ones(2), "regret-matching")}
     return given.get(name, {})
 
 
@@ -33,7 +35,9 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
         created = build(name, setting, seed=3, **learned(name, setting))
         assert created.name == name
         if isinstance(created, Driver):
-            assert name in ("random-policy", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit")
+            assert name in (
+                *("random-policy", "other-archive", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit"),
+            )
             continue
         if name == "receding-horizon":
             assert isinstance(created, Decider)

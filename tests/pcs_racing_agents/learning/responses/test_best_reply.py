@@ -1,6 +1,7 @@
 """Loss to a learned best reply, in short games in which a good reply is known: to go faster."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from pcs_racing_agents.jobs.jobs import make_executor, open_job
 from pcs_racing_agents.learning.responses import best_reply, load_response_settings
 from pcs_racing_agents.learning.responses.best_reply import excess_estimate
 
-SMALL = load_response_settings(starts=96, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)
+SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def slow(games, setting, tmp_path_factory):
 def test_an_agent_that_slows_down_loses_to_one_that_was_trained_against_it(slow):
     _, reply = slow
     assert reply.loss.low > 0.0
-    assert reply.loss.mean > 0.15
+    assert reply.loss.mean > 0.05
     assert len(reply.races) == reply.loss.units == 10 * 10 * 5 * 2
     excess = np.mean(reply.races.winner == 0) - np.mean(reply.races.winner == 1)
     assert reply.loss.mean == pytest.approx(0.5 * excess)
@@ -93,11 +94,19 @@ def test_too_few_races_are_refused_before_anything_is_learned(games, setting, tm
 
 def test_nobody_wins_a_race_against_itself(slow):
     _, reply = slow
-    even = reply.races.take(np.arange(len(reply.races)))
-    object.__setattr__(even, "winner", np.tile(np.array([0, 1], np.int8), len(even) // 2))
+    even = replace(reply.races, winner=np.tile(np.array([0, 1], np.int8), len(reply.races) // 2))
     assert excess_estimate(even).mean == 0.0
     with pytest.raises(InputError, match="no races"):
         excess_estimate(even.take([]))
+
+
+def test_what_start_policies_bring_is_no_noise(slow):
+    """If the faster start policy always wins, nobody loses to anybody, and the interval says so."""
+    _, reply = slow
+    ego, opponent = reply.races.variants.T.astype(int)
+    faster = replace(reply.races, winner=np.where(ego == opponent, -1, ego < opponent).astype(np.int8))
+    estimate = excess_estimate(faster)
+    assert (estimate.mean, estimate.se) == (pytest.approx(0.0), pytest.approx(0.0, abs=1e-12))
 
 
 def test_the_command_prints_the_loss_and_writes_it(tmp_path, capsys):
