@@ -113,7 +113,8 @@ def test_shares_divide_the_games(games, setting, pool, learner, tmp_path):
     settings = load_response_settings(learner)
     with open_job(tmp_path / "shares", "response", {}) as job:
         network = learn_response(games, pool, setting, settings, job, shares=[3, 1])
-        assert network.training["rows"] == 2 * settings.starts  # two steps; nobody is out before
+        # At each of two steps; races that were over before give no row.
+        assert settings.starts < network.training["rows"] <= 2 * settings.starts
         for shares in ([1.0], [0, 0], [1, -1], [1, np.nan]):
             with pytest.raises(InputError, match="shares"):
                 learn_response(games, pool, setting, settings, job, shares=shares)

@@ -18,7 +18,7 @@ from pcs_racing_agents.jobs.jobs import make_executor, open_job
 from pcs_racing_agents.learning.self_play import RaceArena, learn_self_play, load_self_play_settings
 from pcs_racing_agents.learning.self_play.race_arena import ExploringStrategy
 from pcs_racing_agents.networks import NetworkSet
-from pcs_racing_agents.networks.metrics import score_trees
+from pcs_racing_agents.networks.metrics import TreeScore, score_trees
 from pcs_racing_agents.solvers import GameTree, exploitability, uniform_profile
 from pcs_racing_agents.trees import build_tree
 
@@ -50,7 +50,7 @@ def first(networks: NetworkSet, count: int) -> NetworkSet:
 def poker(tmp_path_factory):
     pytest.importorskip("torch", reason="torch is not installed")
     arena = TreeArena(kuhn_poker())
-    settings = load_self_play_settings(iterations=32, starts=192, epochs=10, patience=10, **TABLE)
+    settings = load_self_play_settings(iterations=32, starts=128, epochs=6, patience=6, **TABLE)
     return arena, learned([arena], settings, tmp_path_factory.mktemp("poker") / "run")
 
 
@@ -86,7 +86,7 @@ def test_the_last_iteration_alone_is_no_equilibrium(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def game(oval, archive):
+def race(oval, archive):
     return make_game(oval, archive, "contest", stay=False, moves=2, step_seconds=1.6, threads=1)
 
 
@@ -106,15 +106,15 @@ class RaceTreeArena(TreeArena):
         return seen.reshape(-1, *seen.shape[2:])[nodes, player].astype(np.float32)
 
 
-def test_in_a_short_race_it_loses_little_to_an_opponent_that_knows_it(game, tmp_path):
+def test_in_a_short_race_it_loses_little_to_an_opponent_that_knows_it(race, tmp_path):
     """Played as an agent from its observations, on the game tree of a race with four seeds of noise."""
-    setting = make_setting(game.archive, game.config)
-    tree = build_tree(game, np.array([4, 6]), Starts(game.start_lines[:1], np.array([1])), [3, 4, 5, 6])
-    moves = len(game.move_names)
+    setting = make_setting(race.archive, race.config)
+    tree = build_tree(race, np.array([4, 6]), Starts(race.start_lines[:1], np.array([1])), [3, 4, 5, 6])
+    moves = len(race.move_names)
     with_seeds = GameTree.from_payoffs(np.asarray(tree.payoffs).reshape(4, *[moves] * 4), np.full(4, 0.25))
-    arena = RaceTreeArena(with_seeds, tree, game_identity(game))
+    arena = RaceTreeArena(with_seeds, tree, game_identity(race))
     settings = load_self_play_settings(
-        iterations=16, starts=256, hidden=(32,), epochs=15, patience=15, exploration=0.0, learning_rate=0.01
+        iterations=12, starts=128, hidden=(32,), epochs=10, patience=10, exploration=0.0, learning_rate=0.01
     )
     networks = learned([arena], settings, tmp_path / "race")
     agent = build("self-play", setting, networks=networks)
@@ -122,12 +122,12 @@ def test_in_a_short_race_it_loses_little_to_an_opponent_that_knows_it(game, tmp_
         "self-play": lambda seen: agent.probabilities(seen)[:, :moves],
         "random": lambda seen: np.full((len(seen), moves), 1.0 / moves),
     }
-    lost = {name: rows[0].lost_to_best_response for name, rows in score_trees(plays, [tree]).items()}
+    lost = {name: TreeScore(*rows[0]).lost_to_best_response for name, rows in score_trees(plays, [tree]).items()}
     assert lost["self-play"] < 0.25 * lost["random"]
 
 
-def test_the_same_networks_from_threads_and_after_a_stop(game, oval, archive, tmp_path):
-    offered = make_game(oval, archive, game.config, stay=True, threads=1)
+def test_the_same_networks_from_threads_and_after_a_stop(race, oval, archive, tmp_path):
+    offered = make_game(oval, archive, race.config, stay=True, threads=1)
     arenas = [RaceArena(offered, make_setting(archive, offered.config))] * 2
     one = learned(arenas, SHORT, tmp_path / "one")
     assert one.identity.moves[-1] == "stay"
@@ -143,8 +143,8 @@ def test_the_same_networks_from_threads_and_after_a_stop(game, oval, archive, tm
             np.testing.assert_array_equal(own.layers.weights[0], others.layers.weights[0])
 
 
-def test_the_advantages_of_random_play_sum_up_to_nothing(game, archive):
-    arena = RaceArena(game, make_setting(archive, game.config))
+def test_the_advantages_of_random_play_sum_up_to_nothing(race, archive):
+    arena = RaceArena(race, make_setting(archive, race.config))
     keys = np.arange(1, 9, dtype=np.uint64)
     rows = arena.traverse(None, 0.1, 1, keys)
     np.testing.assert_allclose(rows["advantages"].sum(axis=1), 0.0, atol=1e-12)
@@ -158,9 +158,9 @@ def test_exploration_leaves_every_offered_move_a_chance(setting, network, seen):
     np.testing.assert_allclose(chances.sum(axis=1), 1.0)
 
 
-def test_arenas_of_different_games_are_refused(game, archive, tmp_path):
-    longer = make_game(game.track, archive, game.config, moves=3)
-    arenas = [RaceArena(one, make_setting(archive, one.config)) for one in (game, longer)]
+def test_arenas_of_different_games_are_refused(race, archive, tmp_path):
+    longer = make_game(race.track, archive, race.config, moves=3)
+    arenas = [RaceArena(one, make_setting(archive, one.config)) for one in (race, longer)]
     with open_job(tmp_path / "x", "self-play", {}) as job:
         with pytest.raises(InputError, match="arena 1"):
             learn_self_play(arenas, SHORT, job)
