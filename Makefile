@@ -5,12 +5,13 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 
-.PHONY: help demo test compare machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
+.PHONY: help demo test compare clients machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
 
 help:
 	@echo "make demo        the paper's study in small: trees, networks, races, a report to look at (under 5 minutes)"
 	@echo "make test        the test suite"
 	@echo "make compare     comparisons with other libraries (Gambit, pymoo, CMA-MAE and others), which it installs"
+	@echo "make clients     other RL libraries on the environments, each in an environment of its own (half an hour the first time)"
 	@echo "make machines    the test suite as other machines would run it; PYTHONS=\"python3.12 python3.13\" adds those"
 	@echo "make lint        style, and the format of the code"
 	@echo "make types       static types"
@@ -35,6 +36,9 @@ test: $(VENV)/test.stamp
 # Some of these libraries are large, so that nothing else waits for them.
 compare: $(VENV)/compare.stamp
 	$(RUN) -m pytest -m compare -rs
+
+clients: | $(RUN)
+	$(RUN) tools/try_clients.py
 
 PYTHONS ?=
 machines: $(VENV)/test.stamp

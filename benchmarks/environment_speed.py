@@ -49,7 +49,7 @@ def drive_scalar(track: str, inner: bool = False, **arguments) -> Work:
     env.reset(seed=0)
     env.step(action)
     batch = env.batch
-    command = np.array([[0.0, -0.75]])
+    command = np.array([[[0.0, -0.75]]])
     results = (np.zeros((1, 2)), np.empty(1), np.empty(1, np.bool_), np.empty(1, np.bool_))
     results += (np.empty((1, len(env.elements)), np.float32),)
 

@@ -23,7 +23,7 @@ from pcs_racing_agents.agents import as_competitor
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, read_evaluations
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
-from pcs_racing_agents.tournament.matches import variant_count
+from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
 
 SEED = 20_011  # of these races, and of nothing else

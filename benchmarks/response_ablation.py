@@ -35,7 +35,7 @@ from pcs_racing_agents.networks import RegretNetwork, Rows, load_network
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.networks.training import train_layers
 from pcs_racing_agents.tournament import play_games
-from pcs_racing_agents.tournament.matches import game_between
+from pcs_racing_agents.tournament.games import game_between
 
 SEED = 9_000_000  # of the races
 BRANCH_SEED = 77

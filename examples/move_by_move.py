@@ -18,7 +18,7 @@ from pcs_racing.race.races import draw_starts
 from pcs_racing_agents import make
 from pcs_racing_agents.agents import observing
 from pcs_racing_agents.explain.explain import mark_moves
-from pcs_racing_agents.tournament import record_match
+from pcs_racing_agents.tournament import record_game
 
 
 def main() -> None:
@@ -65,10 +65,10 @@ def main() -> None:
         )
 
     # 3. The same race again, recorded.
-    recording = record_match(game, *cars, policies=first, start=start, seed=int(key[0]))
-    assert recording.match.lead[0] == state.race.lead[0]  # the very same race
+    recording = record_game(game, *cars, policies=first, start=start, seed=int(key[0]))
+    assert recording.played.lead[0] == state.race.lead[0]  # the very same race
     print(recording.replay.outcome)
-    replay = mark_moves(recording.replay, recording.match, game.move_names, game.config.step_seconds)
+    replay = mark_moves(recording.replay, recording.played, game.move_names, game.config.step_seconds)
     arguments.out.mkdir(parents=True, exist_ok=True)
     print("page:", save_replay(replay, arguments.out / "race.html"))
 

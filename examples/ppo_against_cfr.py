@@ -24,7 +24,7 @@ from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.learning.ppo.train import train_ppo
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
 from pcs_racing_agents.tournament.statistics import compare
-from pcs_racing_agents.tournament.watching import record_match
+from pcs_racing_agents.tournament.watching import record_game
 
 try:
     import stable_baselines3  # noqa: F401  what trains
@@ -92,7 +92,7 @@ def main() -> None:
     # 4. One of these races to watch.
     pairing = cross_pairing(game, ppo, rival, **draws)
     best = int(np.argmax(play_pairing(pairing).lead))
-    recording = record_match(game, ppo, rival, **pairing.race_arguments(best))
+    recording = record_game(game, ppo, rival, **pairing.race_arguments(best))
     print(f"\nto watch: {save_replay(recording.replay, arguments.out / 'race.html')}")
 
 

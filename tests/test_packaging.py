@@ -139,7 +139,6 @@ EXAMPLES = {
     "openspiel_tree": ("pyspiel", "games"),
     "ppo_against_cfr": ("stable_baselines3", "learning"),
     "self_play_ppo": ("stable_baselines3", "learning"),
-    "torchrl_rollout": ("torch", "learning"),
     "train_ppo": ("matplotlib", "learning,plots"),
 }
 

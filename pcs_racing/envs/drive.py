@@ -78,7 +78,8 @@ class DriveEnv(ScalarEnv):
 
     ``progress_reward`` (1) for every metre of progress along the race line in the step, less ``rivalry`` (0) times the
     opponent's progress, and ``-crash_penalty`` (-10) in the step in which the agent crashes into a wall, or into the
-    opponent and is to blame for it. ``rivalry=1`` makes the return the lead.
+    opponent and is to blame for it. ``rivalry=1`` makes the return the lead. ``win_reward`` (0) is added at the end
+    of a race that was won, and subtracted after a defeat; the preset says who wins after a crash. Alone nobody wins.
 
     ## Starting State
 
@@ -93,13 +94,15 @@ class DriveEnv(ScalarEnv):
 
     ## Episode End
 
-    *Terminated* by a crash of either car. *Truncated* after the preset's duration (40 s).
+    *Terminated* by a crash of either car. *Truncated* after the preset's duration (40 s); with a ``win_reward`` that is
+    a termination, too, since the race is decided and nothing follows (take ``time_left`` then).
 
     ## Information
 
     Numbers: ``time`` (s), ``progress`` and ``lead`` (m), ``crash`` and ``opponent_crash``
     (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the agent is to blame for a crash),
-    ``overtakes``, and ``opponent``, the index of the episode's opponent (-1 if there is none).
+    ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that
+    pays nobody; alone always 0), and ``opponent``, the index of the episode's opponent (-1 if there is none).
     ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.
 
     ## Arguments
@@ -131,10 +134,17 @@ class DriveEnv(ScalarEnv):
     lidar_noise : float
         Standard deviation of the ranges, m; a function of the race's key, the time and the beam.
     look_ahead : tuple of float
-        Distances at which curvature, speed and widths are reported, m.
+        Distances at which curvature, speed and widths are reported, m; () for none.
+    own_state : bool
+        Whether the elements 0 to 7 are observed.
+    see_opponent : {"always", "in sight", "never"}
+        When the opponent's elements are filled in. "in sight": they are 0 while a wall stands between the centres of
+        the two cars, or they are further apart than `max_range`. "never": there are no such elements.
+    time_left : bool
+        Whether an element before the beams tells the share of the race that is left.
     normalize : bool
         Whether to map every element to [-1, 1].
-    progress_reward, rivalry, crash_penalty : float
+    progress_reward, rivalry, crash_penalty, win_reward : float
         See *Rewards*.
     start_lines : int
         Number of start lines to draw from.
@@ -188,10 +198,14 @@ class DriveEnv(ScalarEnv):
         max_range: float = 30.0,
         lidar_noise: float = 0.0,
         look_ahead: Sequence[float] = (0.0, 1.0, 2.0, 4.0, 6.0, 9.0),
+        own_state: bool = True,
+        see_opponent: str = "always",
+        time_left: bool = False,
         normalize: bool = False,
         progress_reward: float = 1.0,
         rivalry: float = 0.0,
         crash_penalty: float = 10.0,
+        win_reward: float = 0.0,
         start_lines: int = 100,
         archive: str | Path | PolicyArchive = "default",
         render_mode: str | None = None,

@@ -1,4 +1,4 @@
-"""Many races at the level of steering and speed, advanced together: the batch behind Drive."""
+"""Many races at the level of steering and speed, advanced together: the batch behind the Drive environments."""
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,9 +12,9 @@ from pcs_racing.base.compilation import first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import WORK_SHAPE, Beams, Lidar
 from pcs_racing.envs.batch import BatchStep, check_batch_size
-from pcs_racing.envs.drive_kernel import observe_races, restart, set_commands, step_races
-from pcs_racing.envs.drive_options import DriveOptions, drive_elements
-from pcs_racing.envs.infos import Crash, codes
+from pcs_racing.envs.drive_kernel import Sight, observe_races, restart, set_commands, step_races
+from pcs_racing.envs.drive_options import SEE_OPPONENT, DriveOptions, drive_elements
+from pcs_racing.envs.infos import Crash, Result, codes
 from pcs_racing.envs.moving_opponents import MovingOpponents
 from pcs_racing.envs.opponents import draw_opponent, drive_opponents, shared_planner
 from pcs_racing.envs.reset_options import place_poses, poses_option, start_option
@@ -25,7 +25,7 @@ from pcs_racing.planners.planner import COMMAND_SLOTS, Planner, hold_command, le
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.driving import default_threads
 from pcs_racing.race.kernel import DT, WORK_SIZE
-from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races
+from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, take
@@ -52,7 +52,7 @@ def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Non
 
 
 class DriveBatch:
-    """Races side by side; car 0 of each is driven by the agent, car 1 by an opponent.
+    """Races side by side; car 0 of each is driven by an agent, car 1 by an opponent or by a second agent.
 
     Implements :class:`pcs_racing.envs.batch.Batch`.
 
@@ -63,7 +63,7 @@ class DriveBatch:
     threads : int, optional
         Threads that share a step; as many as there are cores (and work for) by default.
     players : int
-        1.
+        2 where both cars are driven by agents; `opponent` is None then.
     **arguments
         Of :class:`DriveOptions`.
 
@@ -83,30 +83,34 @@ class DriveBatch:
         check_batch_size(episodes, threads)
         options = DriveOptions(**arguments)
         self.episodes, self.players, self.options = int(episodes), players, options
+        if players == 2 and options.opponent is not None:
+            raise InputError(f"opponent is {options.opponent!r}; both cars belong to agents here, so it must be None")
         self.track = as_track(options.track)
         changes: dict[str, Any] = {"start_lines": options.start_lines}
         if options.duration is not None:
             changes["duration"] = options.duration
         config = load_race_config(options.race, **changes)
-        self.alone = options.opponent is None
-        self.opponents = [] if self.alone else drive_opponents(options.opponent, self._make_game)
+        self.alone = options.opponent is None and players == 1
+        self.opponents = [] if options.opponent is None else drive_opponents(options.opponent, self._make_game)
         movers = [opponent for opponent in self.opponents if not opponent.policies]
         self._moving = MovingOpponents(self.episodes, self._make_game()) if movers else None
-        planner = (
-            EXTERNAL if self.alone else shared_planner(self.opponents, self._moving.game if self._moving else None)
-        )
+        planner = EXTERNAL
+        if self.opponents:
+            planner = shared_planner(self.opponents, self._moving.game if self._moving else None)
         self.setup = RaceSetup(self.track, config, (EXTERNAL, planner))
         self.horizon = -(-self.setup.config.ticks // options.ticks)
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
             "crash": codes(Crash),
             "opponent_crash": codes(Crash),
+            "result": codes(Result),
             "opponent": {-1: "none", **{i: opponent.name for i, opponent in enumerate(self.opponents)}},
         }
         self.elements = drive_elements(options)
-        if self.episodes * len(self.elements) > MOST_NUMBERS:
+        environments = self.episodes * players
+        if environments * len(self.elements) > MOST_NUMBERS:
             raise InputError(
-                f"{self.episodes} environments observe {len(self.elements)} numbers each; take fewer environments or "
+                f"{environments} environments observe {len(self.elements)} numbers each; take fewer environments or "
                 f"beams: {MOST_NUMBERS} numbers are the limit"
             )
         self._prepare_observations(options)
@@ -135,8 +139,18 @@ class DriveBatch:
         else:
             nothing = np.empty(0)
             nothing.flags.writeable = False  # as a lidar's are: both have the same compiled type then
-            beams = Beams(0.0, 1.0, 1.0, nothing, nothing)
-        self._sight = (ahead, self.alone, beams, float(options.lidar_noise))
+            beams = Beams(0.0, 1.0, float(options.max_range), nothing, nothing)
+        self._sight = Sight(
+            self.players,
+            self.alone,
+            options.own_state,
+            ahead,
+            SEE_OPPONENT.index(options.see_opponent),
+            options.time_left,
+            self.setup.config.ticks,
+            beams,
+            float(options.lidar_noise),
+        )
 
     def _prepare_races(self, threads: int | None) -> None:
         setup, races = self.setup, self.episodes
@@ -153,8 +167,10 @@ class DriveBatch:
         # Time to collision is measured only for opponents that observe characteristics: it costs time.
         self._settings = setup.settings if self._moving else setup.settings._replace(ittc_horizon=0.0)
         self._limits = (setup.vehicles[0].steer_max, float(self.options.top_speed))
-        self._weights = tuple(
-            float(getattr(self.options, name)) for name in ("progress_reward", "rivalry", "crash_penalty")
+        worth = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
+        self._weights = (
+            *(float(getattr(self.options, name)) for name in worth),
+            setup.config.crash_rule == "fault-loses",
         )
         self._rows = np.arange(races)
         self._in_python = setup.planners[1].drive is not None
@@ -169,9 +185,8 @@ class DriveBatch:
         with first_call(step_races, "the control-level environment", 20) as compiling:
             self._pointers = (*setup.planners[0].pointers(), *setup.planners[1].pointers())
             if compiling:
-                nothing, no = np.empty(races), np.empty(races, np.bool_)
-                before, out = self.state.progress.copy(), np.empty((races, len(self.elements)), np.float32)
-                self._step_part(np.empty((races, 2)), 0, 0, 0, 0, (before, nothing, no, no, out))
+                actions, results = np.empty((races, self.players, 2)), self._results()
+                self._step_part(actions, 0, 0, 0, 0, results)
 
     def restart(
         self,
@@ -206,7 +221,7 @@ class DriveBatch:
             self.drawn[row] = generator.integers(max(1, len(self.opponents)))
         else:
             self.drawn[row] = draw_opponent(self._edges, generator)
-        if self.alone:
+        if not self.opponents:
             return
         opponent = self.opponents[self.drawn[row]]
         policy = opponent.draw_policy(generator)
@@ -216,12 +231,12 @@ class DriveBatch:
             self._moving.draw(row, opponent, generator)
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
-        """Write the observations of some races into their rows of ``out``, shape (B, n)."""
+        """Write the observations of the players of some races into their rows of ``out``, shape (B * players, n)."""
         observe_races(
             self.track.arrays,
             self.state,
             self.vehicles,
-            *self._sight,
+            self._sight,
             *self._writing,
             rows,
             0,
@@ -231,7 +246,7 @@ class DriveBatch:
         )
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        """Return actions as float64 of shape (B, 2), or raise an error that says what is wrong with them, and where."""
+        """Return actions as float64 of shape (B, players, 2), or raise an error that says what is wrong, and where."""
         wanted = (*shape, 2)
         try:
             values = np.asarray(actions, dtype=np.float64)
@@ -239,27 +254,22 @@ class DriveBatch:
             raise InputError(f"action {actions!r} must be numbers of shape {wanted}: steering and speed") from error
         if values.shape != wanted:
             raise InputError(f"action has shape {values.shape}; it must be {wanted}: steering and speed in [-1, 1]")
-        values = np.ascontiguousarray(values.reshape(self.episodes, 2))
+        values = np.ascontiguousarray(values.reshape(self.episodes, self.players, 2))
         if not np.isfinite(values).all():
-            i = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+            rows = values.reshape(-1, 2)
+            i = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
             where = f" of environment {i}" if shape else ""
-            raise InputError(f"action{where} is {values[i].tolist()}; steering and speed must be finite, in [-1, 1]")
+            raise InputError(f"action{where} is {rows[i].tolist()}; steering and speed must be finite, in [-1, 1]")
         return values
 
     def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
         """Drive every race one step on."""
-        races = self.episodes
-        out = np.empty((races, len(self.elements)), np.float32)
-        reward = np.empty(races)
-        terminated = np.empty(races, np.bool_)
-        truncated = np.empty(races, np.bool_)
-        before = self.state.progress.copy()
-        ticks = self.options.ticks
+        races, ticks = self.episodes, self.options.ticks
+        results = self._results()
         if self._in_python:
             set_commands(actions, *self._limits, self.state.memory, 0, races)
             advance(self.setup, self.state, self.theta, ticks)
             ticks = 0
-        results = (before, reward, terminated, truncated, out)
         if self._pool is None:
             self._step_part(actions, ticks, 0, races, 0, results)
         else:
@@ -273,7 +283,14 @@ class DriveBatch:
                 part.result()
         if self._moving is not None:
             self._moving.move(self.state, self.theta, self.opponents, self.drawn, generators)
+        _, reward, terminated, truncated, out = results
         return BatchStep(out, reward, terminated, truncated)
+
+    def _results(self) -> tuple[NDArray[Any], ...]:
+        """Arrays for a step: the progress before it, and what it overwrites: rewards, ends and observations."""
+        count = self.episodes * self.players
+        ends = np.empty(count, np.bool_), np.empty(count, np.bool_)
+        return self.state.progress.copy(), np.empty(count), *ends, np.empty((count, len(self.elements)), np.float32)
 
     def _step_part(
         self, actions: NDArray[np.float64], ticks: int, first: int, last: int, worker: int, results: tuple[Any, ...]
@@ -303,42 +320,70 @@ class DriveBatch:
         self._compiled(*arguments)
 
     def infos(self) -> dict[str, NDArray[Any]]:
-        """Infos of all races; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
-        state = self.state
+        """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
+        of_cars = [self._infos_of(car) for car in range(self.players)]
+        if self.players == 1:
+            return of_cars[0]
+        return {name: np.stack([one[name] for one in of_cars], axis=1).reshape(-1) for name in of_cars[0]}
+
+    def _infos_of(self, car: int) -> dict[str, NDArray[Any]]:
+        state, other = self.state, 1 - car
         return {
             "time": state.tick * DT,
-            "progress": state.progress[:, 0].copy(),
-            "lead": np.zeros(self.episodes) if self.alone else state.lead,
-            "crash": state.crash[:, 0].astype(np.int64),
-            "opponent_crash": state.crash[:, 1].astype(np.int64),
-            "fault": state.fault[:, 0].astype(np.int64),
-            "overtakes": state.overtakes[:, 0].copy(),
-            "opponent": np.full(self.episodes, -1) if self.alone else self.drawn.copy(),
+            "progress": state.progress[:, car].copy(),
+            "lead": np.zeros(self.episodes) if self.alone else state.lead if car == 0 else -state.lead,
+            "crash": state.crash[:, car].astype(np.int64),
+            "opponent_crash": state.crash[:, other].astype(np.int64),
+            "fault": state.fault[:, car].astype(np.int64),
+            "overtakes": state.overtakes[:, car].copy(),
+            "result": self._outcomes(car),
+            "opponent": self.drawn.copy() if self.opponents else np.full(self.episodes, -1),
         }
 
+    def _outcomes(self, car: int) -> NDArray[np.int64]:
+        """How each race has ended for a car; alone it races nobody, and the result stays open."""
+        state, config = self.state, self.setup.config
+        result = np.zeros(self.episodes, np.int64)
+        over = (state.crash[:, 0] != 0) | (state.crash[:, 1] != 0) | (state.tick >= config.ticks)
+        if self.alone or not over.any():
+            return result
+        rows = np.flatnonzero(over)
+        ended = take(state, rows)
+        winner = winners(config, ended)
+        found = np.where(winner == car, Result.WIN, np.where(winner == 1 - car, Result.LOSS, Result.TIE))
+        result[rows] = np.where((winner < 0) & ended.crashed, Result.CRASH, found)
+        return result
+
     def info(self, environment: int) -> dict[str, Any]:
-        """Info of one race as plain numbers; faster than taking it from arrays of one."""
-        state = self.state
-        progress = float(state.progress[environment, 0])
+        """Info of one player as plain numbers; faster than taking it from arrays of one."""
+        race, car = divmod(environment, self.players)
+        state, other = self.state, 1 - car
+        progress, tick = float(state.progress[race, car]), state.tick.item(race)
+        crash, opponent_crash = int(state.crash[race, car]), int(state.crash[race, other])
+        over = crash or opponent_crash or tick >= self.setup.config.ticks
         return {
-            "time": state.tick.item(environment) * DT,
+            "time": tick * DT,
             "progress": progress,
-            "lead": 0.0 if self.alone else progress - float(state.progress[environment, 1]),
-            "crash": int(state.crash[environment, 0]),
-            "opponent_crash": int(state.crash[environment, 1]),
-            "fault": int(state.fault[environment, 0]),
-            "overtakes": int(state.overtakes[environment, 0]),
-            "opponent": -1 if self.alone else int(self.drawn[environment]),
+            "lead": 0.0 if self.alone else progress - float(state.progress[race, other]),
+            "crash": crash,
+            "opponent_crash": opponent_crash,
+            "fault": int(state.fault[race, car]),
+            "overtakes": int(state.overtakes[race, car]),
+            "result": int(self._outcomes(car)[race]) if over else int(Result.RUNNING),
+            "opponent": int(self.drawn[race]) if self.opponents else -1,
         }
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw a race as it stands."""
-        cars = self.state.cars[environment, :1] if self.alone else self.state.cars[environment]
-        info = self.info(environment)
+        race = environment // self.players
+        cars = self.state.cars[race, :1] if self.alone else self.state.cars[race]
+        info = self.info(race * self.players)
         text = f"{info['time']:.1f} s    {info['progress']:.1f} m"
         if not self.alone:
-            text += f"    lead {info['lead']:+.1f} m    against {self.opponents[info['opponent']].name}"
-        plans = None if self.alone else [np.full((1, 2), np.nan), self.state.path[environment, 1]]
+            text += f"    lead {info['lead']:+.1f} m"
+        if self.opponents:
+            text += f"    against {self.opponents[info['opponent']].name}"
+        plans = [np.full((1, 2), np.nan), self.state.path[race, 1]] if self.opponents else None
         return renderer.render(cars, plans=plans, text=text)
 
     def get_state(self) -> tuple[Any, ...]:

@@ -1,20 +1,33 @@
-"""The compiled step of the control-level environment: commands in, races driven on, observations and rewards out."""
+"""The compiled step of the control-level environments: commands in, races driven on, observations and rewards out.
+
+One or both cars of a race belong to agents, its players. Rows of observations and rewards count the players of all
+races: with two, row ``2 i`` is car 0 of race ``i`` and row ``2 i + 1`` its car 1.
+"""
+
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import car_hits_wall
-from pcs_racing.car.lidar_kernel import scan_into
-from pcs_racing.game.reward import step_reward
+from pcs_racing.car.lidar_kernel import Beams, scan_into
+from pcs_racing.game.reward import step_reward, win_sign
 from pcs_racing.race import state as _state
 from pcs_racing.race.kernel import CONTROL_EVERY, DT, advance_races, steering_noise
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
+from pcs_racing.track.grid import cast
 
 __all__ = [
+    "ALWAYS",
+    "IN_SIGHT",
+    "NEVER",
+    "OPPONENT_ELEMENTS",
     "OWN_ELEMENTS",
     "STRETCH_ELEMENTS",
+    "Sight",
     "advance_alone",
     "observe_races",
     "restart",
@@ -24,9 +37,50 @@ __all__ = [
 
 OWN_ELEMENTS = 8  # numbers about the own car
 STRETCH_ELEMENTS = 4  # numbers about each look-ahead distance; those about the opponent follow
+OPPONENT_ELEMENTS = 9
+
+# When the numbers about the opponent are filled in.
+NEVER, IN_SIGHT, ALWAYS = 0, 1, 2
 
 # Keeps the noise of the lidar apart from that of the steering, which has the same key.
 _LIDAR_KEY = np.uint64(0x5851F42D4C957F2D)
+
+
+class Sight(NamedTuple):
+    """What the players of a race observe, in the form that the kernels read.
+
+    Attributes
+    ----------
+    players : int
+        Cars that observe: 1 for car 0 alone, or 2.
+    alone : bool
+        Whether car 1 does not exist.
+    own_state : bool
+        Whether the numbers about the own car are there.
+    ahead : ndarray of int64
+        Look-ahead distances in samples of the race line, each in [0, N).
+    opponent : int
+        ``NEVER``: there are no numbers about the opponent; ``IN_SIGHT``: they are 0 where a wall hides it or it is too
+        far away; ``ALWAYS``.
+    time_left : bool
+        Whether the share of the race that is left is there.
+    end_tick : int
+        Steps of 0.01 s of a race.
+    beams : Beams
+        Of the lidar; with no beams there is no scan.
+    noise : float
+        Standard deviation of its ranges, m.
+    """
+
+    players: int
+    alone: bool
+    own_state: bool
+    ahead: NDArray[Any]
+    opponent: int
+    time_left: bool
+    end_tick: int
+    beams: Beams
+    noise: float
 
 
 @kernel
@@ -76,23 +130,26 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
 
 
 @kernel
-def _observe(line, ds, length, cars, frenet, progress, memory, ahead, alone, race, row):  # type: ignore[no-untyped-def]
-    """Write everything but the lidar, in the units of the elements; single arrays, for speed."""
+def _see_own(line, ds, cars, frenet, memory, race, car, row, k):  # type: ignore[no-untyped-def]
+    """Write the numbers about the own car from ``row[k]`` on; single arrays, for speed."""
+    s = frenet[race, car, 0]
+    here = min(int(s / ds), line.shape[0] - 1)
+    row[k] = cars[race, car, _vehicle.V]
+    row[k + 1] = cars[race, car, _vehicle.DELTA]
+    row[k + 2] = cars[race, car, _vehicle.PSI_DOT]
+    row[k + 3] = angle_between(cars[race, car, _vehicle.BETA], 0.0)
+    row[k + 4] = memory[race, car, 0]
+    row[k + 5] = memory[race, car, 1]
+    row[k + 6] = frenet[race, car, 1]
+    heading = line[here, PSI] + (s - here * ds) * line[here, KAPPA]
+    row[k + 7] = angle_between(cars[race, car, _vehicle.PSI], heading)
+
+
+@kernel
+def _see_line(line, ds, s, ahead, row, k):  # type: ignore[no-untyped-def]
+    """Write the numbers about the race line from ``row[k]`` on."""
     n = line.shape[0]
-    v = cars[race, 0, _vehicle.V]
-    psi = cars[race, 0, _vehicle.PSI]
-    s = frenet[race, 0, 0]
-    d = frenet[race, 0, 1]
     here = min(int(s / ds), n - 1)
-    row[0] = v
-    row[1] = cars[race, 0, _vehicle.DELTA]
-    row[2] = cars[race, 0, _vehicle.PSI_DOT]
-    row[3] = angle_between(cars[race, 0, _vehicle.BETA], 0.0)
-    row[4] = memory[race, 0, 0]
-    row[5] = memory[race, 0, 1]
-    row[6] = d
-    row[7] = angle_between(psi, line[here, PSI] + (s - here * ds) * line[here, KAPPA])
-    k = OWN_ELEMENTS
     for i in range(ahead.shape[0]):
         j = here + ahead[i]
         if j >= n:
@@ -102,65 +159,124 @@ def _observe(line, ds, length, cars, frenet, progress, memory, ahead, alone, rac
         row[k + 2] = line[j, LEFT]
         row[k + 3] = line[j, RIGHT]
         k += STRETCH_ELEMENTS
-    if alone:
-        for i in range(k, k + 9):
-            row[i] = 0.0
-        return
+
+
+@kernel
+def _see_opponent(length, cars, frenet, progress, race, car, row, k):  # type: ignore[no-untyped-def]
+    """Write the numbers about the opponent from ``row[k]`` on."""
+    other = 1 - car
+    psi = cars[race, car, _vehicle.PSI]
+    v = cars[race, car, _vehicle.V]
     sn, c = sine_cosine(psi)
-    dx = cars[race, 1, _vehicle.X] - cars[race, 0, _vehicle.X]
-    dy = cars[race, 1, _vehicle.Y] - cars[race, 0, _vehicle.Y]
-    course = cars[race, 1, _vehicle.PSI] + cars[race, 1, _vehicle.BETA]
-    own_course = psi + cars[race, 0, _vehicle.BETA]
-    speed = cars[race, 1, _vehicle.V]
+    dx = cars[race, other, _vehicle.X] - cars[race, car, _vehicle.X]
+    dy = cars[race, other, _vehicle.Y] - cars[race, car, _vehicle.Y]
+    course = cars[race, other, _vehicle.PSI] + cars[race, other, _vehicle.BETA]
+    own_course = psi + cars[race, car, _vehicle.BETA]
+    speed = cars[race, other, _vehicle.V]
     sine, cosine = sine_cosine(course)
     own_sine, own_cosine = sine_cosine(own_course)
     vx = speed * cosine - v * own_cosine
     vy = speed * sine - v * own_sine
-    gap = frenet[race, 1, 0] - s
+    gap = frenet[race, other, 0] - frenet[race, car, 0]
     row[k] = 1.0
     row[k + 1] = gap - length * np.floor(gap / length + 0.5)
-    row[k + 2] = frenet[race, 1, 1] - d
+    row[k + 2] = frenet[race, other, 1] - frenet[race, car, 1]
     row[k + 3] = dx * c + dy * sn
     row[k + 4] = dy * c - dx * sn
-    row[k + 5] = angle_between(cars[race, 1, _vehicle.PSI], psi)
+    row[k + 5] = angle_between(cars[race, other, _vehicle.PSI], psi)
     row[k + 6] = vx * c + vy * sn
     row[k + 7] = vy * c - vx * sn
-    row[k + 8] = progress[race, 0] - progress[race, 1]
+    row[k + 8] = progress[race, car] - progress[race, other]
 
 
 @kernel
-def _write(row, low, high, gain, shift, out, race):  # type: ignore[no-untyped-def]
+def _in_sight(track, cars, race, car, reach):  # type: ignore[no-untyped-def]
+    """Whether no wall stands between the centres of the cars, and they are ``reach`` m apart at most."""
+    x = cars[race, car, _vehicle.X]
+    y = cars[race, car, _vehicle.Y]
+    dx = cars[race, 1 - car, _vehicle.X] - x
+    dy = cars[race, 1 - car, _vehicle.Y] - y
+    apart = np.sqrt(dx * dx + dy * dy)
+    if apart > reach or apart == 0.0:
+        return apart == 0.0
+    u = (x - track.origin_x) / track.cell
+    v = (y - track.origin_y) / track.cell
+    cells = apart / track.cell
+    return cast(track.distance, u, v, dx / apart, dy / apart, cells)[0] >= cells
+
+
+@inner_kernel(forceinline=True)
+def _observe(track, state, vehicles, sight, race, car, row, work):  # type: ignore[no-untyped-def]
+    """Write what a car observes, in the units of the elements."""
+    cars, frenet = state.cars, state.frenet
+    k = 0
+    if sight.own_state:
+        _see_own(track.line, track.ds, cars, frenet, state.memory, race, car, row, k)
+        k += OWN_ELEMENTS
+    _see_line(track.line, track.ds, frenet[race, car, 0], sight.ahead, row, k)
+    k += STRETCH_ELEMENTS * sight.ahead.shape[0]
+    if sight.opponent != NEVER:
+        hidden = sight.alone
+        if sight.opponent == IN_SIGHT and not hidden:
+            hidden = not _in_sight(track, cars, race, car, sight.beams.max_range)
+        if hidden:
+            row[k : k + OPPONENT_ELEMENTS] = 0.0
+        else:
+            _see_opponent(track.length, cars, frenet, state.progress, race, car, row, k)
+        k += OPPONENT_ELEMENTS
+    if sight.time_left:
+        row[k] = 1.0 - state.tick[race] / sight.end_tick
+        k += 1
+    scan = row[k:]
+    if scan.shape[0] == 0:
+        return
+    other = 1 - car
+    scan_into(
+        track,
+        sight.beams,
+        cars[race, car, _vehicle.X],
+        cars[race, car, _vehicle.Y],
+        cars[race, car, _vehicle.PSI],
+        frenet[race, car, 0],
+        not sight.alone,
+        cars[race, other, _vehicle.X],
+        cars[race, other, _vehicle.Y],
+        cars[race, other, _vehicle.PSI],
+        0.5 * vehicles[race, other, _vehicle.LENGTH],
+        0.5 * vehicles[race, other, _vehicle.WIDTH],
+        work,
+        scan,
+    )
+    if sight.noise > 0.0:
+        _noisy(scan, state.seed[race], car, state.tick[race], sight.noise, sight.beams.max_range)
+
+
+@kernel
+def _write(row, low, high, gain, shift, out, player):  # type: ignore[no-untyped-def]
     """Clip an observation to its bounds, scale it if asked, and round it to float32."""
     for k in range(row.shape[0]):
-        out[race, k] = np.float32(min(max(row[k], low[k]), high[k]) * gain[k] + shift[k])
+        out[player, k] = np.float32(min(max(row[k], low[k]), high[k]) * gain[k] + shift[k])
 
 
 @kernel
-def _noisy(scan, seed, tick, noise, most):  # type: ignore[no-untyped-def]
-    """Add to each range noise that depends on the race's seed, the time and the beam alone."""
+def _noisy(scan, seed, car, tick, noise, most):  # type: ignore[no-untyped-def]
+    """Add to each range noise that depends on the race's seed, the car, the time and the beam alone."""
     beams = scan.shape[0]
     for k in range(beams):
-        draw = steering_noise(seed ^ _LIDAR_KEY, 0, tick * beams + k)
+        draw = steering_noise(seed ^ _LIDAR_KEY, car, tick * beams + k)
         scan[k] = min(max(scan[k] + noise * draw, 0.0), most)
 
 
 @kernel
-def observe_races(track, state, vehicles, ahead, alone, beams, noise, low, high, gain, shift, rows, first, last, row, work, out):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
-    """Write the observations of the races ``rows[first:last]``.
+def observe_races(track, state, vehicles, sight, low, high, gain, shift, rows, first, last, row, work, out):  # type: ignore[no-untyped-def]
+    """Write the observations of the players of the races ``rows[first:last]``.
 
     Parameters
     ----------
     track : TrackArrays
     state : RaceState
     vehicles : ndarray, shape (B, 2, 16)
-    ahead : ndarray of int64
-        Look-ahead distances in samples of the race line, each in [0, N).
-    alone : bool
-        Whether there is no opponent.
-    beams : Beams
-        Of the lidar; with no beams there is no scan.
-    noise : float
-        Standard deviation of its ranges, m.
+    sight : Sight
     low, high, gain, shift : ndarray, shape (n,)
         Bounds of the elements, and what turns a clipped value into the one that is written.
     rows : ndarray of int64
@@ -169,55 +285,26 @@ def observe_races(track, state, vehicles, ahead, alone, beams, noise, low, high,
         The part of ``rows`` to work off.
     row : ndarray, shape (n,)
         Scribbled on, as is ``work``, of shape ``WORK_SHAPE`` of the lidar.
-    out : ndarray, shape (B, n), float32
-        Receives the observations, each in its race's row.
+    out : ndarray, shape (B * players, n), float32
+        Receives the observations, each in its player's row.
     """
-    count = low.shape[0]
-    scanned = beams.cos.shape[0]
-    scan = row[count - scanned :]
     for i in range(first, last):
         race = rows[i]
-        _observe(
-            track.line,
-            track.ds,
-            track.length,
-            state.cars,
-            state.frenet,
-            state.progress,
-            state.memory,
-            ahead,
-            alone,
-            race,
-            row,
-        )
-        if scanned > 0:
-            scan_into(
-                track,
-                beams,
-                state.cars[race, 0, _vehicle.X],
-                state.cars[race, 0, _vehicle.Y],
-                state.cars[race, 0, _vehicle.PSI],
-                state.frenet[race, 0, 0],
-                not alone,
-                state.cars[race, 1, _vehicle.X],
-                state.cars[race, 1, _vehicle.Y],
-                state.cars[race, 1, _vehicle.PSI],
-                0.5 * vehicles[race, 1, _vehicle.LENGTH],
-                0.5 * vehicles[race, 1, _vehicle.WIDTH],
-                work,
-                scan,
-            )
-            if noise > 0.0:
-                _noisy(scan, state.seed[race], state.tick[race], noise, beams.max_range)
-        _write(row, low, high, gain, shift, out, race)
+        for car in range(sight.players):
+            _observe(track, state, vehicles, sight, race, car, row, work)
+            _write(row, low, high, gain, shift, out, race * sight.players + car)
 
 
 @kernel
 def set_commands(actions, steer_max, top_speed, memory, first, last):  # type: ignore[no-untyped-def]
-    """Turn actions in [-1, 1] into target steering angles and speeds, where the driver of car 0 reads them."""
+    """Turn actions in [-1, 1] into target steering angles and speeds, where the drivers of the players' cars read them.
+
+    ``actions`` has the shape (B, players, 2).
+    """
     for race in range(first, last):
-        memory[race, 0, 0] = steer_max * min(max(actions[race, 0], -1.0), 1.0)
-        memory[race, 0, 1] = 0.5 * top_speed * (1.0 + min(max(actions[race, 1], -1.0), 1.0))
+        for car in range(actions.shape[1]):
+            memory[race, car, 0] = steer_max * min(max(actions[race, car, 0], -1.0), 1.0)
+            memory[race, car, 1] = 0.5 * top_speed * (1.0 + min(max(actions[race, car, 1], -1.0), 1.0))
 
 
 @compiled
@@ -244,16 +331,27 @@ def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
 
 @kernel
 def _end_step(  # type: ignore[no-untyped-def]
-    progress, crash, fault, tick, end_tick, weights, alone, before, reward, terminated, truncated, first, last
+    progress, crash, fault, tick, end_tick, weights, players, alone, before, reward, terminated, truncated, first, last
 ):
     """Rewards and ends after a step, from the progress before it and the state after it."""
+    per_metre, rivalry, penalty, win, fault_loses = weights
     for race in range(first, last):
-        own = progress[race, 0] - before[race, 0]
-        other = 0.0 if alone else progress[race, 1] - before[race, 1]
-        ended = crash[race, 0] != 0 or crash[race, 1] != 0
-        reward[race] = step_reward(own, other, fault[race, 0], weights)
-        terminated[race] = ended
-        truncated[race] = not ended and tick[race] >= end_tick
+        crashed = crash[race, 0] != 0 or crash[race, 1] != 0
+        late = tick[race] >= end_tick
+        # Where winning pays, nothing follows after the last moment of a race.
+        ended = crashed or (late and win > 0.0)
+        for car in range(players):
+            other = 1 - car
+            own = progress[race, car] - before[race, car]
+            opponent = 0.0 if alone else progress[race, other] - before[race, other]
+            worth = step_reward(own, opponent, fault[race, car], (per_metre, rivalry, penalty))
+            if win > 0.0 and not alone and (crashed or late):
+                lead = progress[race, car] - progress[race, other]
+                worth += win * win_sign(lead, crashed, fault[race, car], fault[race, other], fault_loses)
+            player = race * players + car
+            reward[player] = worth
+            terminated[player] = ended
+            truncated[player] = late and not ended
 
 
 @kernel
@@ -264,15 +362,14 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
     ----------
     track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks
         As in :func:`pcs_racing.race.kernel.advance_races`.
-    actions : ndarray, shape (B, 2)
+    actions : ndarray, shape (B, players, 2)
         Steering and speed, clipped to [-1, 1].
     limits : tuple of float
         Largest steering angle (rad) and top speed (m/s).
-    weights : tuple of float
-        As :func:`pcs_racing.game.reward.step_reward` takes them.
-    sight : tuple
-        ``ahead, alone, beams, noise`` of :func:`observe_races`.
-    low, high, gain, shift, rows, out
+    weights : tuple
+        Reward for a metre, share of the opponent's progress that is taken off, penalty
+        (:func:`pcs_racing.game.reward.step_reward`); reward of a win, and whether a fault loses the race.
+    sight, low, high, gain, shift, rows, out
         As in :func:`observe_races`; ``rows`` counts from 0 to B - 1.
     first, last : int
         The part of the batch to step.
@@ -280,13 +377,12 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
         ``scratch`` and ``work`` of the races, ``row`` and ``work`` of the observations: all scribbled on.
     before : ndarray, shape (B, 2)
         Progress from which the reward counts, m.
-    reward, terminated, truncated : ndarray, shape (B,)
+    reward, terminated, truncated : ndarray, shape (B * players,)
         Overwritten.
     """
-    ahead, alone, beams, noise = sight
     scratch, work, row, scan_work = buffers
     set_commands(actions, limits[0], limits[1], state.memory, first, last)
-    if alone:
+    if sight.alone:
         advance_alone(track, state, vehicles, settings, ticks, first, last)
     else:
         advance_races(
@@ -299,7 +395,8 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
         state.tick,
         settings.end_tick,
         weights,
-        alone,
+        sight.players,
+        sight.alone,
         before,
         reward,
         terminated,
@@ -307,22 +404,4 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
         first,
         last,
     )
-    observe_races(
-        track,
-        state,
-        vehicles,
-        ahead,
-        alone,
-        beams,
-        noise,
-        low,
-        high,
-        gain,
-        shift,
-        rows,
-        first,
-        last,
-        row,
-        scan_work,
-        out,
-    )
+    observe_races(track, state, vehicles, sight, low, high, gain, shift, rows, first, last, row, scan_work, out)

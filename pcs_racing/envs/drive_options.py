@@ -9,7 +9,7 @@ import numpy as np
 
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Rule, Settings, checked, flag, number, setting, whole
+from pcs_racing.base.settings import Rule, Settings, checked, choice, flag, number, setting, whole
 from pcs_racing.car.lidar import MOST_BEAMS
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.game.archive import PolicyArchive
@@ -17,7 +17,10 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.kernel import CONTROL_EVERY, DT
 from pcs_racing.track.track import Track
 
-__all__ = ["DriveOptions", "Element", "drive_elements"]
+__all__ = ["SEE_OPPONENT", "DriveOptions", "Element", "drive_elements"]
+
+SEE_OPPONENT = ("never", "in sight", "always")
+"""When the opponent is observed; each at the index that the kernel knows it by."""
 
 
 class Element(NamedTuple):
@@ -50,8 +53,8 @@ def _time_step(value: Any) -> float:
 
 def _look_ahead(value: Any) -> tuple[float, ...]:
     listed = isinstance(value, Sequence) and not isinstance(value, str)
-    if not listed or not 1 <= len(value) <= 100:
-        raise InputError(f"look_ahead is {value!r}; it must list 1 to 100 distances in m")
+    if not listed or len(value) > 100:
+        raise InputError(f"look_ahead is {value!r}; it must list at most 100 distances in m")
     return tuple(check_number("look_ahead", distance, 0.0, 1000.0) for distance in value)
 
 
@@ -73,13 +76,17 @@ class DriveOptions(Settings):
     lidar_noise: float = setting(0.0, number(0.0, 10.0), "Standard deviation of the lidar's noise, m.")
     look_ahead: tuple[float, ...] = setting(
         (0.0, 1.0, 2.0, 4.0, 6.0, 9.0),
-        checked(_look_ahead, "1 to 100 distances from 0 to 1000"),
+        checked(_look_ahead, "at most 100 distances from 0 to 1000"),
         "Distances at which the race line is observed, m.",
     )
+    own_state: bool = setting(True, flag(), "Whether the numbers about the own car are observed.")
+    see_opponent: str = setting("always", choice(SEE_OPPONENT), "When the opponent is observed.")
+    time_left: bool = setting(False, flag(), "Whether the share of the race that is left is observed.")
     normalize: bool = setting(False, flag(), "Whether observations are scaled to [-1, 1].")
     progress_reward: float = setting(1.0, number(-1e6, 1e6), "Reward for a metre of progress.")
     rivalry: float = setting(0.0, number(-1e6, 1e6), "Share of the opponent's progress that is taken off.")
     crash_penalty: float = setting(10.0, number(0.0, 1e6), "Penalty of a crash by own fault.")
+    win_reward: float = setting(0.0, number(0.0, 1e6), "Reward of a win, and penalty of a defeat.")
     start_lines: int = setting(100, Rule(lambda name, value: value), "Start lines to draw from.")
     archive: str | Path | PolicyArchive = setting(
         "default", _source(PolicyArchive), "Archive of opponents that move between policies."
@@ -95,16 +102,20 @@ def drive_elements(options: DriveOptions) -> list[Element]:
     """Every element of the observation, in order; values beyond the bounds are clipped to them."""
     pi = float(np.pi)
     top = F1TENTH.v_max
-    elements = [
-        Element("speed", "m/s", F1TENTH.v_min, top, "own speed"),
-        Element("steering", "rad", -F1TENTH.steer_max, F1TENTH.steer_max, "own steering angle, positive to the left"),
-        Element("yaw rate", "rad/s", -20.0, 20.0, "own yaw rate"),
-        Element("slip", "rad", -pi, pi, "own slip angle: course minus heading"),
-        Element("target steering", "rad", -F1TENTH.steer_max, F1TENTH.steer_max, "what the last action asked for"),
-        Element("target speed", "m/s", 0.0, top, "what the last action asked for"),
-        Element("offset", "m", -10.0, 10.0, "distance from the race line, positive to the left"),
-        Element("heading error", "rad", -pi, pi, "own heading minus that of the race line"),
-    ]
+    elements: list[Element] = []
+    if options.own_state:
+        elements += [
+            Element("speed", "m/s", F1TENTH.v_min, top, "own speed"),
+            Element(
+                "steering", "rad", -F1TENTH.steer_max, F1TENTH.steer_max, "own steering angle, positive to the left"
+            ),
+            Element("yaw rate", "rad/s", -20.0, 20.0, "own yaw rate"),
+            Element("slip", "rad", -pi, pi, "own slip angle: course minus heading"),
+            Element("target steering", "rad", -F1TENTH.steer_max, F1TENTH.steer_max, "what the last action asked for"),
+            Element("target speed", "m/s", 0.0, top, "what the last action asked for"),
+            Element("offset", "m", -10.0, 10.0, "distance from the race line, positive to the left"),
+            Element("heading error", "rad", -pi, pi, "own heading minus that of the race line"),
+        ]
     for distance in options.look_ahead:
         at = f"{distance:g} m ahead"
         elements += [
@@ -113,19 +124,28 @@ def drive_elements(options: DriveOptions) -> list[Element]:
             Element(f"left {at}", "m", 0.0, 10.0, f"free width left of the race line {at}"),
             Element(f"right {at}", "m", 0.0, 10.0, f"free width right of the race line {at}"),
         ]
-    elements += [
-        Element("opponent", "1", 0.0, 1.0, "1 if there is an opponent; else it and the next eight are 0"),
-        Element("opponent gap", "m", -30.0, 30.0, "how far ahead the opponent is along the race line, the short way"),
-        Element("opponent offset", "m", -20.0, 20.0, "its distance from the race line minus the own one"),
-        Element("opponent x", "m", -30.0, 30.0, "its position in the own car's frame, forward"),
-        Element("opponent y", "m", -30.0, 30.0, "its position in the own car's frame, to the left"),
-        Element("opponent heading", "rad", -pi, pi, "its heading minus the own one"),
-        Element("opponent vx", "m/s", -30.0, 30.0, "its velocity minus the own one, forward in the own frame"),
-        Element("opponent vy", "m/s", -30.0, 30.0, "its velocity minus the own one, to the left in the own frame"),
-        Element("lead", "m", -1000.0, 1000.0, "own progress minus the opponent's"),
-    ]
+    if options.see_opponent != "never":
+        elements += [
+            Element(
+                "opponent", "1", 0.0, 1.0, "1 if there is an opponent (in sight); else it and the next eight are 0"
+            ),
+            Element(
+                "opponent gap", "m", -30.0, 30.0, "how far ahead the opponent is along the race line, the short way"
+            ),
+            Element("opponent offset", "m", -20.0, 20.0, "its distance from the race line minus the own one"),
+            Element("opponent x", "m", -30.0, 30.0, "its position in the own car's frame, forward"),
+            Element("opponent y", "m", -30.0, 30.0, "its position in the own car's frame, to the left"),
+            Element("opponent heading", "rad", -pi, pi, "its heading minus the own one"),
+            Element("opponent vx", "m/s", -30.0, 30.0, "its velocity minus the own one, forward in the own frame"),
+            Element("opponent vy", "m/s", -30.0, 30.0, "its velocity minus the own one, to the left in the own frame"),
+            Element("lead", "m", -1000.0, 1000.0, "own progress minus the opponent's"),
+        ]
+    if options.time_left:
+        elements.append(Element("time left", "1", 0.0, 1.0, "share of the race's duration that is left"))
     elements += [
         Element(f"beam {k}", "m", 0.0, float(options.max_range), f"range of beam {k}, counted counter-clockwise")
         for k in range(options.beams)
     ]
+    if not elements:
+        raise InputError("nothing is observed; leave own_state on, or take look_ahead, see_opponent or beams")
     return elements

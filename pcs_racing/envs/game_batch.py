@@ -172,7 +172,11 @@ class GameBatch:
     def step(self, actions: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> BatchStep:
         """Let both cars of every game move, and drive a step."""
         state = self.started()
-        moves = actions if self.players == 2 else np.stack([actions[:, 0], self._replies(state, generators)], axis=1)
+        moves = (
+            actions
+            if self.players == 2
+            else np.stack([actions[:, 0], self._replies(state, generators, self.seen[:, 1])], axis=1)
+        )
         self.state = self.game.apply(state, moves)
         self.moves = moves
         self.seen = self.game.observation(self.state)
@@ -180,10 +184,18 @@ class GameBatch:
         done = np.repeat(self.game.done(self.state), self.players)
         return BatchStep(self._observations(), rewards, done, np.zeros(len(done), np.bool_))
 
-    def _replies(self, state: GameState, generators: Sequence[np.random.Generator]) -> NDArray[np.int64]:
+    def _replies(
+        self,
+        state: GameState,
+        generators: Sequence[np.random.Generator],
+        seen: NDArray[np.float32],
+        among: NDArray[np.int64] | None = None,
+    ) -> NDArray[np.int64]:
+        """Moves of the opponents, which observe ``seen``, in all games or among some."""
         replies = np.zeros(self.episodes, np.int64)
+        among = np.arange(self.episodes) if among is None else among
         for k, opponent in enumerate(self.opponents):
-            rows = np.flatnonzero(self.drawn == k)
+            rows = among[self.drawn[among] == k]
             if len(rows) == 0 or opponent.policies:
                 continue
             asked = ask_moves(
@@ -192,7 +204,7 @@ class GameBatch:
                 state,
                 1,
                 rows=rows,
-                observation=self.seen[:, 1],
+                observation=seen,
                 memories=self.memories,
                 generators=generators,
                 deterministic=self._deterministic,

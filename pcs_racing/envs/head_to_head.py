@@ -24,6 +24,7 @@ from pcs_racing.game.state import GameState
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import advance
 from pcs_racing.race.rendering import Renderer
+from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track
 
 __all__ = ["AGENTS", "HeadToHeadEnv", "HeadToHeadState", "env", "parallel_env"]
@@ -173,11 +174,17 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         max_cycles: int | None = None,
         **settings: Any,
     ) -> None:
+        arguments = batch_arguments(HeadToHeadEnv, locals(), GameConfig, settings)
+        self._set_up(arguments, render_mode, view, render_size)
+
+    def _set_up(
+        self, arguments: dict[str, Any], render_mode: str | None, view: str, render_size: tuple[int, int]
+    ) -> None:
+        """Make the batch and the spaces; ``max_cycles`` is among the arguments."""
         check_rendering(render_mode, view)
+        max_cycles = arguments.pop("max_cycles")
         if max_cycles is not None:
             check_whole("max_cycles", max_cycles, 1)
-        arguments = batch_arguments(HeadToHeadEnv, locals(), GameConfig, settings)
-        arguments.pop("max_cycles")
         self._arguments = arguments
         self._use(self._make_batch(arguments))
         self.render_mode, self.view, self.render_size = render_mode, view, render_size
@@ -348,16 +355,21 @@ class HeadToHeadEnv(ParallelEnv[str, NDArray[np.float32], int]):
         """Drive the last step again and draw five moments of each second: what `render` gives, for videos."""
         if self.render_mode is None or self._before is None:
             return
-        state = self._before.copy()
-        race, theta = state.race, self.batch.started().theta
         trail: list[NDArray[np.float64]] = []
-        for _ in range(0, self.game.config.step_ticks, FRAME_TICKS):
-            before = int(race.tick[0])
-            advance(self.game.setup, race, theta, FRAME_TICKS, threads=1)
-            if int(race.tick[0]) == before:
-                break
-            trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
-            yield self._draw(state, np.array(trail))
+        for begun, theta in self._pieces():
+            race = begun.copy()
+            state = self.batch.started()._replace(race=race)
+            for _ in range(0, self.game.config.step_ticks, FRAME_TICKS):
+                before = int(race.tick[0])
+                advance(self.game.setup, race, theta, FRAME_TICKS, threads=1)
+                if int(race.tick[0]) == before:
+                    break
+                trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
+                yield self._draw(state, np.array(trail))
+
+    def _pieces(self) -> list[tuple[RaceState, NDArray[np.float64]]]:
+        """Where the pieces of driving of the last step began, and the parameters that drove them."""
+        return [] if self._before is None else [(self._before.race, self.batch.started().theta)]
 
     def close(self) -> None:
         """Close the window, if there is one."""

@@ -12,6 +12,9 @@ Every environment uses the same names, and every value is a number or an array o
 | `result` | :class:`Result` |
 | `opponent` | index of the episode's opponent among those of the environment; -1 if there is none |
 | `move`, `opponent_move` | index of the last move; -1 before the first, and for a driver, which makes none |
+| `race` | of a match: races that are over |
+| `race_result` | of a match: :class:`Result` of the race that ended last |
+| `score`, `opponent_score` | of a match: races won so far, a tie counting half |
 | `policy` | index of the policy in the archive; -1 for a driver from outside |
 | `action_mask` | 1 for each move that may be made (int8) |
 """

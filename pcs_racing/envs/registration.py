@@ -3,12 +3,17 @@
 import gymnasium
 import pettingzoo
 
-__all__ = ["GYMNASIUM_IDS", "PETTINGZOO_ID", "register_environments"]
+__all__ = ["GYMNASIUM_IDS", "PETTINGZOO_IDS", "register_environments"]
 
-PETTINGZOO_ID = "pcs_racing/head_to_head-v1"
+PETTINGZOO_IDS = {
+    "pcs_racing/head_to_head-v1": "pcs_racing.envs.head_to_head",
+    "pcs_racing/head_to_head_match-v0": "pcs_racing.envs.head_to_head_match",
+}
+"""The module with ``parallel_env`` and ``env``, by name."""
 
 GYMNASIUM_IDS = {
     "pcs_racing/Duel-v1": ("pcs_racing.envs.duel:DuelEnv", "pcs_racing.envs.duel:DuelVectorEnv"),
+    "pcs_racing/Match-v0": ("pcs_racing.envs.match:MatchEnv", "pcs_racing.envs.match:MatchVectorEnv"),
     "pcs_racing/Drive-v1": ("pcs_racing.envs.drive:DriveEnv", "pcs_racing.envs.drive:DriveVectorEnv"),
 }
 """Where the environment and its vector environment are, by name."""
@@ -24,7 +29,8 @@ def register_environments() -> None:
             gymnasium.register(name, entry_point=single, vector_entry_point=vector)
     if not hasattr(pettingzoo, "register"):  # releases before 1.27 have no registry
         return
-    if PETTINGZOO_ID not in pettingzoo.parallel_registry:
-        pettingzoo.register("parallel", PETTINGZOO_ID, "pcs_racing.envs.head_to_head:parallel_env")
-    if PETTINGZOO_ID not in pettingzoo.aec_registry:
-        pettingzoo.register("aec", PETTINGZOO_ID, "pcs_racing.envs.head_to_head:env")
+    for name, module in PETTINGZOO_IDS.items():
+        if name not in pettingzoo.parallel_registry:
+            pettingzoo.register("parallel", name, f"{module}:parallel_env")
+        if name not in pettingzoo.aec_registry:
+            pettingzoo.register("aec", name, f"{module}:env")

@@ -55,7 +55,8 @@ class PolicyArchive:
     planner : str
         Name of the planner that all policies belong to.
     parameter_names : tuple of str
-        What the columns of ``parameters`` are; must agree with the planner's.
+        What the columns of ``parameters`` are: parameters of the planner. Those that are missing keep the planner's
+        defaults (:meth:`complete`).
     parameters : ndarray, shape (K, P)
     characteristics : tuple of str
         Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); more is more on all of them.
@@ -234,28 +235,44 @@ class PolicyArchive:
         UnknownNameError
             If no planner of that name is registered.
         InputError
-            If its parameters are others than the archive's, or a policy lies outside their bounds.
+            If the archive holds a parameter that it has not, or a policy lies outside its bounds.
         """
         planner = get_planner(self.planner)
-        if planner.parameter_names != self.parameter_names:
+        unknown = [name for name in self.parameter_names if name not in planner.parameter_names]
+        if unknown or len(set(self.parameter_names)) < len(self.parameter_names):
             raise InputError(
                 f"archive {self.name!r} holds parameters {', '.join(self.parameter_names)}; planner {self.planner!r} "
                 f"has {', '.join(planner.parameter_names)}"
             )
-        for i, theta in enumerate(self.parameters):
+        for i, theta in enumerate(self.complete(self.parameters)):
             Policy(planner, theta, f"{self.name}[{i}]")
         return planner
+
+    def complete(self, parameters: ArrayLike) -> Floats:
+        """Parameter vectors as the planner takes them, from rows of the archive's parameters.
+
+        Parameters
+        ----------
+        parameters : array_like, shape (K, P)
+            Such as :attr:`parameters` or :attr:`explored_parameters`.
+
+        Returns
+        -------
+        ndarray, shape (K, P')
+            With the planner's defaults of the parameters that the archive does not hold.
+        """
+        return get_planner(self.planner).complete(self.parameter_names, parameters)
 
     def policy(self, index: int) -> Policy:
         """Return one of the policies, named after the archive and its index."""
         at = int(check_indices(np.asarray(index), "policy index", len(self)))
-        return Policy(get_planner(self.planner), self.parameters[at], f"{self.name}[{at}]")
+        return Policy(get_planner(self.planner), self.complete(self.parameters[[at]])[0], f"{self.name}[{at}]")
 
     def explored_policy(self, index: int) -> Policy:
         """Return one of the explored policies."""
         explored: Any = self.explored_parameters
         at = int(check_indices(np.asarray(index), "explored policy index", len(explored)))
-        return Policy(get_planner(self.planner), explored[at], f"{self.name}:explored[{at}]")
+        return Policy(get_planner(self.planner), self.complete(explored[[at]])[0], f"{self.name}:explored[{at}]")
 
     @property
     def explored(self) -> Explored:

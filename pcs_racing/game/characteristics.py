@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.race.kernel import DT
-from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, STEERING, TIME, RaceState
+from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, PROFILE, STEERING, TIME, RaceState
 
 __all__ = [
     "AGGRESSIVENESS",
@@ -38,7 +38,7 @@ class Segment:
     ----------
     progress : ndarray, shape (B, 2)
         Progress of each car during the segment, m.
-    sums : ndarray, shape (B, 2, 6)
+    sums : ndarray, shape (B, 2, 7)
         Growth of the running sums (:data:`pcs_racing.race.state.SUMS`).
     time : ndarray, shape (B,)
         Time driven, s; shorter than asked for after a crash.
@@ -105,7 +105,7 @@ def _blocking(segment: Segment) -> NDArray[np.float64]:
 
 
 def _speed(segment: Segment) -> NDArray[np.float64]:
-    return segment.progress / np.maximum(segment.time, 0.5)[:, None]
+    return segment.sums[..., PROFILE] / np.maximum(segment.sums[..., TIME], 0.5)
 
 
 AGGRESSIVENESS = Characteristic("aggressiveness", "m", "progress gained over the opponent (the paper's g_agg)", _lead)
@@ -119,7 +119,13 @@ SMOOTHNESS = Characteristic("smoothness", "rad/s", "minus the mean steering rate
 BLOCKING_SHARE = Characteristic(
     "blocking", "1", "share of the time spent just ahead and in the opponent's way", _blocking
 )
-SPEED = Characteristic("speed", "m/s", "progress per time, whatever the opponent does", _speed)
+SPEED = Characteristic(
+    "speed",
+    "1",
+    "speed along the race line, in parts of its profile at pace 1: time that the profile takes for what was driven, "
+    "per time driven",
+    _speed,
+)
 
 _registered: dict[str, Characteristic] = {}
 

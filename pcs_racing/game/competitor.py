@@ -5,7 +5,10 @@ A competitor is one of these:
 - a **predictor**: ``predict(observation, state, episode_start, deterministic)``, as models of Stable-Baselines3 have;
 - a **decider**: ``decide(game, state, car)``, for a search with the simulator;
 - a **function** ``f(observation, generator) -> move``;
-- a **driver**, which makes no moves: a :class:`PolicySet` or a single :class:`~pcs_racing.planners.planner.Policy`.
+- a **driver**, which makes no moves: a :class:`PolicySet` or a single :class:`~pcs_racing.planners.planner.Policy`;
+- a **chooser**: ``choose(observation)``, which chooses a policy before each race of a match
+  (:mod:`pcs_racing.game.match`). In the races of a match it keeps that policy, and so does one that is nothing else in
+  a game of its own.
 
 Competitors may always stay, whatever moves the rules offer: :attr:`pcs_racing.game.rules.RaceGame.competitor_moves`.
 """
@@ -23,6 +26,7 @@ from pcs_racing.game.state import GameState, take_games
 from pcs_racing.planners.planner import Policy
 
 __all__ = [
+    "Chooser",
     "Competitor",
     "Decider",
     "PolicySet",
@@ -63,6 +67,17 @@ class Decider(Protocol):
         """Return the moves of one car in a batch of B games, shape (B,); each game must be decided by itself."""
 
 
+@runtime_checkable
+class Chooser(Protocol):
+    """A player of a match that chooses the policy of each race before its start."""
+
+    def choose(self, observation: Observation) -> ArrayLike:
+        """Return the policies of the archive, shape (n,), for what was observed of n matches, shape (n, D).
+
+        The numbers are those of :func:`pcs_racing.game.match_observation.match_elements`.
+        """
+
+
 @dataclass(frozen=True, eq=False)
 class RandomMoves:
     """Draw each move from those that may be made, all with the same probability, by the game's own generator."""
@@ -99,7 +114,7 @@ class PolicySet:
     policies: tuple[Policy, ...]
 
 
-Competitor = Predictor | Decider | PolicySet | RandomMoves | Policy | Function
+Competitor = Predictor | Decider | PolicySet | RandomMoves | Policy | Chooser | Function
 """Who may drive a car of the game."""
 
 
@@ -128,12 +143,12 @@ def check_competitor(game: RaceGame, competitor: Any) -> None:
         If it is no competitor, is made for another archive or other rules, or observes or moves otherwise.
     """
     if isinstance(competitor, type) or not (
-        isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy) or callable(competitor)
+        isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy | Chooser) or callable(competitor)
     ):
         raise InputError(
             f"{competitor!r} is not a competitor; it must be a policy, have predict(observation, state, "
-            "episode_start, deterministic) or decide(game, state, car), or be a PolicySet or a function of "
-            "(observation, generator)"
+            "episode_start, deterministic), decide(game, state, car) or choose(observation), or be a PolicySet or a "
+            "function of (observation, generator)"
         )
     if hasattr(competitor, "check_fits"):
         competitor.check_fits(game)
@@ -212,6 +227,8 @@ def ask_moves(
         ]
     elif isinstance(competitor, Decider):
         answer = competitor.decide(game, take_games(state, rows), car)
+    elif isinstance(competitor, Chooser) and not isinstance(competitor, Predictor):
+        answer = np.full(len(rows), len(names) - 1)  # to stay
     else:
         seen = (game.observation(state)[:, car] if observation is None else observation)[rows]
         if isinstance(competitor, Predictor):

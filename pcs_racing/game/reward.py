@@ -1,7 +1,7 @@
 """The reward: what races pay, for all environments.
 
 A game of moves pays once, when it ends (:func:`reward`); the two cars' rewards add up to 0. An environment at the level
-of steering and speed pays in every step (:func:`step_reward`).
+of steering and speed pays in every step (:func:`step_reward`), and for a win if asked to (:func:`win_sign`).
 """
 
 import numpy as np
@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.game.config import GameConfig
-from pcs_racing.race.races import winners
+from pcs_racing.race.races import TIE_WITHIN, winners
 from pcs_racing.race.state import RaceState
 
-__all__ = ["reward", "step_reward"]
+__all__ = ["reward", "step_reward", "win_sign"]
 
 
 def reward(config: GameConfig, races: RaceState, moves: ArrayLike) -> NDArray[np.float64]:
@@ -58,3 +58,27 @@ def step_reward(own, opponent, fault, weights):  # type: ignore[no-untyped-def]
     """
     per_metre, rivalry, penalty = weights
     return per_metre * (own - rivalry * opponent) - (penalty if fault == 1 else 0.0)
+
+
+@kernel
+def win_sign(lead, crashed, fault, opponent_fault, fault_loses):  # type: ignore[no-untyped-def]
+    """1.0 for a race that was won, -1.0 for one that was lost, else 0.0.
+
+    The rule of :func:`pcs_racing.race.races.winners`, compiled.
+
+    Parameters
+    ----------
+    lead : float
+        Of the own car at the end, m.
+    crashed : bool
+        Whether there was a crash.
+    fault, opponent_fault : int
+        1 if the car is to blame for it.
+    fault_loses : bool
+        Whether the car to blame loses; else a crash pays nobody.
+    """
+    if crashed:
+        return float(opponent_fault) - float(fault) if fault_loses else 0.0
+    if abs(lead) <= TIE_WITHIN:
+        return 0.0
+    return 1.0 if lead > 0.0 else -1.0

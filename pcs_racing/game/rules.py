@@ -56,6 +56,7 @@ Floats = NDArray[np.float64]
 OUTSIDE = -1
 """In a state's ``policy``: a driver from outside the archive."""
 
+MOST_NAMES = 24  # moves that an error lists by name
 REDRAWS = 20  # times that a game which ends before the first move is drawn again
 
 PAPER_GAME = GameConfig()
@@ -105,8 +106,9 @@ class RaceGame:
         )
         setup = RaceSetup(self.track, self.config.race_rules, (first, second))
         theta = np.zeros((len(self.archive), setup.theta_size))
-        width = min(theta.shape[1], self.archive.parameters.shape[1])  # less if neither car can drive its policies
-        theta[:, :width] = self.archive.parameters[:, :width]
+        policies = self.archive.complete(self.archive.parameters)
+        width = min(theta.shape[1], policies.shape[1])  # less if neither car can drive its policies
+        theta[:, :width] = policies[:, :width]
         object.__setattr__(self, "_theta", theta)
         object.__setattr__(self, "_setup", setup)
         object.__setattr__(
@@ -247,7 +249,7 @@ class RaceGame:
             else:
                 line = (bits[:, 0] % np.uint64(len(self.start_lines))).astype(np.int64)
                 grid = Starts(self.start_lines[line], (bits[:, 1] % np.uint64(2)).astype(np.int64))
-            return self._watch(policy, grid, bits[:, 4], theta[rows], outside[rows])
+            return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows])
 
         state = begin(np.arange(count), 0)
         free = drawn.any(axis=1) | (starts is None)
@@ -258,9 +260,23 @@ class RaceGame:
             put_games(state, again, begin(again, attempt))
         return state
 
-    def _watch(
+    def start(
         self, policy: Indices, starts: Starts, noise: NDArray[np.uint64], theta: Floats, outside: NDArray[np.bool_]
     ) -> GameState:
+        """Put the cars of B games on the grid, and drive the step in which the players only watch.
+
+        Parameters
+        ----------
+        policy : ndarray of int, shape (B, 2)
+            Policy of the archive that each car starts with; -1 for a driver from outside.
+        starts : Starts
+        noise : ndarray of uint64, shape (B,)
+            Keys of the steering noise.
+        theta : ndarray, shape (B, 2, P)
+            Parameters of the drivers from outside.
+        outside : ndarray of bool, shape (B, 2)
+            Whose driver is from outside the archive.
+        """
         state = self.empty_state(start_races(self.setup, starts, noise))
         state.policy[:] = policy
         state.theta[:] = self.theta(policy)
@@ -480,7 +496,8 @@ def check_moves(
     if isinstance(moves, list | tuple) and any(isinstance(move, bool | np.bool_) for move in moves):
         given = given.astype(np.bool_)  # among whole numbers numpy would take them for 0 and 1
     by = f"{player}: " if player else ""
-    known = f"from 0 to {len(names) - 1} ({', '.join(names)})"
+    listed = f" ({', '.join(names)})" if len(names) <= MOST_NAMES else ""
+    known = f"from 0 to {len(names) - 1}{listed}"
     if given.shape != shape or given.dtype.kind not in "iu":
         wanted = f"whole numbers of shape {shape}" if shape else "a whole number"
         found = f"{moves!r:.60}, of shape {given.shape} and type {given.dtype}"

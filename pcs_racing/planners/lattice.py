@@ -43,6 +43,7 @@ SPIN_FROM = 11.0  # m/s^2 of lateral acceleration, from where on the car would s
 GRIP = 6.0  # m/s^2, lateral acceleration that a candidate may ask for at speed scale 1
 SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
+LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
 
 _SPEED_FACTORS = (1.0, 0.94, 0.84, 0.65)
 
@@ -76,13 +77,16 @@ _WEIGHTS = (
     OVERTAKING,
     BLOCKING,
 ) = range(len(_WEIGHTS))
-PACE, LATE_BRAKING, SIDE_MARGIN = range(len(_WEIGHTS), len(_WEIGHTS) + 3)
+PACE, LATE_BRAKING, SIDE_MARGIN, PACE_BEHIND = range(len(_WEIGHTS), len(_WEIGHTS) + 4)
 
 PARAMETERS = (
     *(Parameter(name, -2.0, 1.0, default, f"log10 weight of {what}") for name, default, what in _WEIGHTS),
     Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
     Parameter("late_braking", 0.0, 0.15, 0.03, "by how long the braking point is put off, s"),
     Parameter("side_margin", 0.05, 0.35, 0.15, "air to keep beside the opponent, m"),
+    Parameter(
+        "pace_behind", -0.5, 0.5, 0.0, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
+    ),
 )
 
 # Memory: the previous plan as a cubic in d over arc length.
@@ -156,6 +160,17 @@ def _hermite(u, d0, slope0, d1):  # type: ignore[no-untyped-def]
     u = min(max(u, 0.0), 1.0)
     q = 1.0 - u
     return d1 + q * q * ((1.0 + 2.0 * u) * (d0 - d1) + u * slope0)
+
+
+@inner_kernel(forceinline=True)
+def _pace_now(pace, pace_behind, gap):  # type: ignore[no-untyped-def]
+    """The pace at a gap: ``pace`` in front, ``pace + pace_behind`` behind.
+
+    Level cars take the mean of the two, and the ramp reaches half a metre to either side, about a car's length. With a
+    step instead, two such cars side by side would change their speeds at every plan.
+    """
+    behind = min(max(0.5 + gap / LEVEL, 0.0), 1.0)
+    return min(max(pace + behind * pace_behind, 0.0), 1.0)
 
 
 @inner_kernel
@@ -390,7 +405,8 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
     per_ds = 1.0 / track.ds
     line_psi = line[_sample_at(line, per_ds, s0), _frenet.PSI]
     slope = tangent(min(max(angle_between(course, line_psi), -1.2), 1.2))
-    scale = view[_view.SPEED_LOW] + theta[PACE] * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
+    pace = _pace_now(theta[PACE], theta[PACE_BEHIND], view[_view.GAP])
+    scale = view[_view.SPEED_LOW] + pace * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
     # The yaw rate lags the steering; half of each is where the car is about to be.
     kappa0 = 0.5 * (view[_view.OWN_PSI_DOT] / v + tangent(view[_view.OWN_DELTA]) / view[_view.WHEELBASE])
     kappa0 = min(max(kappa0, -1.2), 1.2)

@@ -8,7 +8,7 @@ function ``drive`` instead, and is called between steps of that loop. A :class:`
 parameters: a point that synthesis can move and an archive can keep.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -376,10 +376,63 @@ class Planner:
             return _pointer(leave_path, _PLAN_SIGNATURE), _pointer(hold_command, _CONTROL_SIGNATURE)
         return _pointer(self.plan, _PLAN_SIGNATURE), _pointer(self.control, _CONTROL_SIGNATURE)
 
-    def sample(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Draw a parameter vector uniformly between the bounds, shape (P,)."""
-        bounds = self.bounds
-        return rng.uniform(bounds[:, 0], bounds[:, 1])
+    def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """Where parameters stand in ``theta``, by name.
+
+        Raises
+        ------
+        UnknownNameError
+            If a name is none of the planner's parameters.
+        """
+        for name in names:
+            if name not in self.parameter_names:
+                raise UnknownNameError(
+                    f"planner {self.name!r} has no parameter {name!r}; it has {', '.join(self.parameter_names)}"
+                )
+        return np.array([self.parameter_names.index(name) for name in names], np.int64)
+
+    def without(self, fixed: Sequence[str]) -> tuple[str, ...]:
+        """Names of the parameters that are left when some keep their defaults.
+
+        Raises
+        ------
+        UnknownNameError
+            If a name is none of the planner's parameters.
+        """
+        self.indices(fixed)
+        return tuple(name for name in self.parameter_names if name not in fixed)
+
+    def complete(self, names: Sequence[str], values: ArrayLike) -> NDArray[np.float64]:
+        """Parameter vectors of policies of which some parameters are given; the others keep their defaults.
+
+        Parameters
+        ----------
+        names : sequence of str
+            The parameters that are given.
+        values : array_like, shape (K, len(names))
+
+        Returns
+        -------
+        ndarray, shape (K, P)
+
+        Raises
+        ------
+        UnknownNameError
+            If a name is none of the planner's parameters.
+        """
+        given = np.asarray(values, np.float64)
+        theta = np.tile(self.default, (len(given), 1))
+        theta[:, self.indices(names)] = given
+        return theta
+
+    def sample(self, rng: np.random.Generator, fixed: Sequence[str] = ()) -> NDArray[np.float64]:
+        """Draw a parameter vector uniformly between the bounds, shape (P,).
+
+        Nothing is drawn for the parameters in ``fixed``, which keep their defaults.
+        """
+        names = self.without(fixed)
+        bounds = self.bounds[self.indices(names)]
+        return self.complete(names, rng.uniform(bounds[:, 0], bounds[:, 1])[None])[0]
 
     def policy(
         self, parameters: ArrayLike | Mapping[str, float] | str | None = None, name: str | None = None

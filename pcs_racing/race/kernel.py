@@ -15,7 +15,7 @@ from pcs_racing.car.ittc import rectangle_ittc, walls_ittc
 from pcs_racing.car.lanes import LANES, LANES_SIZE, load_car, set_target, step_lanes, step_slow_car, store_car
 from pcs_racing.planners import planner as _planner
 from pcs_racing.race import state as _state
-from pcs_racing.track.frenet import COS, SIN, foot, locate
+from pcs_racing.track.frenet import COS, SIN, SPEED, foot, locate
 
 __all__ = [
     "CONTROL_EVERY",
@@ -299,6 +299,15 @@ def measure_ittc(  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
+def _measure_speed(line, ds, speed_high, frenet, progress, sums, race, before0, before1):  # type: ignore[no-untyped-def]
+    """Add the time that the profile of pace 1 takes for what a control period drove, from the progress before it."""
+    for car in range(2):
+        driven = progress[race, car] - (before0 if car == 0 else before1)
+        i = int(frenet[race, car, 0] / ds) % line.shape[0]
+        sums[race, car, _state.PROFILE] += driven / (speed_high * line[i, SPEED])
+
+
+@inner_kernel
 def _measure_driving(cars, frenet, progress, sums, race, vehicles, before0, before1):  # type: ignore[no-untyped-def]
     """Add what one control period contributes to the running sums."""
     period = CONTROL_EVERY * DT
@@ -412,7 +421,9 @@ def advance_races(  # type: ignore[no-untyped-def]
                 state.tick[race] = tick
                 if tick % CONTROL_EVERY == 0:
                     before = _STEERING_BEFORE + 2 * (race - start)
+                    progress0, progress1 = progress[race, 0], progress[race, 1]
                     update_progress(line, ds, length, cars, frenet, progress, race)
+                    _measure_speed(line, ds, settings.speed_high, frenet, progress, sums, race, progress0, progress1)
                     _measure_driving(cars, frenet, progress, sums, race, params, work[before], work[before + 1])
                     if collide(
                         distance,

@@ -21,6 +21,7 @@ from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 from pcs_racing.track.track import Track
 
 __all__ = [
+    "TIE_WITHIN",
     "RaceResult",
     "RaceSetup",
     "advance",

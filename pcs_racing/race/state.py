@@ -20,12 +20,13 @@ SUMS: dict[str, str] = {
     "BLOCKING": "time spent ahead of the opponent, within 3 m, and in its way, s",
     "LATERAL": "integral of the squared lateral acceleration, m^2/s^3",
     "TIME": "time driven, s",
+    "PROFILE": "time that the profile of pace 1 takes along the race line for what was driven, s",
 }
 """What is summed up for each car while it drives, by name; characteristics are made of differences of these."""
 
 MAX_BYTES = 1_000_000_000  # of a file
 
-ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME = range(len(SUMS))
+ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME, PROFILE = range(len(SUMS))
 
 NO_CRASH, WALL_CRASH, CAR_CRASH = range(3)
 
@@ -56,7 +57,7 @@ class RaceState(NamedTuple):
         Path that each driver follows: x, y (m), speed (m/s), curvature (1/m).
     memory : ndarray, shape (B, 2, M)
         What the planners remember.
-    sums : ndarray, shape (B, 2, 6)
+    sums : ndarray, shape (B, 2, 7)
         Running sums (:data:`SUMS`).
     crash : ndarray, shape (B, 2), int8
         0 none, 1 into a wall, 2 with the other car; latched, and the race stands still from then on.

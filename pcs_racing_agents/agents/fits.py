@@ -15,7 +15,18 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing_agents.agents.setting import Setting
 
-__all__ = ["Fit", "FitSource", "find_fit", "fit_facts", "load_fit", "make_fit", "save_fit", "shipped_fits"]
+__all__ = [
+    "Fit",
+    "FitSource",
+    "find_fit",
+    "fit_facts",
+    "game_fields",
+    "load_fit",
+    "make_fit",
+    "recorded_game",
+    "save_fit",
+    "shipped_fits",
+]
 
 FIT_FORMAT = ManifestFormat(
     "fit", ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"), "save_fit"
@@ -73,14 +84,8 @@ def make_fit(kind: str, choice: Any, setting: Setting, training: Mapping[str, An
 
 def save_fit(fit: Fit, path: str | Path) -> Path:
     """Write a fit as YAML; the file appears whole or not at all."""
-    game = {
-        "archive": fit.game.archive,
-        "archive_sha256": fit.game.archive_sha256,
-        "race": fit.game.preset,
-        "epsilon": list(fit.game.epsilon),
-        "moves": fit.game.decisions,
-    }
-    FIT_FORMAT.write(Path(path), {"kind": fit.kind, "choice": fit.choice, **game, "training": dict(fit.training)})
+    fields = {"kind": fit.kind, "choice": fit.choice, **game_fields(fit.game), "training": dict(fit.training)}
+    FIT_FORMAT.write(Path(path), fields)
     return Path(path)
 
 
@@ -96,7 +101,7 @@ def load_fit(path: str | Path) -> Fit:
         raise InputError(f"fit {path!r} must be the path of a file")
     fields = FIT_FORMAT.read(path)
     try:
-        return Fit(fields["kind"], fields["choice"], _recorded_game(fields), fields["training"])
+        return Fit(fields["kind"], fields["choice"], recorded_game(fields), fields["training"])
     except InputError as error:
         raise type(error)(f"{path}: {error}") from None
 
@@ -142,8 +147,25 @@ def fit_facts(fit: Fit) -> dict[str, str]:
     return {"trained on": trained or "not said"}
 
 
-def _recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
-    """Return the identity of the game that a file records."""
+def game_fields(game: GameIdentity) -> dict[str, Any]:
+    """Return what a manifest records of a game; names of moves and elements are left out."""
+    return {
+        "archive": game.archive,
+        "archive_sha256": game.archive_sha256,
+        "race": game.preset,
+        "epsilon": list(game.epsilon),
+        "moves": game.decisions,
+    }
+
+
+def recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
+    """Return the identity of the game that :func:`game_fields` recorded.
+
+    Raises
+    ------
+    InputError
+        If a field is of another type.
+    """
     archive, digest, preset = (check_text(key, fields[key]) for key in ("archive", "archive_sha256", "race"))
     epsilon = fields["epsilon"]
     if not isinstance(epsilon, list) or not all(isinstance(length, float) for length in epsilon):

@@ -108,7 +108,7 @@ def _planned(arguments: argparse.Namespace) -> "Pairing":
 
 def _race(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.agents.agent import Driver
-    from pcs_racing_agents.explain.explain import explain_match
+    from pcs_racing_agents.explain.explain import explain_game
     from pcs_racing_agents.explain.words import story
     from pcs_racing_agents.view.results_folder import open_results
 
@@ -124,7 +124,7 @@ def _race(arguments: argparse.Namespace) -> None:
     car = arguments.car
     if car is None:
         car = int(isinstance(pairing.ego, Driver))
-    explanation = explain_match(
+    explanation = explain_game(
         pairing.game,
         pairing.ego,
         pairing.opponent,
@@ -133,7 +133,7 @@ def _race(arguments: argparse.Namespace) -> None:
         candidates=arguments.out is not None,
     )
     if results is not None:
-        results.check_lead(number, explanation.match.lead[0])
+        results.check_lead(number, explanation.played.lead[0])
     text = story(explanation)
     print(text)
     if arguments.out is not None:
@@ -156,7 +156,7 @@ def _situations(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.cli.estimates import announce, racing_seconds
     from pcs_racing_agents.explain.situations import situations_text, summarise, write_situations
     from pcs_racing_agents.jobs.jobs import show_progress
-    from pcs_racing_agents.tournament.matches import game_between
+    from pcs_racing_agents.tournament.games import game_between
     from pcs_racing_agents.tournament.runner import play_pairings
     from pcs_racing_agents.view.results_folder import open_results
 
@@ -173,9 +173,9 @@ def _situations(arguments: argparse.Namespace) -> None:
         [pairing for pairing, _ in pairings], name=agent, observations=True, progress=show_progress()
     )
     observations, actions = [], []
-    for (_, car), matches in zip(pairings, played, strict=True):
-        observations.append(matches.observations[:, car])
-        actions.append(matches.moves[:, car])
+    for (_, car), games in zip(pairings, played, strict=True):
+        observations.append(games.observations[:, car])
+        actions.append(games.moves[:, car])
     arena = game_between(first.game, first.ego, first.opponent)
     situations = summarise(
         np.concatenate(observations), np.concatenate(actions), arena.archive, arena.move_names, agent

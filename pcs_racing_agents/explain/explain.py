@@ -21,15 +21,15 @@ from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, W
 from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, opponent, own
 from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.tournament.matches import Matches
-from pcs_racing_agents.tournament.watching import record_match
+from pcs_racing_agents.tournament.games import PlayedGames
+from pcs_racing_agents.tournament.watching import record_game
 
 __all__ = [
     "DefaultStrategy",
     "Explanation",
     "Step",
     "Unit",
-    "explain_match",
+    "explain_game",
     "is_blind",
     "mark_moves",
     "observed_lead",
@@ -129,7 +129,7 @@ class Explanation:
         One for each move that was made; fewer after a crash.
     replay : Replay
         The race, with the moves as events.
-    match : Matches
+    played : PlayedGames
         Result of the race; of one game.
     unit : Unit, optional
         Unit of the values.
@@ -146,7 +146,7 @@ class Explanation:
     step_seconds: float
     steps: tuple[Step, ...]
     replay: Replay
-    match: Matches
+    played: PlayedGames
     unit: Unit | None
     default: DefaultStrategy | None
     blind: bool
@@ -162,7 +162,7 @@ class Explanation:
         return self.replay.lead if self.car == 0 else -self.replay.lead
 
 
-def explain_match(
+def explain_game(
     game: RaceGame,
     ego: Competitor | Policy,
     rival: Competitor | Policy,
@@ -181,14 +181,14 @@ def explain_match(
     ego, rival : Competitor or Policy
         Competitors in car 0 and car 1.
     policies, start, seed, candidates
-        As for :func:`pcs_racing_agents.tournament.watching.record_match`.
+        As for :func:`pcs_racing_agents.tournament.watching.record_game`.
     car : int
         The car whose moves are explained, 0 or 1.
 
     Raises
     ------
     InputError
-        If that car's competitor makes no moves, or as ``record_match``.
+        If that car's competitor makes no moves, or as ``record_game``.
     """
     if car not in (0, 1):
         raise InputError(f"car is {car!r}; it must be 0 or 1")
@@ -198,8 +198,8 @@ def explain_match(
         raise InputError(
             f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain; try the other car"
         )
-    recording = record_match(game, *cars, policies=policies, start=start, seed=seed, candidates=candidates)
-    match, arena = recording.match, recording.game
+    recording = record_game(game, *cars, policies=policies, start=start, seed=seed, candidates=candidates)
+    played, arena = recording.played, recording.game
     names = recording.replay.car_names
     config, strategy = arena.config, getattr(competitor, "strategy", None)
     network = getattr(strategy, "network", None)
@@ -211,9 +211,9 @@ def explain_match(
         car=car,
         race=config.race.name,
         step_seconds=config.step_seconds,
-        steps=_steps(arena, competitor, match, car, network),
-        replay=mark_moves(recording.replay, match, arena.move_names, config.step_seconds),
-        match=match,
+        steps=_steps(arena, competitor, played, car, network),
+        replay=mark_moves(recording.replay, played, arena.move_names, config.step_seconds),
+        played=played,
         unit=None if network is None else value_unit(network, str(config.utility)),
         default=DefaultStrategy(strategy.blind.name, strategy.margin)
         if isinstance(strategy, AdaptiveStrategy)
@@ -223,13 +223,13 @@ def explain_match(
 
 
 def _steps(
-    arena: RaceGame, competitor: Competitor, match: Matches, car: int, network: RegretNetwork | None
+    arena: RaceGame, competitor: Competitor, played: PlayedGames, car: int, network: RegretNetwork | None
 ) -> tuple[Step, ...]:
     axes = len(arena.characteristics)
     strategy = getattr(competitor, "strategy", None)
     steps = []
-    for k in range(int((match.moves[0, car] >= 0).sum())):
-        observation = earlier(match.observations[:, car], axes, k)
+    for k in range(int((played.moves[0, car] >= 0).sum())):
+        observation = earlier(played.observations[:, car], axes, k)
         default_move = None
         if isinstance(strategy, AdaptiveStrategy):
             default_move = int(strategy.blind.predict(observation[0])[0])
@@ -239,13 +239,13 @@ def _steps(
                 own=own(observation, axes)[0].astype(np.float64),
                 opponent=opponent(observation, axes)[0].astype(np.float64),
                 lead=float(observed_lead(observation, axes, k)[0]),
-                move=int(match.moves[0, car, k]),
-                policy=int(match.policy[0, car, k]),
-                next_policy=int(match.policy[0, car, k + 1]),
+                move=int(played.moves[0, car, k]),
+                policy=int(played.policy[0, car, k]),
+                next_policy=int(played.policy[0, car, k + 1]),
                 probabilities=competitor.probabilities(observation)[0] if isinstance(competitor, Agent) else None,
                 values=None if network is None else network.unclipped(observation)[0].astype(np.float64),
                 default_move=default_move,
-                opponent_move=int(match.moves[0, 1 - car, k]),
+                opponent_move=int(played.moves[0, 1 - car, k]),
             )
         )
     return tuple(steps)
@@ -279,12 +279,12 @@ def value_unit(network: RegretNetwork, utility: str) -> Unit:
     return Unit(1.0, "")
 
 
-def mark_moves(replay: Replay, match: Matches, moves: tuple[str, ...], step_seconds: float) -> Replay:
+def mark_moves(replay: Replay, played: PlayedGames, moves: tuple[str, ...], step_seconds: float) -> Replay:
     """Return a replay with the moves of both cars as events."""
     events = [
-        ReplayEvent((k + 1) * step_seconds, car, "move", moves[match.moves[0, car, k]])
+        ReplayEvent((k + 1) * step_seconds, car, "move", moves[played.moves[0, car, k]])
         for car in range(2)
-        for k in range(match.moves.shape[2])
-        if match.moves[0, car, k] >= 0
+        for k in range(played.moves.shape[2])
+        if played.moves[0, car, k] >= 0
     ]
     return replace(replay, events=(*replay.events, *events))

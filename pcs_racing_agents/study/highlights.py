@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.race.replay import Replay
-from pcs_racing_agents.explain.explain import explain_match
+from pcs_racing_agents.explain.explain import explain_game
 from pcs_racing_agents.explain.words import story
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.pairings import Pairing
@@ -104,7 +104,7 @@ def watch_race(pairing: Pairing, race: int, title: str, *, candidates: bool = Fa
     candidates : bool
         Whether to keep the candidate paths of the planners: about a megabyte.
     """
-    explanation = explain_match(
+    explanation = explain_game(
         pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race), candidates=candidates
     )
     picture = b""

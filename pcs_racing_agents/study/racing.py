@@ -62,8 +62,8 @@ def table_races(study: Study) -> Iterator[StudyRaces]:
     with open_job(study.folder / "races" / "job", "races", {"archive": study.archive.content_hash}) as job:
         progress = study.progress("races of the tables")
         played = play_pairings(pairings, name="tables", job=job, executor=study.executor, progress=progress)
-        for table, pairing, matches in zip(tables, pairings, played, strict=True):
-            yield StudyRaces(table, pairing, pairing.table(matches))
+        for table, pairing, driven in zip(tables, pairings, played, strict=True):
+            yield StudyRaces(table, pairing, pairing.table(driven))
 
 
 def race_rivals(study: Study) -> None:

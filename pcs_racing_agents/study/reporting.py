@@ -24,7 +24,14 @@ from pcs_racing_agents.study.report_inputs import ReplyLoss, read_curves, read_l
 from pcs_racing_agents.study.situations import moves_in_situations
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import StudyTable, make_table
-from pcs_racing_agents.study.table_text import difference_text, overview_rows, table_markdown, table_text, write_table
+from pcs_racing_agents.study.table_text import (
+    difference_text,
+    overview_rows,
+    table_markdown,
+    table_text,
+    verdict_text,
+    write_table,
+)
 from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
 
@@ -133,18 +140,10 @@ def _findings(table: StudyTable) -> Iterator[str]:
     """Yield the results of the main table as sentences."""
     for arm in (arm for arm in table.arms if arm != table.base):
         results = [difference.result for row in table.rows for difference in row.differences if difference.arm == arm]
-        above = sum(result.low > 0.0 for result in results)
-        yield (
-            f"{arm} gains {min(r.difference for r in results):+.3f} to {max(r.difference for r in results):+.3f} over "
-            f"{table.base} in {len(results)} rows; the 95 % interval is above 0 in {above}."
-        )
+        yield verdict_text(arm, table.base, results)
     gains = [row.gain.result for row in table.rows if row.gain is not None]
     if gains:
-        yield (
-            f"Of that, looking at the race brings {table.best} {min(g.difference for g in gains):+.3f} to "
-            f"{max(g.difference for g in gains):+.3f} over {table.blind}; the interval is above 0 in "
-            f"{sum(g.low > 0.0 for g in gains)} of {len(gains)} rows."
-        )
+        yield f"What looking at the race brings: {verdict_text(table.best, f'{table.blind}, which never looks', gains)}"
 
 
 def _curves(study: Study) -> dict[str, list[Curve]]:

@@ -41,8 +41,8 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
             pairings, name="moves", observations=True, job=job, executor=study.executor, progress=progress
         )
         observed = [
-            (pairing.names[0], matches.observations[:, 0], matches.moves[:, 0])
-            for pairing, matches in zip(pairings, repeated, strict=True)
+            (pairing.names[0], games.observations[:, 0], games.moves[:, 0])
+            for pairing, games in zip(pairings, repeated, strict=True)
         ]
     summaries = []
     for name in dict.fromkeys(name for name, *_ in observed):

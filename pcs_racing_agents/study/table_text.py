@@ -9,6 +9,7 @@ import numpy as np
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned, markdown
 from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
+from pcs_racing_agents.tournament.statistics import Comparison
 
 __all__ = [
     "DETAILS",
@@ -20,6 +21,7 @@ __all__ = [
     "paper_text",
     "table_markdown",
     "table_text",
+    "verdict_text",
     "write_table",
 ]
 
@@ -176,3 +178,25 @@ def _columns(difference: Difference) -> tuple[str, ...]:
     interval = f"[{result.low:+.3f}, {result.high:+.3f}]"
     p_values = (p_text(result.p_clustered), p_text(difference.p_holm), p_text(result.p_paired_t))
     return (f"{result.difference:+.3f}", interval, *p_values)
+
+
+def verdict_text(arm: str, base: str, results: Sequence[Comparison]) -> str:
+    """Return one sentence on how an arm compares with another one over the rows of a table.
+
+    Parameters
+    ----------
+    arm, base : str
+        Their names.
+    results : sequence of Comparison
+        One difference for each row, at least one.
+    """
+    more, less = sum(result.low > 0.0 for result in results), sum(result.high < 0.0 for result in results)
+    smallest, largest = (pick(result.difference for result in results) for pick in (min, max))
+    spread = f"{smallest:+.3f}" if len(results) == 1 else f"{smallest:+.3f} to {largest:+.3f}"
+    rows = f"{len(results)} row{'s' * (len(results) != 1)}"
+    if not more and not less:
+        return f"{arm} and {base} can't be told apart: in all of {rows} ({spread}) the 95 % interval contains 0."
+    verdicts = [f"{word} in {count}" for word, count in (("more", more), ("less", less)) if count]
+    open_rows = len(results) - more - less
+    rest = f"; in {open_rows} the 95 % interval contains 0" if open_rows else ""
+    return f"{arm} scores {' and '.join(verdicts)} of {rows} than {base} ({spread}){rest}."

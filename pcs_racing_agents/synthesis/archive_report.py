@@ -17,7 +17,6 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import duplicate_share, no_op_share
-from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import package_version
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveProgress
@@ -88,7 +87,7 @@ def write_archive(
     archive = PolicyArchive(
         name=config.name,
         planner=config.planner,
-        parameter_names=get_planner(config.planner).parameter_names,
+        parameter_names=config.varied,
         parameters=parameters,
         characteristics=config.axes,
         coordinates=coordinates,

@@ -8,7 +8,7 @@
    best of many noisy values is too good to be true.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -83,11 +83,12 @@ def make_archive(
     with open_job(folder / "job", "archive", settings) as job:
         clear_half_written(folder)
         races = PolicyRaces(config, job, executor, callback or (lambda _: None), search)
+        varied = family.indices(config.varied)
         synthesize(
             races,
-            family.bounds,
+            family.bounds[varied],
             generations=config.generations,
-            initial=draw_policies(family, config.scouts, scouts),
+            initial=draw_policies(family, config.scouts, scouts, config.fixed)[:, varied],
             evaluations=config.evaluations,
             callback=races.after_generation,
             population=config.population,
@@ -120,7 +121,7 @@ def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenar
         return draw_scenarios(
             config.tracks,
             replace(config.rules, duration=float(duration)),
-            draw_policies(get_planner(config.planner), opponents, root),
+            draw_policies(get_planner(config.planner), opponents, root, config.fixed),
             config.axes,
             planner=config.planner,
             starts=starts,
@@ -140,14 +141,18 @@ def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
     return np.random.SeedSequence(config.seed).spawn(5)
 
 
-def draw_policies(family: Planner, count: int, root: np.random.SeedSequence) -> Floats:
+def draw_policies(family: Planner, count: int, root: np.random.SeedSequence, fixed: Sequence[str] = ()) -> Floats:
     """Policies at random between their bounds, each parameter spread evenly (a Latin hypercube), shape (count, P).
+
+    Nothing is drawn for the parameters in ``fixed``, which keep their defaults.
 
     The mean strength of a set of opponents shifts the lead of every policy that races against them; small sets that
     are spread evenly differ less in it than independent draws.
     """
-    low, high = family.bounds.T
-    return np.asarray(low + latin_hypercube(count, len(low), np.random.default_rng(root)) * (high - low), np.float64)
+    varied = family.without(fixed)
+    low, high = family.bounds[family.indices(varied)].T
+    drawn = low + latin_hypercube(count, len(low), np.random.default_rng(root)) * (high - low)
+    return family.complete(varied, drawn)
 
 
 def _number(root: np.random.SeedSequence) -> int:
@@ -169,6 +174,7 @@ def choose(races: PolicyRaces, scenarios: Scenarios) -> tuple[Floats, Notes]:
     Returns
     -------
     parameters : ndarray, shape (K, P)
+        Of the parameters that vary.
     notes : Mapping
         How many were left out, and why.
     """

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.synthesis.config import ArchiveConfig
@@ -130,20 +131,25 @@ class PolicyRaces:
             return False
         spread = np.sort(greedy_map(similarity(self.scale(generation.front), 0.2), count))
         opponents = self.scenarios.opponents.copy()
-        opponents[len(opponents) - count :] = generation.front_parameters[spread]
+        opponents[len(opponents) - count :] = self._complete(generation.front_parameters[spread])
         self.scenarios = self.scenarios.against(opponents)
         self.comparable = self.evaluations
         return True
 
     def race(self, stage: str, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
-        """Race policies, or read what an earlier run of the job has left."""
+        """Race policies, given by the parameters that vary, or read what an earlier run of the job has left."""
 
         def progress(done: int, total: int, _: str) -> None:
             if stage != "search":
                 self.callback(self.history[-1]._replace(stage=stage, done=self._done(stage, done / total)))
 
+        parameters = self._complete(parameters)
         tasks = [(scenarios, parameters[first : first + BLOCK]) for first in range(0, len(parameters), BLOCK)]
         return join(self.job.run(name, on_worker(self.executor), tasks, executor=self.executor, progress=progress))
+
+    def _complete(self, parameters: Floats) -> Floats:
+        """Return policies with those parameters, too, that do not vary."""
+        return get_planner(self.config.planner).complete(self.config.varied, parameters)
 
     def violation(self, evaluation: Evaluation) -> Floats:
         """Return by how much policies violate the limits, shape (K,): in crashes per race, or in the scouts' range."""

@@ -59,8 +59,17 @@ class ArchiveConfig(Settings):
         SHIPPED_TRACKS, names(), "Names or folders of the circuits; all policies race on all of them."
     )
     planner: str = setting("lattice", text(), "Planner of the policies and of their opponents.")
+    fixed: tuple[str, ...] = setting(
+        (),
+        names(0),
+        "Parameters of the planner that keep their defaults: the search has a dimension less for each, and the archive "
+        "does not hold them.",
+    )
     characteristics: tuple[str, ...] | None = setting(
-        None, names(), "Axes; None takes aggressiveness (or pace, as the rules say) and restraint."
+        None,
+        names(),
+        "Axes; None takes restraint, and first what the rules name as their aggressiveness: aggressiveness itself (the "
+        "lead), pace or speed.",
     )
     method: str = setting("mo-cma-es", choice(METHODS), "Search method; the first is that of the paper.")
     generations: int = setting(60, whole(0, 100_000), "Number of generations.")
@@ -135,7 +144,8 @@ class ArchiveConfig(Settings):
                 f"1 to {self.generations - 1}"
             )
         object.__setattr__(self, "refresh_generations", tuple(sorted(self.refresh_generations)))
-        get_planner(self.planner)
+        if not self.varied:
+            raise ConfigError(f"fixed names all parameters of planner {self.planner!r}; at least one must vary")
         get_characteristics(self.axes)
         if self.least is not None and len(self.least) != len(self.axes):
             raise ConfigError(
@@ -157,7 +167,13 @@ class ArchiveConfig(Settings):
         """Names of the characteristics."""
         if self.characteristics is not None:
             return self.characteristics
-        return "pace" if self.rules.aggressiveness == "pace" else "aggressiveness", "restraint"
+        first = self.rules.aggressiveness
+        return "aggressiveness" if first == "lead" else first, "restraint"
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Names of the parameters that the search varies: those that the archive holds."""
+        return get_planner(self.planner).without(self.fixed)
 
     @property
     def evaluations(self) -> int:

@@ -1,9 +1,9 @@
-"""Competitors against each other: match play, pairings, tournaments, ratings and their tables."""
+"""Competitors against each other: games, pairings, tournaments, ratings and their tables."""
 
 from pcs_racing_agents.jobs.jobs import show_progress
 from pcs_racing_agents.results.race_files import write_results
 from pcs_racing_agents.results.races import RaceRow, RaceTable
-from pcs_racing_agents.tournament.matches import Matches, play_games
+from pcs_racing_agents.tournament.games import PlayedGames, play_games
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.play import (
     Tournament,
@@ -17,11 +17,11 @@ from pcs_racing_agents.tournament.play import (
 )
 from pcs_racing_agents.tournament.runner import play_pairing
 from pcs_racing_agents.tournament.table import payoff_matrix, payoff_picture, standings, tournament_text
-from pcs_racing_agents.tournament.watching import record_match
+from pcs_racing_agents.tournament.watching import record_game
 
 __all__ = [
-    "Matches",
     "Pairing",
+    "PlayedGames",
     "RaceRow",
     "RaceTable",
     "Tournament",
@@ -35,7 +35,7 @@ __all__ = [
     "play_pairing",
     "play_plan",
     "play_tournament",
-    "record_match",
+    "record_game",
     "record_row",
     "show_progress",
     "standings",

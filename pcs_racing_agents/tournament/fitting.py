@@ -23,16 +23,16 @@ from pcs_racing_agents.agents.blind import best_fixed, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.jobs import Job, Progress
-from pcs_racing_agents.tournament.matches import Matches
+from pcs_racing_agents.tournament.games import PlayedGames
 from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
 
 __all__ = ["OBJECTIVES", "MetaStrategy", "TrainingRaces", "fit_best_fixed", "fit_best_schedule", "fit_psro"]
 
-OBJECTIVES: dict[str, Callable[[Matches], NDArray[np.float64]]] = {
-    "score": lambda matches: matches.score,
-    "utility": lambda matches: matches.utility,
+OBJECTIVES: dict[str, Callable[[PlayedGames], NDArray[np.float64]]] = {
+    "score": lambda games: games.score,
+    "utility": lambda games: games.utility,
 }
 """Objectives to maximise: races won (a tie counts half), or the game's utility."""
 
@@ -110,7 +110,7 @@ def evaluate(training: TrainingRaces, candidates: Sequence[Agent], work: Work, n
             common.append(schedule_pairing(game, candidates[0], opponent, rolled, training.seed))
     pairings = [replace(pairing, ego=candidate) for candidate in candidates for pairing in common]
     played = play_pairings(pairings, name=name, **work._asdict())
-    means = np.array([OBJECTIVES[training.objective](matches).mean() for matches in played])
+    means = np.array([OBJECTIVES[training.objective](games).mean() for games in played])
     return means.reshape(len(candidates), -1).mean(axis=1)
 
 
@@ -269,7 +269,7 @@ def fit_psro(
     ]
     name = f"psro-{first}-{len(members)}"
     played = play_pairings(pairings, name=name, job=job, executor=executor, progress=progress)
-    excess = [_excess(matches, training.objective) for matches in played]
+    excess = [_excess(games, training.objective) for games in played]
     payoffs = np.zeros((len(members), len(members)))
     if known is not None:
         payoffs[:first, :first] = known.payoffs
@@ -278,8 +278,8 @@ def fit_psro(
     return MetaStrategy(zero_sum_equilibrium(payoffs).row, payoffs)
 
 
-def _excess(matches: Matches, objective: str) -> float:
+def _excess(games: PlayedGames, objective: str) -> float:
     """Return the ego's mean objective minus the opponent's."""
     if objective == "utility":
-        return float(matches.utility.mean())  # of a zero-sum game
-    return float(np.mean(1.0 * (matches.winner == 0) - 1.0 * (matches.winner == 1)))
+        return float(games.utility.mean())  # of a zero-sum game
+    return float(np.mean(1.0 * (games.winner == 0) - 1.0 * (games.winner == 1)))

@@ -26,7 +26,7 @@ from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
 from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
-from pcs_racing_agents.tournament.matches import Matches, game_between, play_games, variant_count
+from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_games, variant_count
 from pcs_racing_agents.tournament.schedule import Schedule
 
 __all__ = ["Pairing", "cross_pairing", "schedule_pairing"]
@@ -89,13 +89,13 @@ class Pairing:
             raise InputError(f"there is no race {race} in this pairing; there are races 0 to {len(self) - 1}")
         return {"policies": self.variants[race], "start": self.starts.take([race]), "seed": int(self.noise[race])}
 
-    def play(self) -> Matches:
+    def play(self) -> PlayedGames:
         """Simulate the races."""
         return play_games(
             self.game, self.ego, self.opponent, policies=self.variants, starts=self.starts, seeds=self.noise
         )
 
-    def table(self, matches: Matches) -> RaceTable:
+    def table(self, games: PlayedGames) -> RaceTable:
         """Return the results of the races as a table, in their order."""
         count, config = len(self), self.game.config
         return RaceTable(
@@ -106,15 +106,15 @@ class Pairing:
             start_s=self.starts.s,
             side=narrow(self.starts.side),
             seed=Categorical.constant(str(self.seed), count),
-            lead=matches.lead,
-            winner=matches.winner,
-            crash=matches.crash.max(axis=1),
-            fault=matches.fault,
-            overtakes=narrow(matches.overtakes),
-            duration=matches.duration,
+            lead=games.lead,
+            winner=games.winner,
+            crash=games.crash.max(axis=1),
+            fault=games.fault,
+            overtakes=narrow(games.overtakes),
+            duration=games.duration,
             variants=narrow(self.variants),
-            path=narrow(matches.policy),
-            moves=Categorical(move_names(self.game.archive, config.epsilon, True), narrow(matches.moves)),
+            path=narrow(games.policy),
+            moves=Categorical(move_names(self.game.archive, config.epsilon, True), narrow(games.moves)),
         )
 
 

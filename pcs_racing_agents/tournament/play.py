@@ -21,11 +21,11 @@ from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.jobs.jobs import Job, Progress
 from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races
-from pcs_racing_agents.tournament.matches import game_between
+from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import Schedule, draw_schedule
-from pcs_racing_agents.tournament.watching import Recording, record_match
+from pcs_racing_agents.tournament.watching import Recording, record_game
 
 __all__ = [
     "Tournament",
@@ -221,7 +221,7 @@ def play_plan(
 ) -> Tournament:
     """Play a tournament that was planned; see :func:`play_tournament`."""
     played = play_pairings(plan.pairings, job=job, executor=executor, progress=progress)
-    tables = (pairing.table(matches) for pairing, matches in zip(plan.pairings, played, strict=True))
+    tables = (pairing.table(games) for pairing, games in zip(plan.pairings, played, strict=True))
     return Tournament(plan, concatenate_races(tables))
 
 
@@ -249,7 +249,7 @@ def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True)
     """
     for pairing in tournament.plan.pairings:
         if (pairing.game.track.name, *pairing.names) == (row.track, row.ego, row.opponent):
-            return record_match(
+            return record_game(
                 pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(row.race), candidates=candidates
             )
     raise InputError(f"race {row.race} of {row.ego!r} against {row.opponent!r} on {row.track!r} was not raced here")

@@ -16,7 +16,7 @@ from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import Job, Progress
 from pcs_racing_agents.jobs.tasks import numbered_tasks, run_tasks
 from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.tournament.matches import Matches, join_matches
+from pcs_racing_agents.tournament.games import PlayedGames, join_played
 from pcs_racing_agents.tournament.pairings import Pairing
 
 __all__ = ["play_pairing", "play_pairings"]
@@ -67,8 +67,8 @@ def play_pairing(
 ) -> RaceTable:
     """Simulate the races of a pairing; options as for :func:`play_pairings`."""
     name = "-".join((pairing.game.track.name, *pairing.names))
-    (matches,) = play_pairings([pairing], name=name, job=job, executor=executor, progress=progress)
-    return pairing.table(matches)
+    (games,) = play_pairings([pairing], name=name, job=job, executor=executor, progress=progress)
+    return pairing.table(games)
 
 
 def play_pairings(
@@ -79,7 +79,7 @@ def play_pairings(
     job: Job | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
-) -> Iterator[Matches]:
+) -> Iterator[PlayedGames]:
     """Simulate the races of several pairings in parallel, and yield the results pairing by pairing.
 
     Parameters
@@ -88,7 +88,7 @@ def play_pairings(
     name : str
         Name of this part of the job's work.
     observations : bool
-        Whether to return observations; else ``Matches.observations`` has no columns.
+        Whether to return observations; else ``PlayedGames.observations`` has no columns.
     job : Job, optional
         Stores results; races with stored results are not simulated again. Results are then read from its chunks, so
         that memory does not grow with the number of races.
@@ -122,9 +122,9 @@ def play_pairings(
         parts = []
         for _ in range(0, len(pairing), BLOCK):
             arrays = results.pop(index) if job is None else job.read(chunk_name, index)
-            parts.append(Matches(**{"observations": np.zeros((len(arrays["lead"]), 2, 0), np.float32), **arrays}))
+            parts.append(PlayedGames(**{"observations": np.zeros((len(arrays["lead"]), 2, 0), np.float32), **arrays}))
             index += 1
-        yield join_matches(parts)
+        yield join_played(parts)
 
 
 def _blocks(number: int, pairing: Pairing, observations: bool, *, hashed: bool) -> Iterator[RaceBlock]:

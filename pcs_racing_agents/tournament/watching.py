@@ -13,9 +13,9 @@ from pcs_racing.race.recording import record_drive
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
-from pcs_racing_agents.tournament.matches import Matches, game_between, play_games
+from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_games
 
-__all__ = ["Recording", "record_match"]
+__all__ = ["Recording", "record_game"]
 
 
 class Recording(NamedTuple):
@@ -24,18 +24,18 @@ class Recording(NamedTuple):
     Attributes
     ----------
     replay : Replay
-    match : Matches
+    played : PlayedGames
         Results of the one game.
     game : RaceGame
         The game as it was played, with the planners of both cars.
     """
 
     replay: Replay
-    match: Matches
+    played: PlayedGames
     game: RaceGame
 
 
-def record_match(
+def record_game(
     game: RaceGame,
     ego: Competitor | Policy,
     opponent: Competitor | Policy,
@@ -68,24 +68,24 @@ def record_match(
     if variants.shape != (2,):
         raise InputError(f"policies have shape {variants.shape}; one game has two")
     cars = (as_competitor(ego), as_competitor(opponent))
-    match = play_games(game, *cars, policies=variants[None], starts=start, seeds=np.array([seed], np.uint64))
+    played = play_games(game, *cars, policies=variants[None], starts=start, seeds=np.array([seed], np.uint64))
     arena = game_between(game, *cars)
-    driven = int((match.policy[0] >= 0).any(axis=0).sum()) or 1
+    driven = int((played.policy[0] >= 0).any(axis=0).sum()) or 1
     theta = np.zeros((driven, 2, arena.setup.theta_size))
     for car, competitor in enumerate(cars):
         for step in range(driven):
             if isinstance(competitor, Driver):
                 parameters = competitor.policies[variants[car]].parameters
             else:
-                parameters = arena.archive.parameters[match.policy[0, car, step]]
+                parameters = arena.archive.policy(int(played.policy[0, car, step])).parameters
             theta[step, car, : len(parameters)] = parameters
     replay = record_drive(
         arena.setup,
         start,
-        match.noise[0],
+        played.noise[0],
         theta,
         names=(competitor_name(cars[0]), competitor_name(cars[1])),
         step_ticks=arena.config.step_ticks,
         candidates=candidates,
     )
-    return Recording(replay, match, arena)
+    return Recording(replay, played, arena)

@@ -21,7 +21,7 @@ from pcs_racing_agents.explain.explain import mark_moves
 from pcs_racing_agents.explain.pcs_picture import in_units, plane
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.tournament.pairings import Pairing
-from pcs_racing_agents.tournament.watching import record_match
+from pcs_racing_agents.tournament.watching import record_game
 from pcs_racing_agents.view.results_folder import ResultsFolder
 
 __all__ = ["PLACES", "DrivenRace", "RaceDriver", "circuit_values", "race_values", "space_values"]
@@ -85,28 +85,28 @@ class RaceDriver:
         if row.race >= len(pairing):
             raise InputError(f"race {number} is number {row.race} of its pair, which drove {len(pairing)}")
         _check_start(number, row, pairing)
-        recording = record_match(
+        recording = record_game(
             pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(row.race), candidates=False
         )
-        match, arena = recording.match, recording.game
-        self.results.check_lead(number, match.lead[0])
+        played, arena = recording.played, recording.game
+        self.results.check_lead(number, played.lead[0])
         step_seconds = arena.config.step_seconds
-        replay = mark_moves(recording.replay, match, arena.move_names, step_seconds)
+        replay = mark_moves(recording.replay, played, arena.move_names, step_seconds)
         if self.space is None:
             self.space = space_values(arena.archive, arena.move_names)
         self.circuits.setdefault(row.track, circuit_values(replay))
         axes = len(arena.archive.characteristics)
-        steps = range(step_count(match.observations[:, 0], axes))
+        steps = range(step_count(played.observations[:, 0], axes))
         # Steps after a crash are zeros in an observation; the last number of a step says whether it is over.
-        blocks = match.observations[0, :, :-1].reshape(2, len(steps), -1)
-        observations = (match.observations[:, car] for car in range(2))
+        blocks = played.observations[0, :, :-1].reshape(2, len(steps), -1)
+        observations = (played.observations[:, car] for car in range(2))
         estimates = np.array([[opponent(observation, axes, step)[0] for step in steps] for observation in observations])
         estimates = np.where(blocks[..., -1:] > 0.5, estimates.astype(np.float64), np.nan)
         values = race_values(replay)
         values["space"] = {
             "step_seconds": step_seconds,
-            "policies": match.policy[0].tolist(),
-            "made": match.moves[0].tolist(),
+            "policies": played.policy[0].tolist(),
+            "made": played.moves[0].tolist(),
             "seen": _places(self.space, in_units(arena.archive, estimates)[..., list(plane(arena.archive))]),
         }
         return DrivenRace(number, row.track, values)

@@ -13,7 +13,8 @@ import pettingzoo
 import pcs_racing
 from pcs_racing import PolicyArchive, get_planner, load_race_config, load_track, parse_policy
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_ID
+from pcs_racing.envs.head_to_head_match import parallel_env as head_to_head_match_env
+from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 
@@ -156,7 +157,66 @@ def head_to_head(name: str) -> Values:
     return out
 
 
-_BY_NAME: dict[str, Callable[[str], Values]] = {"Drive": drive, "Duel": duel, "head_to_head": head_to_head}
+def match(name: str) -> Values:
+    """Three matches at once to their ends: policies alone, and the moves of the races as well."""
+    out: Values = {}
+    for race in PRESETS:
+        for what, race_moves in (("choices", False), ("moves", True)):
+            env = gymnasium.make_vec(
+                name,
+                num_envs=3,
+                track=TRACK,
+                archive=archive(),
+                race=race,
+                races=2,
+                race_moves=race_moves,
+                opponent="random-moves",
+                step_seconds=0.6,
+                moves=1,
+                threads=1,
+                autoreset_mode="SAME_STEP",
+            )
+            first, _ = env.reset(seed=7)
+            seen, rewards, over = [first], [], []
+            for step in range(6):
+                observation, reward, terminated, _, _ = env.step((np.arange(3) + 3 * step) % (10 if race_moves else 6))
+                seen.append(observation)
+                rewards.append(reward)
+                over.append(terminated)
+            out[f"values {race} {what} observations"] = np.array(seen)
+            out[f"values {race} {what} rewards"] = np.array(rewards)
+            out[f"values {race} {what} ends"] = np.array(over)
+            out[f"values {race} {what} elements"] = np.array([element.name for element in env.unwrapped.elements])
+            env.close()
+    return out
+
+
+def head_to_head_match(name: str) -> Values:
+    """One match of two agents to its end."""
+    out: Values = {}
+    for race in PRESETS:
+        options: dict[str, Any] = {"track": TRACK, "archive": archive(), "race": race, "step_seconds": 0.6}
+        made = getattr(pettingzoo, "make", None)
+        env = made("parallel", name, **options) if made is not None else head_to_head_match_env(**options)
+        first, _ = env.reset(seed=3)
+        seen, rewards = [[first[agent] for agent in env.possible_agents]], []
+        for step in range(3):
+            choices = {agent: (2 * step + 3 * car) % 6 for car, agent in enumerate(env.possible_agents)}
+            observation, reward, _, _, _ = env.step(choices)
+            seen.append([observation[agent] for agent in env.possible_agents])
+            rewards.append([reward[agent] for agent in env.possible_agents])
+        out[f"values {race} observations"] = np.array(seen)
+        out[f"values {race} rewards"] = np.array(rewards)
+    return out
+
+
+_BY_NAME: dict[str, Callable[[str], Values]] = {
+    "Drive": drive,
+    "Duel": duel,
+    "Match": match,
+    "head_to_head": head_to_head,
+    "head_to_head_match": head_to_head_match,
+}
 
 
 def _scenario(name: str) -> Callable[[], Values]:
@@ -165,7 +225,7 @@ def _scenario(name: str) -> Callable[[], Values]:
 
 SCENARIOS: dict[str, Callable[[], Values]] = {
     RACES_ID: races,
-    **{name: _scenario(name) for name in (*GYMNASIUM_IDS, PETTINGZOO_ID)},
+    **{name: _scenario(name) for name in (*GYMNASIUM_IDS, *PETTINGZOO_IDS)},
 }
 """What is kept of every id; a new environment needs a scenario here."""
 

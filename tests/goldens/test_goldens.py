@@ -8,7 +8,7 @@ import pytest
 from comparison import LEAD, STRAY, differences
 from scenarios import RACES_ID, SCENARIOS, file_name, track_hash
 
-from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_ID
+from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_IDS
 
 HERE = Path(__file__).resolve().parent
 
@@ -27,7 +27,7 @@ def test_results_are_those_of_the_version(name):
 
 
 def test_every_id_has_a_scenario_and_a_version():
-    assert set(SCENARIOS) == {RACES_ID, *GYMNASIUM_IDS, PETTINGZOO_ID}
+    assert set(SCENARIOS) == {RACES_ID, *GYMNASIUM_IDS, *PETTINGZOO_IDS}
     assert all(re.fullmatch(r"pcs_racing/\w+-v\d+", name) for name in SCENARIOS)
 
 

@@ -31,7 +31,7 @@ from pcs_racing_agents.learning.responses.ensemble import merge_networks
 from pcs_racing_agents.learning.responses.kept_networks import train_kept
 from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows
 from pcs_racing_agents.networks.settings import TrainSettings
-from pcs_racing_agents.tournament.matches import game_between
+from pcs_racing_agents.tournament.games import game_between
 
 __all__ = ["ResponseSettings", "learn_response", "load_response_settings"]
 

@@ -15,7 +15,7 @@ from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.learning.responses.branches import branch_games
 from pcs_racing_agents.networks import RegretNetwork
-from pcs_racing_agents.tournament.matches import game_between
+from pcs_racing_agents.tournament.games import game_between
 
 __all__ = ["ExploringStrategy", "RaceArena"]
 

@@ -134,6 +134,18 @@ def test_a_planner_that_has_changed_is_noticed(toy_planner):
         archive(parameters=[[0.0, 0.0], [7.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]).family()
 
 
+def test_parameters_that_an_archive_does_not_hold_have_the_planners_defaults(toy_planner):
+    rows = np.linspace(0.0, 1.0, len(COORDINATES))[:, None]
+    explored = {"explored_parameters": [[-1.0]], "explored_coordinates": [[1.0, 1.0]]}
+    toy = archive(parameter_names=("b",), parameters=rows, **explored)
+    assert toy.family() is toy_planner
+    np.testing.assert_array_equal(toy.policy(4).parameters, [0.5, 1.0])
+    np.testing.assert_array_equal(toy.explored_policy(0).parameters, [0.5, -1.0])
+    np.testing.assert_array_equal(toy.complete(toy.parameters[:1]), [[0.5, 0.0]])
+    with pytest.raises(InputError, match="holds parameters b, b"):
+        archive(parameter_names=("b", "b")).family()
+
+
 def test_policies_that_stand_out():
     toy = archive()
     assert toy.select("aggressiveness") == 4

@@ -13,7 +13,7 @@ from pcs_racing.game.characteristics import (
 )
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import races as racing
-from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, STEERING, SUMS, TIME
+from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, PROFILE, STEERING, SUMS, TIME
 from pcs_racing.testing import check_characteristic
 
 
@@ -26,6 +26,7 @@ def piece() -> Segment:
     sums[..., ITTC_SAMPLES] = [[160.0, 160.0], [40.0, 0.0]]
     sums[..., STEERING] = [[4.0, 8.0], [1.0, 3.0]]
     sums[..., BLOCKING] = [[2.0, 0.0], [0.0, 1.0]]
+    sums[..., PROFILE] = [[7.2, 6.0], [1.0, 2.0]]
     return Segment(np.array([[40.0, 36.0], [8.0, 10.0]]), sums, np.array([8.0, 2.0]), 8.0)
 
 
@@ -37,7 +38,7 @@ def piece() -> Segment:
         ("restraint", [[0.5, 1.0], [0.5, 0.0]]),
         ("smoothness", [[-0.5, -1.0], [-0.5, -1.5]]),
         ("blocking", [[0.25, 0.0], [0.0, 0.5]]),
-        ("speed", [[5.0, 4.5], [4.0, 5.0]]),
+        ("speed", [[0.9, 0.75], [0.5, 1.0]]),
     ],
 )
 def test_values_by_hand(piece, name, expected):

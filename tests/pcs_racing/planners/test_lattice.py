@@ -1,9 +1,18 @@
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, RaceConfig, Starts, UnknownNameError, list_tracks, load_track, run_races
+from pcs_racing import (
+    InputError,
+    RaceConfig,
+    Starts,
+    UnknownNameError,
+    list_tracks,
+    load_race_config,
+    load_track,
+    run_races,
+)
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import OWN_D, OWN_X, OWN_Y, PATH_POINTS
+from pcs_racing.planners.planner import GAP, OWN_D, OWN_X, OWN_Y, PATH_POINTS
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 
 MEMORY = np.zeros(LATTICE.memory_size)
@@ -39,9 +48,9 @@ def test_parameters():
         "overtaking",
         "blocking",
     )
-    assert LATTICE.parameter_names == (*weights, "pace", "late_braking", "side_margin")
+    assert LATTICE.parameter_names == (*weights, "pace", "late_braking", "side_margin", "pace_behind")
     np.testing.assert_array_equal(LATTICE.bounds[: len(weights)], np.tile([-2.0, 1.0], (len(weights), 1)))
-    np.testing.assert_array_equal(LATTICE.bounds[len(weights) :], [[0.0, 1.0], [0.0, 0.15], [0.05, 0.35]])
+    np.testing.assert_array_equal(LATTICE.bounds[len(weights) :], [[0.0, 1.0], [0.0, 0.15], [0.05, 0.35], [-0.5, 0.5]])
     assert (LATTICE.bounds[:, 0] < LATTICE.default).all()
     assert (LATTICE.default < LATTICE.bounds[:, 1]).all()
     assert all("log10 weight" in parameter.meaning for parameter in LATTICE.parameters[: len(weights)])
@@ -133,6 +142,37 @@ def test_pace_is_the_speed_of_the_path(oval, view_at):
     slow, fast = (path(oval, view, {"pace": pace})[:, 2] for pace in (0.0, 1.0))
     low, high = RANGE
     np.testing.assert_allclose(slow / fast, low / high, atol=0.06)
+
+
+@pytest.mark.parametrize(
+    ("gap", "expected"),
+    [(-8.0, 0.5), (-0.5, 0.5), (-0.25, 0.575), (0.0, 0.65), (0.5, 0.8), (8.0, 0.8), (100.0, 0.8)],
+)
+def test_a_policy_has_a_second_pace_behind(oval, view_at, gap, expected):
+    """A metre of lead leads from one pace to the other; a lap or more behind is behind, too."""
+    view = view_at(oval, 3.0, opp_d=0.9)
+    view[GAP] = gap
+    two = path(oval, view, {"pace": 0.5, "pace_behind": 0.3})
+    np.testing.assert_allclose(two, path(oval, view, {"pace": expected}), rtol=1e-12)
+    one = path(oval, view, {"pace": 0.5, "pace_behind": 0.0})
+    np.testing.assert_array_equal(one, path(oval, view, {"pace": 0.5}))
+
+
+@pytest.mark.parametrize(("pace", "behind", "expected"), [(0.8, 0.5, 1.0), (0.2, -0.5, 0.0), (0.2, -0.1, 0.1)])
+def test_the_second_pace_stays_in_the_range_of_speeds(oval, view_at, pace, behind, expected):
+    view = view_at(oval, 3.0, gap=8.0)
+    two = path(oval, view, {"pace": pace, "pace_behind": behind})
+    np.testing.assert_allclose(two, path(oval, view, {"pace": expected}), rtol=1e-12)
+
+
+def test_who_speeds_up_behind_only_ends_in_front_of_who_does_not():
+    """The same pace in front; staggered by 3 m, the car behind catches up in every race and gains in the mean."""
+    config = load_race_config("paper", duration=16.0, start="rolling", start_gap=3.0, start_spacing=0.45)
+    starts = Starts(np.arange(6) * 8.0, np.ones(6, np.int64))  # car 0 behind
+    bold, calm = LATTICE.policy({"pace": 0.3, "pace_behind": 0.5}), LATTICE.policy({"pace": 0.3})
+    track = load_track("Tarnfjord")
+    plain, reacts = (run_races(track, [ego] * 6, calm, config, starts=starts) for ego in (calm, bold))
+    assert reacts.lead.mean() > plain.lead.mean() + 1.0
 
 
 def test_races_are_deterministic():

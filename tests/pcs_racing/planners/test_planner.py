@@ -81,6 +81,23 @@ def test_samples_are_policies(seed):
     np.testing.assert_array_equal(PLANNER.sample(np.random.default_rng(seed)), theta)
 
 
+def test_fixed_parameters_keep_their_defaults_and_cost_no_draw():
+    one, other = np.random.default_rng(3), np.random.default_rng(3)
+    theta = PLANNER.sample(one, fixed=("pace",))
+    np.testing.assert_array_equal(theta, [PACE.default, other.uniform(AIR.low, AIR.high)])
+    assert one.random() == other.random()
+    assert PLANNER.without(("pace",)) == ("air",)
+    with pytest.raises(UnknownNameError, match="no parameter 'speed'; it has pace, air"):
+        PLANNER.sample(one, fixed=("speed",))
+
+
+def test_vectors_of_some_parameters_are_completed():
+    np.testing.assert_array_equal(PLANNER.complete(("air",), [[0.2], [0.3]]), [[0.5, 0.2], [0.5, 0.3]])
+    np.testing.assert_array_equal(PLANNER.complete(("air", "pace"), [[0.2, 0.9]]), [[0.9, 0.2]])
+    with pytest.raises(UnknownNameError, match="no parameter 'speed'"):
+        PLANNER.complete(("speed",), [[0.2]])
+
+
 @pytest.mark.parametrize(
     ("parameters", "error", "message"),
     [

@@ -13,6 +13,7 @@ from pcs_racing.car.vehicle import F1TENTH, simulate
 from pcs_racing.planners.planner import VIEW, VIEW_SIZE
 from pcs_racing.race.kernel import fill_view, measure_ittc, place_cars, steering_noise, update_progress
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
+from pcs_racing.track.frenet import SPEED
 
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
 COLUMN = {name: k for k, name in enumerate(SUMS)}
@@ -121,6 +122,9 @@ class Account:
             self.sums[car, COLUMN["STEERING"]] += abs(after[DELTA] - before[DELTA])
             self.sums[car, COLUMN["LATERAL"]] += (after[V] * after[PSI_DOT]) ** 2 * PERIOD
             self.sums[car, COLUMN["TIME"]] += PERIOD
+            driven = np.mod(at[car, 0] - s[car] + 0.5 * length, length) - 0.5 * length
+            profile = setup.track.line[int(at[car, 0] / setup.track.arrays.ds) % len(setup.track.line), SPEED]
+            self.sums[car, COLUMN["PROFILE"]] += driven / (setup.speed_range[1] * profile)
         for k in (1, 2):
             if (tick + k) % 5 == 0:
                 for car in range(2):
@@ -160,6 +164,7 @@ def test_a_race_counts_what_a_second_account_of_it_counts(coarse_oval):
     assert (account.sums[:, COLUMN["BLOCKING"]] < 8.0).all()
     assert np.ptp(moments, axis=0)[:, 0].min() > 0.9 * coarse_oval.length  # over the start line
     np.testing.assert_allclose(account.sums[:, COLUMN["TIME"]], 9.0)
+    assert (account.sums[:, COLUMN["PROFILE"]] > 3.0).all()
     np.testing.assert_array_equal(account.sums[:, COLUMN["ITTC_SAMPLES"]], 9.0 * 20)
 
 

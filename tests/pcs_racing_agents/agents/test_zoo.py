@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from repository import REPOSITORY
-from zoo_games import untrained
+from zoo_games import made_up_behaviours, untrained
 
 import pcs_racing_agents
 from pcs_racing import InputError, UnknownNameError, load_archive, make_game
@@ -18,6 +18,7 @@ def learned(name: str, setting) -> dict:
         "best-schedule": {"moves": ["stay"] * 4},
         "best-fixed": {"target": 3},
         "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
+        "remember": {"table": made_up_behaviours(setting)},
     }
     if name in SHIPPED and entries()[name].needs == "network" and name != "adaptive":
         return {"network": untrained(setting)}
@@ -154,7 +155,7 @@ def test_agents_of_other_people(setting, empty_registry, monkeypatch):
 
 
 def test_an_agent_of_another_archive_is_refused(game, setting, oval):
-    from pcs_racing_agents.tournament.matches import game_between
+    from pcs_racing_agents.tournament.games import game_between
 
     other = make("never-switch")
     with pytest.raises(InputError, match=r"agent 'never-switch' was made for archive 'default' \(.*\); the game has"):

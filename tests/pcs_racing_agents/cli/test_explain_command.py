@@ -51,7 +51,7 @@ def test_every_race_of_a_tournament_is_found_again(folder):
         recording = record_row(tournament, tournament.races[number], candidates=False)
         assert pairing.noise[row.race] == tournament.plan.schedules[0].seeds[row.race]
         assert pairing.variants[row.race].tolist() == [row.ego_variant, row.opponent_variant]
-        assert f"{recording.match.lead[0]:.4f}" == f"{row.lead:.4f}"
+        assert f"{recording.played.lead[0]:.4f}" == f"{row.lead:.4f}"
 
 
 def test_a_race_is_told_and_drawn(folder, tmp_path, capsys):

@@ -12,12 +12,12 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Agent, make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.explain.explain import Unit, explain_match, value_unit
+from pcs_racing_agents.explain.explain import Unit, explain_game, value_unit
 from pcs_racing_agents.explain.pcs_picture import in_units
 from pcs_racing_agents.explain.pictures import explanation_picture
 from pcs_racing_agents.explain.words import lead_words, opponent_words, story, why
 from pcs_racing_agents.pictures.style import CARS, picture_bytes
-from pcs_racing_agents.tournament.matches import play_games
+from pcs_racing_agents.tournament.games import play_games
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def network_of(setting, target="advantage", **training):
 
 def explained(contest, ego, rival, game=0, **options):
     """A race that is not over before the moves are made."""
-    return explain_match(
+    return explain_game(
         contest,
         ego,
         rival,
@@ -54,7 +54,7 @@ def race(contest, setting):
     return explained(contest, ego, build("random-moves", setting))
 
 
-def test_the_facts_are_those_of_the_match(contest, setting, race):
+def test_the_facts_are_those_of_the_game(contest, setting, race):
     ego = build("cfr-argmax", setting, network=network_of(setting, worth="win"))
     played = play_games(
         contest,
@@ -64,7 +64,7 @@ def test_the_facts_are_those_of_the_match(contest, setting, race):
         starts=draw_starts(contest.track, contest.setup.config, 8, 3).take([0]),
         seeds=race_seeds(5, 8)[:1],
     )
-    assert race.match.lead == played.lead
+    assert race.played.lead == played.lead
     actions = played.moves[0, 0][played.moves[0, 0] >= 0]
     assert [step.move for step in race.steps] == actions.tolist()
     assert [step.policy for step in race.steps] == played.policy[0, 0, : len(actions)].tolist()

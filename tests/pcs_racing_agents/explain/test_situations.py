@@ -18,7 +18,7 @@ from pcs_racing_agents.explain.situations import (
     write_situations,
 )
 from pcs_racing_agents.pictures.style import picture_bytes
-from pcs_racing_agents.tournament.matches import game_between, play_games
+from pcs_racing_agents.tournament.games import game_between, play_games
 
 
 @pytest.fixture(scope="module")

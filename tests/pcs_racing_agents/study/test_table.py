@@ -11,7 +11,7 @@ from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.results.race_files import race_table, read_results, write_results
 from pcs_racing_agents.results.races import RaceRow, concatenate_races
 from pcs_racing_agents.study.table import PAPER_TABLE, make_table
-from pcs_racing_agents.study.table_text import p_text, table_markdown, table_text, write_table
+from pcs_racing_agents.study.table_text import p_text, table_markdown, table_text, verdict_text, write_table
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairing
 from pcs_racing_agents.tournament.statistics import compare, holm
@@ -196,3 +196,18 @@ def test_tables_of_a_study_are_told_apart_by_their_seeds():
         make_table(races)
     assert make_table(races.with_seeds(range(7, 9))).rows[0].arms[0].score == 1.0
     assert make_table(races.with_seeds([107])).rows[0].arms[0].score == 0.0
+
+
+@pytest.mark.parametrize(
+    ("shifts", "words"),
+    [
+        ((0.0,), "a and b can't be told apart: in all of 1 row"),
+        ((1.0, 2.0), "a scores more in 2 of 2 rows than b"),
+        ((1.0, -1.0, 0.0), "a scores more in 1 and less in 1 of 3 rows than b"),
+    ],
+)
+def test_a_verdict_counts_the_rows_whose_interval_leaves_out_zero(shifts, words):
+    ego, opponent = (axis.ravel() for axis in np.meshgrid(np.arange(10), np.arange(10)))
+    noise = 0.1 * (-1.0) ** (ego + opponent)
+    results = [compare(noise + shift, np.zeros(100), ego, opponent) for shift in shifts]
+    assert verdict_text("a", "b", results).startswith(words)

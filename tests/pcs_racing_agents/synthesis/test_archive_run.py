@@ -14,6 +14,7 @@ from repository import REPOSITORY
 
 from pcs_racing import InputError, load_archive
 from pcs_racing.base.errors import ConfigError
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.jobs import make_executor
@@ -104,6 +105,39 @@ def test_the_coordinates_come_from_races_that_chose_nobody(made):
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
     np.testing.assert_array_equal(found.spread, archive.spread)
     np.testing.assert_array_equal(found.own_crash, archive.own_crash)
+
+
+def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
+    """The search has a dimension less for each; its opponents do not vary them either."""
+    config = with_(generations=1, fixed=("pace_behind", "blocking"))
+    archive = make_archive(config, tmp_path / "made")
+    assert archive.parameter_names == config.varied
+    assert set(LATTICE.parameter_names) - set(config.varied) == {"pace_behind", "blocking"}
+    assert archive.settings["fixed"] == "pace_behind, blocking"
+    rows = LATTICE.indices(config.fixed)
+    final = stage_scenarios(config)[2]
+    for policies in (
+        archive.complete(archive.parameters),
+        archive.complete(archive.explored_parameters),
+        final.opponents,
+    ):
+        np.testing.assert_array_equal(policies[:, rows], np.tile(LATTICE.default[rows], (len(policies), 1)))
+    found = summarise(race_policies((final, archive.complete(archive.parameters))))
+    np.testing.assert_array_equal(found.coordinates, archive.coordinates)
+
+
+def test_the_search_of_the_paper_has_one_pace():
+    assert set(LATTICE.parameter_names) - set(load_archive_config("default").varied) == {"pace_behind"}
+    assert load_archive_config("contest").varied == LATTICE.parameter_names
+
+
+@pytest.mark.parametrize(
+    ("fixed", "message"),
+    [(("speed",), "has no parameter 'speed'"), (LATTICE.parameter_names, "fixed names all parameters")],
+)
+def test_impossible_fixed_parameters_are_refused(fixed, message):
+    with pytest.raises(InputError, match=message):
+        with_(fixed=fixed)
 
 
 def test_the_course_of_the_search_is_told_and_written(made):

@@ -8,7 +8,7 @@ from pcs_racing_agents.jobs.jobs import make_executor, open_job
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairing, play_pairings
 from pcs_racing_agents.tournament.statistics import compare, match_units
-from pcs_racing_agents.tournament.watching import record_match
+from pcs_racing_agents.tournament.watching import record_game
 
 SIZE = {"egos": 4, "opponents": 3, "lines": 2, "seed": 5}
 
@@ -87,8 +87,8 @@ def test_one_race_of_a_pairing_is_that_race(contest, zoo):
     pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
     whole, some = pairing.play(), pairing.take([7, 30]).play()
     np.testing.assert_array_equal(whole.lead[[7, 30]], some.lead)
-    recording = record_match(contest, pairing.ego, pairing.opponent, **pairing.race_arguments(30), candidates=False)
-    assert recording.match.lead[0] == whole.lead[30]
+    recording = record_game(contest, pairing.ego, pairing.opponent, **pairing.race_arguments(30), candidates=False)
+    assert recording.played.lead[0] == whole.lead[30]
     with pytest.raises(InputError, match="there is no race 48"):
         pairing.race_arguments(48)
 
@@ -96,7 +96,7 @@ def test_one_race_of_a_pairing_is_that_race(contest, zoo):
 def test_a_pairing_in_a_job_is_played_once(contest, zoo, tmp_path, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.tournament.runner.BLOCK", 20)
     pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
-    (matches,) = play_pairings([pairing])
+    (games,) = play_pairings([pairing])
     counts: list[tuple[int, int]] = []
     for _ in range(2):
         with open_job(tmp_path / "job", "races", {}) as job, make_executor("threads", 2) as executor:
@@ -104,7 +104,7 @@ def test_a_pairing_in_a_job_is_played_once(contest, zoo, tmp_path, monkeypatch):
                 [pairing], job=job, executor=executor, progress=lambda done, total, _: counts.append((done, total))
             )
         for name, array in played._asdict().items():
-            np.testing.assert_array_equal(array, getattr(matches, name), err_msg=name)
+            np.testing.assert_array_equal(array, getattr(games, name), err_msg=name)
     assert counts == [(0, 48), (16, 48), (32, 48), (48, 48), (48, 48)]
 
 

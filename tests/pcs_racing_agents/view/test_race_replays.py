@@ -36,21 +36,21 @@ def test_a_race_is_a_replay_with_less_in_it(driver, tournament_folder, tmp_path)
     assert read.plan_dt == pytest.approx(2 * whole.plan_dt)
     assert read.outcome == whole.outcome
     assert [event for event in read.events if event.kind == "move"]
-    assert space["policies"] == recording.match.policy[0].tolist()
-    assert space["made"] == recording.match.moves[0].tolist()
+    assert space["policies"] == recording.played.policy[0].tolist()
+    assert space["made"] == recording.played.moves[0].tolist()
 
 
 def test_places_are_where_the_archive_and_the_other_car_saw_them(driver, tournament_folder, archive):
     _, tournament = tournament_folder
     race = driver.drive(1)
-    space, match = driver.space, record_row(tournament, tournament.races[1], candidates=False).match
+    space, played = driver.space, record_row(tournament, tournament.races[1], candidates=False).played
     up, across = space["axes"][1], space["axes"][0]
     points = np.array(space["points"]) / PLACES
     back = np.array([axis["low"] for axis in (across, up)]) + points * [a["high"] - a["low"] for a in (across, up)]
     assert back[:, 1] == pytest.approx(archive.coordinates[:, 0], abs=(up["high"] - up["low"]) / PLACES)
     assert back[:, 0] == pytest.approx(archive.coordinates[:, 1], abs=(across["high"] - across["low"]) / PLACES)
     # The first block of what car 0 saw: two own coordinates, two of the other, the lead, and that it was over.
-    other = match.observations[0, 0, 2:4].astype(float)
+    other = played.observations[0, 0, 2:4].astype(float)
     units = archive.nadir + other * (archive.ideal - archive.nadir)
     place = race.values["space"]["seen"][0][0]
     assert up["low"] + place[1] / PLACES * (up["high"] - up["low"]) == pytest.approx(units[0], abs=0.01)

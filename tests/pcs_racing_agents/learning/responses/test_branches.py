@@ -9,7 +9,7 @@ from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.learning.responses import branch_games
 from pcs_racing_agents.learning.responses.branches import outcome
-from pcs_racing_agents.tournament.matches import game_between
+from pcs_racing_agents.tournament.games import game_between
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
-"""What match play costs beside the races themselves: games of moves against races without any, one thread.
+"""What games of moves cost beside the races themselves, one thread.
 
-python benchmarks/match_speed.py
+python benchmarks/game_speed.py
 """
 
 import time
@@ -34,14 +34,14 @@ def main() -> None:
         played = play_games(game, never, never, **given)
         middle = time.perf_counter()
         state = start_races(game.setup, given["starts"], played.noise)
-        theta = np.ascontiguousarray(game.archive.parameters[policies])
+        theta = np.ascontiguousarray(game.theta(policies))
         advance(game.setup, state, theta, game.setup.config.ticks, threads=1)
         rounds.append((middle - begin, time.perf_counter() - middle))
         np.testing.assert_array_equal(state.lead, played.lead)  # the very same races
-    match, race = (1e3 * min(column) / GAMES for column in zip(*rounds, strict=True))
+    game_time, race = (1e3 * min(column) / GAMES for column in zip(*rounds, strict=True))
     print(
-        f"{GAMES} games of 40 s: {match:.2f} ms a game; the same races without the game {race:.2f} ms; "
-        f"{match / race - 1.0:.1%} more"
+        f"{GAMES} games of 40 s: {game_time:.2f} ms a game; the same races without the game {race:.2f} ms; "
+        f"{game_time / race - 1.0:.1%} more"
     )
 
 

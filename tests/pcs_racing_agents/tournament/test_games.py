@@ -11,7 +11,7 @@ from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.tournament.matches import Matches, play_games
+from pcs_racing_agents.tournament.games import PlayedGames, play_games
 
 GAMES = 12
 
@@ -47,12 +47,12 @@ def some(given: dict, chosen: list[int]) -> dict:
     }
 
 
-def assert_same(found: Matches, expected: Matches, rows) -> None:
-    for name in Matches._fields:
+def assert_same(found: PlayedGames, expected: PlayedGames, rows) -> None:
+    for name in PlayedGames._fields:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name)[rows], err_msg=name)
 
 
-def test_a_match_is_the_game_that_the_moves_make(contest, cars, given):
+def test_a_played_game_is_the_game_that_the_moves_make(contest, cars, given):
     """Played again move by move with the game alone."""
     played = play_games(contest, cars["random-moves"], cars["never-switch"], **given)
     state = contest.reset(given["seeds"], policies=given["policies"], starts=given["starts"])
@@ -95,7 +95,7 @@ def test_what_comes_of_a_game_depends_on_the_game_alone(contest, cars, given, pa
 
 def test_batches_are_cut_without_a_trace(contest, cars, given, monkeypatch):
     whole = play_games(contest, cars["random-moves"], cars["random-moves"], **given)
-    monkeypatch.setattr("pcs_racing_agents.tournament.matches.BATCH", 5)
+    monkeypatch.setattr("pcs_racing_agents.tournament.games.BATCH", 5)
     assert_same(play_games(contest, cars["random-moves"], cars["random-moves"], **given), whole, slice(None))
     none = play_games(contest, cars["random-moves"], cars["random-moves"], **some(given, []))
     assert none.lead.shape == (0,)

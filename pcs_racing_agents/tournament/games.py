@@ -1,4 +1,4 @@
-"""Match play: batches of games between two competitors, from given starts.
+"""Batches of games between two competitors, from given starts.
 
 Tournaments, studies and fits all play through :func:`play_games`. The result of a game does not depend on the batch
 that it is played in, on the number of threads, or on earlier games.
@@ -19,9 +19,9 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 
 __all__ = [
-    "Matches",
+    "PlayedGames",
     "game_between",
-    "join_matches",
+    "join_played",
     "play_games",
     "variant_count",
 ]
@@ -31,7 +31,7 @@ BATCH = 4096  # games advanced together: bounded memory
 CARS = ("ego", "opponent")
 
 
-class Matches(NamedTuple):
+class PlayedGames(NamedTuple):
     """Results of a batch of B games of m moves; the ego drove car 0.
 
     Attributes
@@ -55,7 +55,7 @@ class Matches(NamedTuple):
     moves : ndarray, shape (B, 2, m), int64
         Moves made; -1 for a driver and after a crash.
     noise : ndarray, shape (B,), uint64
-        Key of the noise, with which :func:`pcs_racing_agents.tournament.watching.record_match` drives a game again.
+        Key of the noise, with which :func:`pcs_racing_agents.tournament.watching.record_game` drives a game again.
     observations : ndarray, shape (B, 2, D), float32
         Last observations of both cars; they include the earlier ones.
     """
@@ -83,9 +83,9 @@ class Matches(NamedTuple):
         return (self.winner == 0) + 0.5 * self.tie
 
 
-def join_matches(parts: "list[Matches]") -> Matches:
+def join_played(parts: "list[PlayedGames]") -> PlayedGames:
     """Join batches into one."""
-    return Matches._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return PlayedGames._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 def variant_count(game: RaceGame, competitor: Competitor) -> int:
@@ -117,7 +117,7 @@ def play_games(
     policies: ArrayLike,
     starts: Starts,
     seeds: ArrayLike,
-) -> Matches:
+) -> PlayedGames:
     """Play games between two competitors.
 
     Parameters
@@ -135,7 +135,7 @@ def play_games(
 
     Returns
     -------
-    Matches
+    PlayedGames
 
     Raises
     ------
@@ -164,7 +164,7 @@ def play_games(
     for first in range(0, max(len(starts), 1), BATCH):
         rows = np.arange(first, min(first + BATCH, len(starts)))
         parts.append(_play(arena, cars, variants[rows].astype(np.int64), starts.take(rows), keys[rows]))
-    return join_matches(parts)
+    return join_played(parts)
 
 
 def _play(
@@ -173,7 +173,7 @@ def _play(
     variants: NDArray[np.int64],
     starts: Starts,
     keys: NDArray[Any],
-) -> Matches:
+) -> PlayedGames:
     steps = arena.config.moves
     drivers = [
         [competitor.policies[i] for i in variants[:, car]] if isinstance(competitor, Driver) else None
@@ -201,7 +201,7 @@ def _play(
         state = arena.apply(state, actions)
         policy[running, :, step + 1] = state.policy[running]
     race = state.race
-    return Matches(
+    return PlayedGames(
         lead=race.lead,
         winner=arena.winner(state),
         utility=arena.reward(state)[:, 0],

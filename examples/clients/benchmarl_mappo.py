@@ -1,0 +1,115 @@
+# /// script
+# dependencies = ["benchmarl==1.5.2"]
+# ///
+"""BenchMARL: MAPPO in self-play on the head-to-head environment.
+
+    python examples/clients/benchmarl_mappo.py
+
+A task of BenchMARL names the environment, its groups of agents and its spaces; ``HeadToHead`` below is all it takes.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from benchmarl.algorithms import MappoConfig
+from benchmarl.environments.common import Task, TaskClass
+from benchmarl.experiment import Experiment, ExperimentConfig
+from benchmarl.models.mlp import MlpConfig
+from torchrl.data import Composite
+from torchrl.envs import EnvBase, PettingZooWrapper
+
+import pcs_racing
+
+
+class HeadToHead(TaskClass):
+    """The game of both cars as BenchMARL wants it: the group ``car`` holds both."""
+
+    def get_env_fun(
+        self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
+    ) -> Callable[[], EnvBase]:
+        """Return the function that makes an environment."""
+        return lambda: PettingZooWrapper(pcs_racing.parallel_env(**self.config), categorical_actions=True, seed=seed)
+
+    def supports_continuous_actions(self) -> bool:
+        """Moves are discrete."""
+        return False
+
+    def supports_discrete_actions(self) -> bool:
+        """Moves are discrete."""
+        return True
+
+    def has_render(self, env: EnvBase) -> bool:
+        """No pictures here."""
+        return False
+
+    def max_steps(self, env: EnvBase) -> int:
+        """Moves of a game."""
+        return 4
+
+    def group_map(self, env: EnvBase) -> dict[str, list[str]]:
+        """Return the groups of agents."""
+        return env.group_map
+
+    def observation_spec(self, env: EnvBase) -> Composite:
+        """Return what the agents see."""
+        spec = env.observation_spec.clone()
+        for group in self.group_map(env):
+            for key in list(spec[group].keys()):
+                if key != "observation":
+                    del spec[group, key]
+        return spec
+
+    def info_spec(self, env: EnvBase) -> Composite | None:
+        """Infos are not used."""
+        return None
+
+    def state_spec(self, env: EnvBase) -> Composite | None:
+        """The critic sees both observations; no state is needed."""
+        return None
+
+    def action_spec(self, env: EnvBase) -> Composite:
+        """Return the moves."""
+        return env.full_action_spec
+
+    def action_mask_spec(self, env: EnvBase) -> Composite | None:
+        """Every move may be made."""
+        return None
+
+    @staticmethod
+    def env_name() -> str:
+        """Name in logs."""
+        return "pcs_racing"
+
+
+class Tasks(Task):
+    """The tasks that there are."""
+
+    HEAD_TO_HEAD = None
+
+    @staticmethod
+    def associated_class() -> type[TaskClass]:
+        """Return the class above."""
+        return HeadToHead
+
+
+def main() -> None:
+    config = ExperimentConfig.get_from_yaml()
+    config.max_n_frames = config.on_policy_collected_frames_per_batch = 64
+    config.on_policy_n_envs_per_worker, config.on_policy_n_minibatch_iters = 2, 1
+    config.on_policy_minibatch_size, config.evaluation, config.loggers = 32, False, []
+    config.create_json, config.checkpoint_at_end, config.render = False, False, False
+    task = Tasks.HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord"})
+    experiment = Experiment(
+        task=task,
+        algorithm_config=MappoConfig.get_from_yaml(),
+        model_config=MlpConfig.get_from_yaml(),
+        critic_model_config=MlpConfig.get_from_yaml(),
+        seed=0,
+        config=config,
+    )
+    experiment.run()
+    print(f"{experiment.total_frames} moves of both cars, mean return {float(experiment.mean_return):+.2f} m")
+
+
+if __name__ == "__main__":
+    main()

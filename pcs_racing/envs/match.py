@@ -1,0 +1,263 @@
+"""The environment of a series of races against the same opponent: a policy for each race, and what was seen before."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.match_batch import MatchBatch
+from pcs_racing.envs.opponents import Opponent
+from pcs_racing.envs.scalar import ScalarEnv
+from pcs_racing.envs.vector import BatchVectorEnv
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.match import MatchGame
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.track.track import Track
+
+__all__ = ["MatchEnv", "MatchVectorEnv"]
+
+
+class MatchEnv(ScalarEnv):
+    """Play a match: several races against the same opponent, with a policy to choose before each of them.
+
+    ## Description
+
+    The view that the player of car 0 has of :class:`pcs_racing.envs.head_to_head_match.HeadToHeadMatchEnv`. The
+    opponent is drawn for the match and stays the same. Before each race the player chooses the policy of the archive
+    that its car drives with; it knows how the opponent drove in the earlier races. In each race the cars start on
+    another line, and they swap their places on the grid. The rules are in :mod:`pcs_racing.game.match`.
+
+    ## Action Space
+
+    ``Discrete(K)`` for an archive of K policies: action ``k`` drives the next race with policy ``k``. Every policy can
+    be chosen before every race, because knowing the opponent is worth most before the start; and by its index, because
+    policies that lie close together in the Policy Characteristic Space may race differently. With ``race_moves`` a
+    step is one step of a race (8 s), and the space is ``Discrete(K + M)``: actions ``K`` to ``K + M - 1`` are the M
+    moves of :class:`pcs_racing.envs.duel.DuelEnv`, to be made while a race goes on. An action of the other kind changes
+    nothing: a move between two races keeps the policy of the last start, a policy in a race keeps the policy.
+    ``action_masks()`` and ``info["action_mask"]`` say which kind is asked for.
+
+    ## Observation Space
+
+    ``Box(float32)`` with ``races (2 G + 3) + 2`` elements for G characteristics, 23 by default;
+    ``env.unwrapped.elements`` holds name, unit, bounds and meaning of each. Race ``r`` counts from 0. "Range" means
+    that 0 is the archive's smallest and 1 its largest value. Of races to come all numbers are 0.
+
+    | Index | Element | Unit | Low | High |
+    |---|---|---|---|---|
+    | 7r | race_r_own_aggressiveness | range | -1 | 2 |
+    | 7r + 1 | race_r_own_restraint | range | -1 | 2 |
+    | 7r + 2 | race_r_opponent_aggressiveness | range | -1 | 2 |
+    | 7r + 3 | race_r_opponent_restraint | range | -1 | 2 |
+    | 7r + 4 | race_r_lead | 20 m | -5 | 5 |
+    | 7r + 5 | race_r_score | 1 | 0 | 1 |
+    | 7r + 6 | race_r_driven | 1 | 0 | 1 |
+    | 21 | races_left | 1 | 0 | 1 |
+    | 22 | front | 1 | 0 | 1 |
+
+    The opponent's coordinates are measured over the whole race. ``race_r_driven`` is the share of its duration that a
+    race lasted, below 1 after a crash. ``front`` is 1 if the own car starts the next race on the left or in front. With
+    ``race_moves`` there follow ``racing``, 1 while a race goes on, and the observation of
+    :class:`pcs_racing.envs.duel.DuelEnv` in that race, 0 between races.
+
+    ## Rewards
+
+    The score of each race when it is over: 1 for a win, 1/2 for a tie, else 0. Their sum is the number of races won.
+
+    ## Starting State
+
+    The opponent, start lines, the side of the first race, the noise and the policy of an opponent that does not choose
+    are drawn from the environment's generator. Nothing is driven before the first action.
+
+    ``reset(options=...)`` takes ``policies`` (two indices of the archive: what the cars start the races with if their
+    players do not choose; -1 draws one), ``start`` (arc length of the line of all races in m, and side of the first
+    race: 0 puts car 0 on the left or in front), ``opponent`` and ``track``, which replace the arguments from then on,
+    and ``state``, what ``get_state()`` returned. Others are refused.
+
+    ## Episode End
+
+    *Terminated* after the last race; never truncated. A crash ends a race, not the match.
+
+    ## Information
+
+    The numbers of :class:`pcs_racing.envs.duel.DuelEnv`, of the race that was driven last, and: ``race``, races that
+    are over; ``race_result``, how the last one ended (:class:`pcs_racing.envs.infos.Result`); ``score`` and
+    ``opponent_score``, races won so far. ``result`` is that of the match. ``env.unwrapped.metadata["codes"]`` holds the
+    words of all codes; ``env.unwrapped.outcome()`` is the info in words.
+
+    ## Arguments
+
+    Parameters
+    ----------
+    track : str, Path or Track
+    archive : str, Path or PolicyArchive
+    opponent : str, competitor, or list
+        As for :class:`pcs_racing.envs.duel.DuelEnv`; one is drawn for each match. One that makes moves starts every
+        race of the match with the same policy of the archive, and makes its moves in the races. An object with
+        ``choose(observation) -> policies`` chooses before each race, as the player does, and keeps its policy in the
+        race.
+    race : str, Path, RaceConfig or GameConfig
+        Rules of the races: "paper", "contest", a YAML file or a configuration. The reward is that of a match, whatever
+        a configuration says of the utility.
+    races : int
+        Races of a match, 1 to 100.
+    race_moves : bool
+        Whether the player also makes the moves of the races.
+    deterministic_opponent : bool
+        As for :class:`pcs_racing.envs.duel.DuelEnv`.
+    render_mode : {"rgb_array", "human"}, optional
+    view : {"track", "both", "car_0", "car_1"}
+        What a frame shows.
+    render_size : tuple of int
+        Width and height of a frame in pixels.
+    **settings
+        Fields of :class:`pcs_racing.game.config.GameConfig` but ``utility``, ``fault_penalty`` and ``discount``:
+        ``moves``, ``step_seconds``, ``characteristics``...
+
+    Raises
+    ------
+    InputError
+        If an argument, an action or the order of calls is impossible.
+    UnknownArgumentError
+        A TypeError, if there is no such argument.
+
+    ## Vectorized environment
+
+    ``gym.make_vec("pcs_racing/Match-v0", num_envs=256)`` gives :class:`pcs_racing.envs.match.MatchVectorEnv`: the races
+    of all matches in one compiled call, and the same numbers as this class gives with the same seeds.
+
+    ## Version History
+
+    * v0: first version.
+
+    Examples
+    --------
+    >>> env = MatchEnv(opponent="never-switch")
+    >>> observation, info = env.reset(seed=1)
+    >>> observation.shape, int(env.action_space.n) == len(env.game.archive)
+    ((23,), True)
+    """
+
+    batch_type = MatchBatch
+    batch: MatchBatch
+
+    def __init__(
+        self,
+        track: Track | str | Path = "Tarnfjord",
+        archive: PolicyArchive | str | Path = "default",
+        opponent: Any = "never-switch",
+        race: GameConfig | RaceConfig | str | Path = "paper",
+        *,
+        races: int = 3,
+        race_moves: bool = False,
+        deterministic_opponent: bool = True,
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
+        **settings: Any,
+    ) -> None:
+        arguments = batch_arguments(MatchEnv, locals(), GameConfig, settings)
+        super().__init__(arguments, render_mode, view, render_size)
+
+    @property
+    def game(self) -> RaceGame:
+        """The rules of the races."""
+        return self.batch.game
+
+    @property
+    def match(self) -> MatchGame:
+        """The rules."""
+        return self.batch.match
+
+    @property
+    def opponents(self) -> list[Opponent]:
+        """The opponents among which each match's is drawn."""
+        return list(self.batch.opponents)
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Actions that are asked for, shape (A,), as sb3-contrib's MaskablePPO asks for them."""
+        return self.batch.action_masks()[0]
+
+
+class MatchVectorEnv(BatchVectorEnv):
+    """Many :class:`MatchEnv` in one, with the same numbers for the same seeds.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of matches.
+    autoreset_mode : AutoresetMode or str
+        What happens after a match has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
+    max_episode_steps : int, optional
+        Steps after which a match is truncated.
+    threads : int, optional
+        Threads that share a step, all cores by default; the result does not depend on it.
+    track, archive, opponent, race, races, race_moves, deterministic_opponent, render_mode, view, render_size, settings
+        As for :class:`MatchEnv`; `render` returns a frame for each environment.
+
+    Raises
+    ------
+    InputError
+        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
+    UnknownArgumentError
+        A TypeError, if there is no such argument.
+
+    Examples
+    --------
+    >>> envs = MatchVectorEnv(4, opponent="never-switch", races=2)
+    >>> observations, info = envs.reset(seed=1)
+    >>> observations.shape
+    (4, 16)
+    """
+
+    batch_type = MatchBatch
+    batch: MatchBatch
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        track: Track | str | Path = "Tarnfjord",
+        archive: PolicyArchive | str | Path = "default",
+        opponent: Any = "never-switch",
+        race: GameConfig | RaceConfig | str | Path = "paper",
+        races: int = 3,
+        race_moves: bool = False,
+        deterministic_opponent: bool = True,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
+        **settings: Any,
+    ) -> None:
+        super().__init__(
+            num_envs,
+            batch_arguments(MatchVectorEnv, locals(), GameConfig, settings),
+            autoreset_mode=autoreset_mode,
+            max_episode_steps=max_episode_steps,
+            threads=threads,
+            render_mode=render_mode,
+            view=view,
+            render_size=render_size,
+        )
+
+    @property
+    def game(self) -> RaceGame:
+        """The rules of the races."""
+        return self.batch.game
+
+    @property
+    def match(self) -> MatchGame:
+        """The rules."""
+        return self.batch.match
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Actions that are asked for, shape (num_envs, A), as sb3-contrib's MaskablePPO asks for them."""
+        return self.batch.action_masks()

@@ -1,0 +1,260 @@
+"""Many matches side by side: the batch behind the environments of a series of races."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.envs.batch import BatchStep
+from pcs_racing.envs.game_batch import GameBatch
+from pcs_racing.envs.infos import Result, codes
+from pcs_racing.envs.opponents import draw_opponent
+from pcs_racing.envs.reset_options import start_option
+from pcs_racing.game.competitor import Chooser
+from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, put_matches
+from pcs_racing.game.match_choices import ask_choices
+from pcs_racing.game.observation import ObservationElement
+from pcs_racing.game.rules import check_moves
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.races import start_races
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import RaceState
+
+__all__ = ["MatchBatch"]
+
+UNUSED = ("utility", "fault_penalty", "discount")
+"""Rules of a single game's reward; a match pays races won."""
+
+
+class MatchBatch(GameBatch):
+    """Matches of several races; car 0 belongs to a player, car 1 to an opponent or to a second player.
+
+    A step is a whole race, unless the players make the moves of the races, too.
+
+    Parameters
+    ----------
+    episodes : int
+        Number of matches.
+    races, race_moves
+        See :class:`pcs_racing.game.match.MatchConfig`.
+    **arguments
+        As for :class:`pcs_racing.envs.game_batch.GameBatch`.
+
+    Attributes
+    ----------
+    match : MatchGame
+    played : MatchState or None
+        None before the first `restart`; ``state`` is its game.
+    keep_driven : bool
+        Whether to fill ``driven``; for a batch of one match.
+    driven : list of (RaceState, ndarray)
+        What the pieces of driving of the last step began with, and their parameters; for frames.
+    """
+
+    def __init__(self, episodes: int, *, races: int = 3, race_moves: bool = False, **arguments: Any) -> None:
+        for name in UNUSED:
+            if name in arguments:
+                raise InputError(f"{name} does not count in a match, which pays the score of each race; leave it out")
+        config = MatchConfig(races=races, race_moves=race_moves)
+        super().__init__(episodes, **arguments)
+        self.match = MatchGame(self.game, config)
+        self.horizon = races * (self.game.config.moves + 1) if race_moves else races
+        low, high = (np.array([getattr(e, end) for e in self.elements], np.float32) for end in ("low", "high"))
+        self.observation_space = spaces.Box(low, high, dtype=np.float32)
+        self.actions = tuple(f"policy {i}" for i in range(len(self.game.archive)))
+        if race_moves:
+            self.actions += self.game.move_names
+        self.action_space = spaces.Discrete(len(self.actions))
+        self.codes = {**self.codes, "race_result": codes(Result)}
+        self.seen = np.zeros((self.episodes, 2, len(low)), np.float32)
+        self.played: MatchState | None = None
+        self.keep_driven = False
+        self.driven: list[tuple[RaceState, NDArray[np.float64]]] = []
+
+    @property
+    def elements(self) -> tuple[ObservationElement, ...]:
+        """Name, unit, bounds and meaning of each number of an observation."""
+        # Asked by the base class before there is a match; its space is replaced then.
+        return self.match.observation_elements if hasattr(self, "match") else self.game.observation_elements
+
+    def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
+        """Return actions as (episodes, players)."""
+        checked = check_moves(actions, self.actions, shape, ("environment",), player="action")
+        return checked.reshape(self.episodes, self.players)
+
+    def restart(
+        self,
+        rows: NDArray[np.int64],
+        generators: Sequence[np.random.Generator],
+        options: Mapping[str, Any] = {},
+    ) -> None:
+        """Begin new matches in some places, each drawn from its own generator.
+
+        Options: "policies", two indices of the archive for each match or for all: what the cars start the races with if
+        their players do not choose (-1 draws one); and "start", arc length of the line of all races (m) and side of the
+        first race, for each match or for all.
+        """
+        starts = start_option(options, len(rows))
+        keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
+        drivers: list[Policy | None] = []
+        drawn = np.zeros(len(rows), np.int64)
+        for i, generator in enumerate(generators):
+            if self.opponents:
+                drawn[i] = draw_opponent(self._edges, generator)
+            drivers.append(self.opponents[drawn[i]].draw_policy(generator) if self.opponents else None)
+        lines, sides = (None, None) if starts is None else (starts.s[:, None], starts.side)
+        policies = options.get("policies")
+        fresh = self.match.begin(keys, policies=policies, lines=lines, sides=sides, opponents=drivers)
+        if self.played is None:
+            self.played = fresh
+        else:
+            put_matches(self.played, rows, fresh)
+        self.drawn[rows], self.moves[rows] = drawn, -1
+        self._forget(rows)
+        self.driven = []
+        self._follow(self.played)
+
+    def _forget(self, rows: NDArray[np.int64]) -> None:
+        for row in rows:
+            self.memories[row] = None
+
+    def _follow(self, played: MatchState) -> None:
+        """Go on with this state."""
+        self.played, self.state = played, played.game
+        self.seen = self.match.observation(played)
+
+    def step(self, actions: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> BatchStep:
+        """Let the players choose, and drive a race; or, if they make its moves, a step of it."""
+        self.started()
+        before: MatchState = self.played  # type: ignore[assignment]
+        self.driven = []
+        racing = np.flatnonzero(before.racing)
+        played = self._start(before, actions)
+        if self.match.config.race_moves:
+            if len(racing):
+                played = self._move(played, racing, generators, actions)
+        else:
+            while (going := np.flatnonzero(played.racing)).size:
+                played = self._move(played, going, generators, None)
+        self._follow(played)
+        rewards = np.ascontiguousarray(self.match.reward(before, played)[:, : self.players]).reshape(-1)
+        done = np.repeat(self.match.done(played), self.players)
+        return BatchStep(self._observations(), rewards, done, np.zeros(len(done), np.bool_))
+
+    def _start(self, played: MatchState, actions: NDArray[np.int64]) -> MatchState:
+        """Start the races of the matches that are between two."""
+        between = np.flatnonzero(~played.racing & ~self.match.done(played))
+        if len(between) == 0:
+            return played
+        choices = np.full((self.episodes, 2), KEEP, np.int64)
+        choices[:, : self.players] = np.where(actions < len(self.game.archive), actions, KEEP)
+        memory = None
+        for k, opponent in enumerate(self.opponents):
+            rows = between[self.drawn[between] == k]
+            if len(rows) and isinstance(opponent.competitor, Chooser):
+                memory = self.match.memory(played)[:, 1] if memory is None else memory
+                chosen = ask_choices(opponent.competitor, self.match, played, 1, rows=rows, memory=memory)
+                choices[rows, 1] = chosen[rows]
+        self._forget(between)
+        self.moves[between] = -1
+        started = self.match.start(played, choices)
+        if self.keep_driven:
+            race = int(played.race[0])
+            starts = Starts(played.starts[:, race], played.sides[:, race])
+            self.driven.append((start_races(self.game.setup, starts, played.noise[:, race]), started.game.theta))
+        return started
+
+    def _move(
+        self,
+        played: MatchState,
+        rows: NDArray[np.int64],
+        generators: Sequence[np.random.Generator],
+        actions: NDArray[np.int64] | None,
+    ) -> MatchState:
+        """Drive a step of the races that go on; without actions the players keep their policies."""
+        game, stay = self.game, len(self.game.competitor_moves) - 1
+        moves = np.full((self.episodes, 2), stay, np.int64)
+        if actions is not None:
+            policies = len(game.archive)
+            moves[:, : self.players] = np.where(actions < policies, stay, actions - policies)
+        if self.players == 1:
+            seen = game.observation(played.game)
+            replies = self._replies(played.game, generators, seen[:, 1], rows)
+            choosing = np.array([isinstance(each.competitor, Chooser) for each in self.opponents])
+            moves[:, 1] = np.where(choosing[self.drawn], stay, replies)
+        self.moves[rows] = moves[rows]
+        moved = self.match.move(played, moves, rows)
+        if self.keep_driven:
+            self.driven.append((played.game.race, moved.game.theta))
+        return moved
+
+    # What is told of the matches
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Policies that may be chosen, or moves that may be made, shape (environments, A)."""
+        return self._masks()[:, : self.players].reshape(self.episodes * self.players, -1)
+
+    def _masks(self) -> NDArray[np.bool_]:
+        self.started()
+        played: MatchState = self.played  # type: ignore[assignment]
+        policies = len(self.game.archive)
+        masks = np.ones((self.episodes, 2, len(self.actions)), np.bool_)
+        if self.match.config.race_moves:
+            masks[:, :, :policies] = ~played.racing[:, None, None]
+            masks[:, :, policies:] = self.game.action_mask(played.game) & played.racing[:, None, None]
+        return masks
+
+    def _infos_of(self, car: int) -> dict[str, NDArray[Any]]:
+        infos = super()._infos_of(car)
+        played: MatchState = self.played  # type: ignore[assignment]
+        own, other = (played.scores[:, each].sum(axis=1) for each in (car, 1 - car))
+        result = np.where(own > other, Result.WIN, np.where(own < other, Result.LOSS, Result.TIE))
+        return {
+            **infos,
+            "result": np.where(self.match.done(played), result, Result.RUNNING).astype(np.int64),
+            "race": played.race.copy(),
+            "race_result": infos["result"],
+            "score": own,
+            "opponent_score": other,
+            "action_mask": self._masks()[:, car].astype(np.int8),
+        }
+
+    # The batch as a value
+
+    def get_state(self) -> tuple[Any, ...]:
+        """Copies of all that changes: matches, opponents, last moves, and what the opponents remember."""
+        played = None if self.played is None else self.played.copy()
+        return played, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories)
+
+    def set_state(self, values: tuple[Any, ...]) -> None:
+        """Continue from what `get_state` returned, here or in an equal batch."""
+        played, drawn, moves, memories = values
+        if played is not None:
+            self._check_matches(played)
+        self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
+        self.driven = []
+        if played is None:
+            self.played = self.state = None
+        else:
+            self._follow(played.copy())
+
+    def _check_matches(self, played: Any) -> None:
+        if not isinstance(played, MatchState) or played.matches != self.episodes:
+            raise InputError(f"the state is not one of {self.episodes} matches; use what get_state returned")
+        self._check_state(played.game)
+        model = self.match.begin(np.zeros(self.episodes, np.uint64), opponents=self._anybody())
+        for name, array, like in zip(MatchState._fields[1:], played[1:], model[1:], strict=True):
+            if np.shape(array) != like.shape:
+                raise InputError(
+                    f"the state's {name} has shape {np.shape(array)}; in this environment it must be {like.shape}: it "
+                    "belongs to a match of another number of races, or to another archive"
+                )
+
+    def _anybody(self) -> list[Policy | None]:
+        """Return a driver of car 1 for each match, where its planner is not the archive's."""
+        policies = self.opponents[0].policies if self.opponents else ()
+        return [policies[0] if policies else None] * self.episodes

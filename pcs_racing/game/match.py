@@ -1,0 +1,307 @@
+"""The rules of a match: a series of races against the same opponent.
+
+1. **Before each race** each player chooses the policy of the archive that its car starts with; both choose at the same
+   time (:meth:`MatchGame.start`). What happened in the earlier races has been observed
+   (:mod:`pcs_racing.game.match_observation`).
+2. **The race** is a game of :class:`pcs_racing.game.rules.RaceGame` on a start line of its own: its players watch the
+   first step, and may then move (:meth:`MatchGame.move`). Who keeps the policy of the start makes the move "stay".
+   The two cars swap their places on the grid from race to race.
+3. **Score.** A race counts 1 for a car that wins it, 1/2 for both if it is a tie, and nothing for a car that loses
+   it or in a crash that pays nobody. A player's reward is the score of each race, paid when the race is over; the sum
+   is the number of races won.
+
+A race that ends by a crash in its first step counts, because its policies were chosen; a game of its own would be drawn
+again.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.settings import Settings, flag, setting, whole
+from pcs_racing.game.match_observation import encode_match, match_elements
+from pcs_racing.game.observation import ObservationElement
+from pcs_racing.game.rules import OUTSIDE, RaceGame
+from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, random_bits
+from pcs_racing.game.state import GameState, put_games, take_games
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.races import start_races, winners
+from pcs_racing.race.start_grid import Starts
+
+__all__ = ["KEEP", "MatchConfig", "MatchGame", "MatchState", "put_matches"]
+
+Indices = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+KEEP = -1
+"""In place of a chosen policy: the one that the car started the last race with."""
+
+
+@dataclass(frozen=True)
+class MatchConfig(Settings):
+    """Rules of a match, beside those of its races."""
+
+    races: int = setting(3, whole(1, 100), "Races of a match.")
+    race_moves: bool = setting(
+        False, flag(), "Whether a player who chooses before the races also makes the moves of the races."
+    )
+
+
+class MatchState(NamedTuple):
+    """A batch of B matches of R races at one moment: plain arrays, match axis first.
+
+    Attributes
+    ----------
+    game : GameState
+        The race that goes on; between two races the one that is over, before the first the cars on the grid.
+    race : ndarray, shape (B,), int64
+        Races that are over.
+    racing : ndarray of bool, shape (B,)
+        Whether a race goes on.
+    starts : ndarray, shape (B, R)
+        Arc length of the start line of each race, m.
+    sides : ndarray, shape (B, R), int64
+        0 where car 0 starts a race on the left or in front, 1 where car 1 does.
+    noise : ndarray, shape (B, R), uint64
+        Key of the noise of each race.
+    policy : ndarray, shape (B, 2), int64
+        Policy that each car starts the next race with if its player does not choose; -1 for a driver from outside the
+        archive.
+    theta : ndarray, shape (B, 2, P)
+        Parameters of the drivers from outside the archive.
+    own : ndarray, shape (B, 2, R, G)
+        Mean over each race of the normalised archive coordinates of each car's policy; for a driver from outside what
+        was measured.
+    measured : ndarray, shape (B, 2, R, G)
+        Normalised coordinates of each car as measured over each race: mean of its steps, weighted by their time.
+    leads : ndarray, shape (B, R)
+        Lead of car 0 at the end of each race, m.
+    driven : ndarray, shape (B, R)
+        Share of its duration that each race lasted; 0 until it is over.
+    scores : ndarray, shape (B, 2, R)
+        Score of each car in each race: 1, 1/2 or 0.
+    """
+
+    game: GameState
+    race: Indices
+    racing: NDArray[np.bool_]
+    starts: Floats
+    sides: Indices
+    noise: NDArray[np.uint64]
+    policy: Indices
+    theta: Floats
+    own: Floats
+    measured: Floats
+    leads: Floats
+    driven: Floats
+    scores: Floats
+
+    @property
+    def matches(self) -> int:
+        """Number of matches in the batch."""
+        return len(self.race)
+
+    def copy(self) -> "MatchState":
+        """Return an independent copy."""
+        rest: Any = self[1:]
+        return MatchState(self.game.copy(), *(array.copy() for array in rest))
+
+
+def put_matches(state: MatchState, indices: ArrayLike, values: MatchState) -> None:
+    """Overwrite some matches of a batch, in place, with the matches of another."""
+    chosen = np.asarray(indices)
+    put_games(state.game, chosen, values.game)
+    for array, new in zip(state[1:], values[1:], strict=True):
+        array[chosen] = new
+
+
+@dataclass(frozen=True, eq=False)
+class MatchGame:
+    """The game of a match: functions from one :class:`MatchState` to the next, for many matches at once.
+
+    Attributes
+    ----------
+    game : RaceGame
+        Track, archive and rules of the races.
+    config : MatchConfig
+    """
+
+    game: RaceGame
+    config: MatchConfig
+
+    @cached_property
+    def observation_elements(self) -> tuple[ObservationElement, ...]:
+        """Name, unit, bounds and meaning of each of the D numbers of an observation."""
+        elements = match_elements(self.game.characteristics, self.config.races)
+        if not self.config.race_moves:
+            return elements
+        racing = ObservationElement("racing", "1", 0.0, 1.0, "1 while a race goes on; else the numbers below are 0")
+        return (*elements, racing, *self.game.observation_elements)
+
+    # Start of a match
+
+    def begin(
+        self,
+        keys: NDArray[np.uint64],
+        *,
+        policies: ArrayLike | None = None,
+        lines: ArrayLike | None = None,
+        sides: ArrayLike | None = None,
+        opponents: Policy | Sequence[Policy | None] | None = None,
+        egos: Policy | Sequence[Policy | None] | None = None,
+    ) -> MatchState:
+        """Return matches before their first race, drawn from a key each, whatever the size of the batch.
+
+        Parameters
+        ----------
+        keys : ndarray of uint64, shape (B,)
+        policies : array of int, shape (B, 2) or (2,), optional
+            Policies of cars whose players do not choose; -1 draws one, uniformly from the archive.
+        lines : array, shape (B, R) or (B, 1), optional
+            Arc length of the start line of each race, or of all races of a match, m; by default each race draws one out
+            of :attr:`RaceGame.start_lines`.
+        sides : array of int, shape (B,), optional
+            0 where car 0 starts the first race of a match on the left or in front, 1 where car 1 does; drawn by
+            default.
+        opponents, egos : Policy or sequence of B (Policy or None), optional
+            Drivers of car 1 and of car 0 from outside the archive, as in :meth:`RaceGame.reset`.
+
+        Raises
+        ------
+        InputError
+            If a number, shape, start or driver is impossible; the index is named.
+        """
+        game, races, count = self.game, self.config.races, len(keys)
+        first = check_policies(game.archive, policies, count)
+        drivers = [
+            driver_parameters(game.archive, game.setup.planners[car], car, given, count, game.setup.theta_size)
+            for car, given in enumerate((egos, opponents))
+        ]
+        outside, theta = (np.stack(pair, axis=1) for pair in zip(*drivers, strict=True))
+        bits = np.stack([random_bits(keys, race) for race in range(races)], axis=1)
+        drawn = (bits[:, 0, 2:4] % np.uint64(len(game.archive))).astype(np.int64)
+        policy = np.where(outside, OUTSIDE, np.where(first == DRAW, drawn, first))
+        drawn_lines = game.start_lines[(bits[:, :, 0] % np.uint64(len(game.start_lines))).astype(np.int64)]
+        places = np.array(np.broadcast_to(drawn_lines if lines is None else np.asarray(lines), (count, races)))
+        side = (bits[:, 0, 1] % np.uint64(2)).astype(np.int64) if sides is None else np.asarray(sides, np.int64)
+        turns = (side[:, None] + np.arange(races)) % 2
+        axes = len(game.characteristics)
+        grid = game.empty_state(start_races(game.setup, Starts(places[:, 0], turns[:, 0]), bits[:, 0, 4]))
+        grid.policy[:] = policy
+        return MatchState(
+            game=grid,
+            race=np.zeros(count, np.int64),
+            racing=np.zeros(count, np.bool_),
+            starts=places,
+            sides=turns,
+            noise=np.ascontiguousarray(bits[:, :, 4]),
+            policy=policy,
+            theta=theta,
+            own=np.zeros((count, 2, races, axes)),
+            measured=np.zeros((count, 2, races, axes)),
+            leads=np.zeros((count, races)),
+            driven=np.zeros((count, races)),
+            scores=np.zeros((count, 2, races)),
+        )
+
+    # Races
+
+    def done(self, state: MatchState) -> NDArray[np.bool_]:
+        """Whether each match is over, shape (B,)."""
+        return state.race >= self.config.races
+
+    def start(self, state: MatchState, choices: Indices) -> MatchState:
+        """Start the next race of every match that is between two races, and drive its first step.
+
+        Parameters
+        ----------
+        state : MatchState
+            Stays as it is.
+        choices : array of int, shape (B, 2)
+            Policy of the archive that each car starts with, or :data:`KEEP`. That of a driver from outside the archive
+            does nothing.
+        """
+        new = state.copy()
+        rows = np.flatnonzero(~state.racing & ~self.done(state))
+        if len(rows) == 0:
+            return new
+        race = state.race[rows]
+        outside = state.policy[rows] == OUTSIDE
+        policy = np.where(outside | (choices[rows] == KEEP), state.policy[rows], choices[rows])
+        starts = Starts(state.starts[rows, race], state.sides[rows, race])
+        games = self.game.start(policy, starts, state.noise[rows, race], state.theta[rows], outside)
+        put_games(new.game, rows, games)
+        new.policy[rows] = policy
+        new.racing[rows] = True
+        self._finish(new)
+        return new
+
+    def move(self, state: MatchState, moves: Indices, rows: Indices | None = None) -> MatchState:
+        """Let both players move in the races that go on, and drive a step.
+
+        Parameters
+        ----------
+        state : MatchState
+            Stays as it is.
+        moves : array of int, shape (B, 2)
+            Indices in :attr:`RaceGame.competitor_moves`.
+        rows : ndarray of int, optional
+            Matches to play in, all by default.
+        """
+        new = state.copy()
+        going = np.flatnonzero(state.racing)
+        rows = going if rows is None else np.intersect1d(rows, going)
+        if len(rows) == 0:
+            return new
+        games = self.game.apply(take_games(state.game, rows), moves[rows])
+        put_games(new.game, rows, games)
+        self._finish(new)
+        return new
+
+    def _finish(self, state: MatchState) -> None:
+        """Record, in place, the races that have just ended."""
+        rows = np.flatnonzero(state.racing & self.game.done(state.game))
+        if len(rows) == 0:
+            return
+        game, race = take_games(state.game, rows), state.race[rows]
+        config = self.game.config
+        # The last step of a crash is shorter than the others and counts less.
+        ticks = game.race.tick[:, None] - config.step_ticks * np.arange(config.moves + 1)
+        weights = np.clip(ticks, 0, config.step_ticks) / np.maximum(game.race.tick, 1)[:, None]
+        state.own[rows, :, race] = np.einsum("bcng,bn->bcg", game.own, weights)
+        state.measured[rows, :, race] = np.einsum("bcng,bn->bcg", game.estimates, weights)
+        state.leads[rows, race] = game.race.lead
+        state.driven[rows, race] = game.race.tick / (config.step_ticks * (config.moves + 1))
+        winner = winners(config.race, game.race)
+        tie = (winner < 0) & ~game.race.crashed
+        for car in range(2):
+            state.scores[rows, car, race] = (winner == car) + 0.5 * tie
+        state.race[rows] += 1
+        state.racing[rows] = False
+
+    # What players get and see
+
+    def reward(self, before: MatchState, after: MatchState) -> Floats:
+        """Reward of each car, shape (B, 2): its score in the races that ended between two moments."""
+        return after.scores.sum(axis=2) - before.scores.sum(axis=2)
+
+    def memory(self, state: MatchState) -> NDArray[np.float32]:
+        """What each player observes between two races, shape (B, 2, D): all that it knows of the match."""
+        between = ~state.racing & ~self.done(state)
+        side = state.sides[np.arange(state.matches), np.minimum(state.race, self.config.races - 1)]
+        front = np.stack([side == 0, side == 1], axis=1) & between[:, None]
+        return encode_match(state.own, state.measured, state.leads, state.scores, state.driven, state.race, front)
+
+    def observation(self, state: MatchState) -> NDArray[np.float32]:
+        """What each player observes, shape (B, 2, D), in the order of :attr:`observation_elements`."""
+        match = self.memory(state)
+        if not self.config.race_moves:
+            return match
+        racing = state.racing[:, None, None]
+        seen = np.where(racing, self.game.observation(state.game), np.float32(0.0))
+        flags = np.broadcast_to(racing, (state.matches, 2, 1)).astype(np.float32)
+        return np.concatenate([match, flags, seen], axis=2)

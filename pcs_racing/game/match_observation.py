@@ -1,0 +1,121 @@
+"""What the players of a match observe: name, unit, bounds and meaning of each number, and how they are computed."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.characteristics import Characteristic
+from pcs_racing.game.observation import HIGH, LEAD_BOUND, LEAD_SCALE, LOW, ObservationElement
+
+__all__ = ["RaceMemory", "decode_match", "encode_match", "match_elements", "seen_races"]
+
+Floats = NDArray[np.float64]
+
+AFTER_AXES = 3  # lead, score and share of the duration follow the coordinates of a race
+AFTER_RACES = 2  # the share of races left and the place on the grid follow the races
+
+
+class RaceMemory(NamedTuple):
+    """What an observation says of the earlier races of B matches.
+
+    Attributes
+    ----------
+    own : ndarray, shape (B, R, G)
+        Normalised coordinates of the own policy.
+    opponent : ndarray, shape (B, R, G)
+        Normalised coordinates of the opponent, as measured.
+    lead : ndarray, shape (B, R)
+        Own lead at the end, 20 m.
+    score : ndarray, shape (B, R)
+        1 for a race won, 1/2 for a tie.
+    driven : ndarray, shape (B, R)
+        Share of the duration that a race lasted; 0 for races to come, of which all numbers are 0.
+    """
+
+    own: Floats
+    opponent: Floats
+    lead: Floats
+    score: Floats
+    driven: Floats
+
+
+def match_elements(characteristics: Sequence[Characteristic], races: int) -> tuple[ObservationElement, ...]:
+    """What each number of an observation between races is, for these axes and so many races."""
+    elements = []
+    for r in range(races):
+        for axis in characteristics:
+            meaning = f"the own policy's {axis.name} in race {r}, from the archive"
+            elements.append(ObservationElement(f"race_{r}_own_{axis.name}", "range", LOW, HIGH, meaning))
+        for axis in characteristics:
+            meaning = f"the opponent's {axis.name} as measured over race {r}"
+            elements.append(ObservationElement(f"race_{r}_opponent_{axis.name}", "range", LOW, HIGH, meaning))
+        meaning = f"own lead at the end of race {r}"
+        elements.append(ObservationElement(f"race_{r}_lead", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning))
+        meaning = f"1 if race {r} was won, 0.5 if it was a tie"
+        elements.append(ObservationElement(f"race_{r}_score", "1", 0.0, 1.0, meaning))
+        meaning = f"share of its duration that race {r} lasted; until it is over it and the numbers above are 0"
+        elements.append(ObservationElement(f"race_{r}_driven", "1", 0.0, 1.0, meaning))
+    return (
+        *elements,
+        ObservationElement("races_left", "1", 0.0, 1.0, "share of the races that are not over"),
+        ObservationElement("front", "1", 0.0, 1.0, "1 if the own car starts the next race on the left or in front"),
+    )
+
+
+def encode_match(
+    own: Floats,
+    measured: Floats,
+    leads: Floats,
+    scores: Floats,
+    driven: Floats,
+    race: NDArray[np.int64],
+    front: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    """Put what the players saw of earlier races in the order of :func:`match_elements`.
+
+    Parameters
+    ----------
+    own, measured, leads, scores, driven, race
+        See :class:`pcs_racing.game.match.MatchState`.
+    front : ndarray of bool, shape (B, 2)
+        Whether each car starts the next race on the left or in front; false where there is no next race.
+
+    Returns
+    -------
+    ndarray, shape (B, 2, D), float32
+    """
+    matches, races = leads.shape
+    lead = np.clip(leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)
+    shared = np.broadcast_to(driven[:, None, :, None], (matches, 2, races, 1))
+    leads_of_cars = np.stack([lead, 0.0 - lead], axis=1)[..., None]
+    parts = np.concatenate([own, measured[:, ::-1], leads_of_cars, scores[..., None], shared], axis=-1)
+    left = np.broadcast_to(((races - race) / races)[:, None, None], (matches, 2, 1))
+    return np.concatenate([parts.reshape(matches, 2, -1), left, front[..., None]], axis=-1).astype(np.float32)
+
+
+def decode_match(observation: NDArray[np.float32], races: int, axes: int) -> RaceMemory:
+    """Return what observations of shape (B, D) say of the earlier races."""
+    width = 2 * axes + AFTER_AXES
+    blocks = np.asarray(observation[:, : races * width], np.float64).reshape(len(observation), races, width)
+    rest = (blocks[:, :, 2 * axes + i] for i in range(AFTER_AXES))
+    return RaceMemory(blocks[:, :, :axes], blocks[:, :, axes : 2 * axes], *rest)
+
+
+def seen_races(size: int, axes: int) -> int:
+    """Return the number of races R of a match whose players observe ``size`` numbers between races.
+
+    Raises
+    ------
+    InputError
+        If no match has so many.
+    """
+    races, rest = divmod(size - AFTER_RACES, 2 * axes + AFTER_AXES)
+    if rest or races < 1:
+        raise InputError(
+            f"an observation has {size} numbers; with {axes} axes it has {2 * axes + AFTER_AXES} for each race and "
+            f"{AFTER_RACES} more"
+        )
+    return races
