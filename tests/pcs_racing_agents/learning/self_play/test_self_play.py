@@ -50,14 +50,14 @@ def first(networks: NetworkSet, count: int) -> NetworkSet:
 def poker(tmp_path_factory):
     pytest.importorskip("torch", reason="torch is not installed")
     arena = TreeArena(kuhn_poker())
-    settings = load_self_play_settings(iterations=32, starts=128, epochs=6, patience=6, **TABLE)
+    settings = load_self_play_settings(iterations=24, starts=192, epochs=10, patience=10, weights="uniform", **TABLE)
     return arena, learned([arena], settings, tmp_path_factory.mktemp("poker") / "run")
 
 
 def test_in_kuhn_poker_the_average_strategy_becomes_unexploitable(poker):
     arena, networks = poker
     uniform = exploitability(arena.tree, uniform_profile(arena.tree)).exploitability
-    lost = [exploitability(arena.tree, arena.average(first(networks, n))).exploitability for n in (2, 32)]
+    lost = [exploitability(arena.tree, arena.average(first(networks, n))).exploitability for n in (2, 24)]
     assert lost[0] < 0.6 * uniform
     assert lost[1] < 0.4 * lost[0]
     assert lost[1] < 0.06
