@@ -7,6 +7,8 @@ equilibrium of the larger game is the next mixture. The first response is one to
 from collections.abc import Sequence
 from concurrent.futures import Executor
 
+import numpy as np
+
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.from_network import NetworkStrategy
@@ -62,16 +64,20 @@ def learn_psro(
     """
     networks: list[RegretNetwork] = []
     members: list[Agent] = []
+    opponents: Sequence[Competitor] = pool
+    weights = np.full(len(pool), 1.0 / max(len(pool), 1))
     meta: MetaStrategy | None = None
+    training = TrainingRaces(
+        tuple(game.track for game in games), tuple(pool), setting, settings.races, settings.seed + MIXING_SEED
+    )
     for number in range(settings.rounds):
-        opponents: Sequence[Competitor] = members if members else pool
         network = learn_response(
             games,
             opponents,
             setting,
             settings.response(number),
             job,
-            shares=[1.0 / len(pool)] * len(pool) if meta is None and not members else _weights(meta),
+            shares=weights.tolist(),
             name=f"{name}-{number}",
             part=f"response-{number}-",
             executor=executor,
@@ -80,21 +86,9 @@ def learn_psro(
         networks.append(network)
         strategy = NetworkStrategy(network, "argmax", len(setting.moves))
         members.append(Agent(network.name, strategy, setting, settings.seed))
-        if number == 0:
-            continue
-        training = TrainingRaces(
-            tuple(game.track for game in games),
-            tuple(pool),
-            setting,
-            races=settings.races,
-            seed=settings.seed + MIXING_SEED,
-        )
-        meta = fit_psro(training, members, known=meta, job=job, executor=executor, progress=progress)
-    weights = _weights(meta)
-    played = [i for i, weight in enumerate(weights) if weight > 0.0]
+        if number > 0:
+            meta = fit_psro(training, members, known=meta, job=job, executor=executor, progress=progress)
+        opponents, weights = members, np.ones(1) if meta is None else meta.weights
+    played = np.flatnonzero(weights > 0.0)
     facts = {"rounds": settings.rounds, "races": settings.races, "seed": settings.seed}
-    return NetworkSet(name, tuple(networks[i] for i in played), meta.weights[played], "argmax", facts)  # type: ignore[union-attr]
-
-
-def _weights(meta: MetaStrategy | None) -> list[float]:
-    return [1.0] if meta is None else [float(weight) for weight in meta.weights]
+    return NetworkSet(name, tuple(networks[int(i)] for i in played), weights[played], "argmax", facts)
