@@ -1,7 +1,6 @@
 """The stages that learn by playing: robust responses, response oracles, self-play and sampled regrets, best replies."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
@@ -45,7 +44,7 @@ def learn_robust_agent(study: Study) -> None:
         def learn(job: Job, **told: Any) -> NetworkSet:
             return learn_robust(games, pool, study.setting, seeded, job, **told)
 
-        _learn(study, "robust", plain_settings(seeded), learn)
+        _learn(study, "robust", "robust", plain_settings(seeded), learn)
 
 
 def learn_psro_agent(study: Study) -> None:
@@ -58,7 +57,7 @@ def learn_psro_agent(study: Study) -> None:
         def learn(job: Job, **told: Any) -> NetworkSet:
             return learn_psro(games, pool, study.setting, seeded, job, **told)
 
-        _learn(study, "psro", plain_settings(seeded), learn)
+        _learn(study, "psro", "psro", plain_settings(seeded), learn)
 
 
 def play_against_itself(study: Study) -> None:
@@ -73,7 +72,7 @@ def play_against_itself(study: Study) -> None:
         def learn(job: Job, **told: Any) -> NetworkSet:
             return learn_self_play(arenas, seeded, job, **told)  # noqa: B023 - called at once
 
-        learned = _learn(study, name, plain_settings(seeded), learn)
+        learned = _learn(study, "self-play", name, plain_settings(seeded), learn)
         if name == "sampled-cfr":
             # The last network predicts mean regrets over all iterations; the paper plays the move of the highest.
             regrets = replace(
@@ -113,11 +112,12 @@ def _games_and_pool(study: Study) -> tuple[Sequence[RaceGame], Sequence[Competit
     return [study.game(name) for name in config.circuits], [study.agent(name) for name in config.response_pool]
 
 
-def _learn(study: Study, name: str, settings: dict[str, Any], learn: Callable[..., NetworkSet]) -> NetworkSet:
-    """Learn a set of networks in a job of its own, and write it to the study's networks."""
-    executor: Executor | None = study.executor
+def _learn(
+    study: Study, stage: str, name: str, settings: dict[str, Any], learn: Callable[..., NetworkSet]
+) -> NetworkSet:
+    """Learn a set of networks in a job of its own, in the folder of a stage, and write it to the study's networks."""
     identity = {"archive": study.archive.content_hash, **settings}
-    with open_job(study.folder / "playing" / name, name, identity) as job:
-        learned = learn(job, name=name, executor=executor, progress=study.progress(f"tasks ({name})"))
+    with open_job(study.folder / stage / name, name, identity) as job:
+        learned = learn(job, name=name, executor=study.executor, progress=study.progress(f"tasks ({name})"))
     save_network_set(learned, study.network(name))
     return learned

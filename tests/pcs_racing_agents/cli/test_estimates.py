@@ -110,7 +110,9 @@ def test_a_study_is_estimated_stage_by_stage():
     paper = load_study_config("paper", robust="default", psro="default", self_play="default", replies=("response",))
     stages = stage_estimates(paper)
     assert all(seconds > 0.0 for seconds in stages.values())
-    twice = stage_estimates(replace(paper, replies=("response", "never-switch"), sampled_cfr="default", targets=("nash",)))
+    twice = stage_estimates(
+        replace(paper, replies=("response", "never-switch"), sampled_cfr="default", targets=("nash",))
+    )
     assert twice["best-replies"] == 2 * stages["best-replies"]
     assert twice["self-play"] == 2 * stages["self-play"]
     doubled = stage_estimates(replace(paper, lines=2 * paper.lines, further_lines=2))
