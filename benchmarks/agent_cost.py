@@ -46,6 +46,7 @@ def main() -> None:
     learned: dict[str, dict[str, Any]] = {
         "best-schedule": {"moves": ["stay"] * 4},
         "best-fixed": {"target": 0},
+        "best-lead-plan": {"targets": {"behind": 0, "ahead": 1}},
         "adaptive": {"network": network, "blind": build("best-fixed", setting, target=0)},
     }
     several = NetworkSet("untrained", (network,) * 4, np.ones(4), "argmax")

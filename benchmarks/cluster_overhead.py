@@ -27,6 +27,7 @@ from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.cli.estimates import LEAD_PLAN_ROUNDS
 from pcs_racing_agents.jobs.jobs import make_executor, open_job
 from pcs_racing_agents.learning.ppo.seed_training import SeedTraining
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
@@ -196,7 +197,8 @@ def waves(config: StudyConfig, found: Mapping[str, Cost]) -> dict[str, list[Wave
     places = circuits * len(config.fitting_opponents)
     tried = int(load_fit(shipped_fits() / "default-paper-best-schedule.yaml").training["candidates"])
     plans = [moves + 1] + [moves * moves] * ceil((tried - moves - 1) / (moves * moves))
-    stages["blind"] = [each._replace(tasks=places * count) for count in (config.fixed_targets, *plans)]
+    lead_plans = [config.fixed_targets, *[2 * config.fixed_targets - 2] * LEAD_PLAN_ROUNDS]
+    stages["blind"] = [each._replace(tasks=places * count) for count in (config.fixed_targets, *plans, *lead_plans)]
     pool = len(config.response_pool)
     stages["responses"] = [
         wave for name in config.responses for wave in _response(config, load_response_settings(name), pool)

@@ -80,7 +80,7 @@ def main() -> None:
         first = configuration(arguments.preset, OTHER_RUN, arguments.generations)
         held_out = {
             "random": draw_policies(family, 8, np.random.SeedSequence(OTHER_RUN + 1)),
-            "competitive": other.parameters[select_diverse(other, 8, "map")],
+            "competitive": other.complete(other.parameters[select_diverse(other, 8, "map")]),
         }
         random_policies = draw_policies(family, 80, np.random.SeedSequence(OTHER_RUN + 2))
         found: dict[tuple[str, str], list[float]] = {}
@@ -93,7 +93,7 @@ def main() -> None:
             for variant in arguments.variants:
                 for seed in range(arguments.seeds):
                     archive = made(seed, variant)
-                    points = evaluate(races, archive.parameters, executor=executor).coordinates
+                    points = evaluate(races, archive.complete(archive.parameters), executor=executor).coordinates
                     found.setdefault((kind, variant), []).append(hypervolume(scale(points), REFERENCE))
                     if kind == "random":
                         sizes[variant].append(len(archive.explored.parameters))

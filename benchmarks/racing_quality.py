@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.characteristics import AGGRESSIVENESS, PACE, RESTRAINT, Segment, measure
+from pcs_racing.game.characteristics import AGGRESSIVENESS, PACE, RESTRAINT, SPEED, Segment, measure
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig, load_race_config
@@ -39,7 +39,7 @@ def coordinates(result: RaceResult, config: RaceConfig) -> NDArray[np.float64]:
         result.time,
         config.duration,
     )
-    first = PACE if config.aggressiveness == "pace" else AGGRESSIVENESS
+    first = {"lead": AGGRESSIVENESS, "pace": PACE, "speed": SPEED}[config.aggressiveness]
     return measure(segment, (first, RESTRAINT))[:, 0]
 
 

@@ -83,7 +83,7 @@ RACE = {
     "name": ("mine",), "duration": (0.1, 40.0, 3600), "start": ("side-by-side", "staggered", "rolling"),
     "start_gap": (0.8, 1.4), "start_spacing": (0.9, 0.4), "start_speed": (0, 15), "start_lines": (1, 1000),
     "steering_noise": (0.01,), "noise_time": (0.28,), "speed_range": ([0.5, 1.0], (0.1, 3)), "stay_move": (True,),
-    "crash_rule": ("nobody", "fault-loses"), "aggressiveness": ("lead", "pace"), "ittc_horizon": (10.0,),
+    "crash_rule": ("nobody", "fault-loses"), "aggressiveness": ("lead", "pace", "speed"), "ittc_horizon": (10.0,),
 }  # fmt: skip
 DRIVE = {
     "track": ("Pipkin", "pipkin"), "opponent": (None, "lattice", "pure-pursuit", "lattice:pace=0.8", ["lattice", "lattice:pace=0.9"]),

@@ -8,6 +8,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -171,8 +172,11 @@ class PolicyArchive:
         return len(self.parameters)
 
     def __repr__(self) -> str:
-        """Show the number of policies, the axes and the preset."""
+        """Show the number of policies, the axes with their correlation, and the preset."""
         axes = ", ".join(self.characteristics)
+        if len(self.characteristics) > 1:
+            together = ", ".join(f"{value:+.2f}" for value in self.correlations.values())
+            axes += f" (correlation {together})"
         return f"<PolicyArchive {self.name!r}: {len(self)} {self.planner} policies, {axes}, preset {self.preset!r}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -197,6 +201,23 @@ class PolicyArchive:
     def normalised(self) -> Floats:
         """Normalised coordinates of the policies, shape (K, G): 0 at the nadir, 1 at the ideal point."""
         return self.normalise(self.coordinates)
+
+    @property
+    def correlations(self) -> dict[tuple[str, str], float]:
+        """Correlation of the coordinates of each pair of axes over the policies, -1 to 1.
+
+        At -1 or 1 the two axes are one, and half of the moves are the other half. It is NaN where all policies have the
+        same value on an axis.
+        """
+        pairs = list(combinations(range(len(self.characteristics)), 2))
+        away = self.coordinates - self.coordinates.mean(axis=0)
+        extent = np.sqrt((away**2).sum(axis=0))
+        with np.errstate(invalid="ignore"):
+            values = [float(np.clip(away[:, i] @ away[:, j] / (extent[i] * extent[j]), -1.0, 1.0)) for i, j in pairs]
+        return {
+            (self.characteristics[i], self.characteristics[j]): value
+            for (i, j), value in zip(pairs, values, strict=True)
+        }
 
     def normalise(self, coordinates: ArrayLike) -> Floats:
         """Return normalised coordinates of points in the characteristics' units, shape (..., G)."""

@@ -70,11 +70,11 @@ class RaceConfig(Settings):
         choice(("nobody", "fault-loses")),
         "Reward after a crash: none for either car (the paper), or only for the car that was not at fault.",
     )
-    aggressiveness: Literal["lead", "pace"] = setting(
+    aggressiveness: Literal["lead", "pace", "speed"] = setting(
         "lead",
-        choice(("lead", "pace")),
-        "Mean lead in m (the paper), or lead per time driven scaled to the full duration, which does not charge a "
-        "crash twice.",
+        choice(("lead", "pace", "speed")),
+        "First axis of an archive: mean lead in m (the paper); lead per time driven scaled to the full duration, which "
+        "does not charge a crash twice; or speed in parts of the speed profile, which does not depend on the opponent.",
     )
     ittc_horizon: float = setting(
         10.0, number(0.1, 1000.0), "Cap of the time to collision, s; without a cap the mean is infinite."
@@ -104,7 +104,7 @@ CONTEST = RaceConfig(
     start_spacing=0.45,
     steering_noise=0.01,
     crash_rule="fault-loses",
-    aggressiveness="pace",
+    aggressiveness="speed",
     stay_move=True,
 )
 """The race in which adapting pays: staggered, disturbed, the car at fault loses."""

@@ -1,10 +1,11 @@
 """Agents that do not use their observations of the opponent: constant, open-loop, or on a path to one policy.
 
 They are the baselines of adaptive agents; :mod:`pcs_racing_agents.tournament.fitting` chooses the best open-loop
-sequence and the best target policy on training races.
+sequence, the best target policy and the best lead plan on training races. A lead plan sees of the race who leads, and
+nothing else: what an agent gains over it comes from knowing the opponent.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,16 +17,18 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.moves import STAY
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import FitSource, find_fit, fit_facts
-from pcs_racing_agents.agents.observing import ObservationBatch, moves_made, own
+from pcs_racing_agents.agents.observing import ObservationBatch, lead, moves_made, own
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry
 
 __all__ = [
     "ConstantStrategy",
+    "LeadPlanStrategy",
     "OpenLoopStrategy",
     "WalkStrategy",
     "always",
     "best_fixed",
+    "best_lead_plan",
     "best_schedule",
     "never_switch",
     "path_moves",
@@ -34,6 +37,9 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+
+LEAD_PLAN = ("behind", "ahead")
+"""Situations that a lead plan has a policy for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +103,25 @@ class WalkStrategy:
         """Probabilities of the moves, shape (B, M)."""
         policy = self.archive.nearest(own(observation, len(self.archive.characteristics)))
         return np.eye(self.count)[self.next_move[policy]]
+
+
+@dataclass(frozen=True, eq=False)
+class LeadPlanStrategy:
+    """A path through the archive to one policy while the opponent leads, and to another one otherwise.
+
+    Attributes
+    ----------
+    behind, ahead : WalkStrategy
+        The paths; level cars count as ahead.
+    """
+
+    behind: WalkStrategy
+    ahead: WalkStrategy
+
+    def __call__(self, observation: ObservationBatch) -> Floats:
+        """Probabilities of the moves, shape (B, M)."""
+        leads = lead(observation, len(self.ahead.archive.characteristics)) >= 0.0
+        return np.where(leads[:, None], self.ahead(observation), self.behind(observation))
 
 
 def walk_to(setting: Setting, target: int) -> WalkStrategy:
@@ -250,11 +275,54 @@ def best_fixed(
     elif fit is not None:
         raise InputError(f"agent {name!r} got a target and a fit; give one of the two")
     strategy = walk_to(setting, target)
-    point = ", ".join(
-        f"{axis} {value:.2f}"
-        for axis, value in zip(setting.archive.characteristics, setting.archive.normalised[target], strict=True)
-    )
-    return Agent(name, strategy, setting, seed, {**facts, "target": f"policy {target} ({point})"})
+    return Agent(name, strategy, setting, seed, {**facts, "target": _policy_text(setting, target)})
+
+
+def best_lead_plan(
+    setting: Setting,
+    *,
+    name: str = "best-lead-plan",
+    seed: int = 0,
+    targets: Mapping[str, int] | None = None,
+    fit: FitSource = None,
+) -> Agent:
+    """Go to one policy while the opponent leads, and to another one otherwise, by shortest paths of moves.
+
+    Of its observation it uses its own policy and the sign of the lead at the end of the last step.
+
+    Parameters
+    ----------
+    setting : Setting
+    name : str
+    seed : int
+    targets : mapping, optional
+        Index of the policy for ``"behind"`` and for ``"ahead"``.
+    fit : Fit or path, optional
+        Targets selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_lead_plan`; the shipped ones by
+        default.
+
+    Raises
+    ------
+    InputError
+        If the targets are no such mapping, or the archive has no such policy.
+    """
+    facts = {}
+    if targets is None:
+        loaded = find_fit("best-lead-plan", setting, fit)
+        targets, facts = loaded.choice, fit_facts(loaded)
+    elif fit is not None:
+        raise InputError(f"agent {name!r} got targets and a fit; give one of the two")
+    if not isinstance(targets, Mapping) or set(targets) != set(LEAD_PLAN):
+        raise InputError(f"agent {name!r} got targets {targets!r}; give a policy for each of {', '.join(LEAD_PLAN)}")
+    strategy = LeadPlanStrategy(*(walk_to(setting, targets[place]) for place in LEAD_PLAN))
+    plan = {place: _policy_text(setting, targets[place]) for place in LEAD_PLAN}
+    return Agent(name, strategy, setting, seed, {**facts, **plan})
+
+
+def _policy_text(setting: Setting, index: int) -> str:
+    """A policy with its coordinates: ``policy 3 (speed 0.20, restraint 0.91)``."""
+    point = zip(setting.archive.characteristics, setting.archive.normalised[index], strict=True)
+    return f"policy {index} ({', '.join(f'{axis} {value:.2f}' for axis, value in point)})"
 
 
 NEVER_SWITCH = Entry(never_switch, "keeps its start policy for the whole race", "the paper's non-GT agent")
@@ -269,5 +337,12 @@ BEST_FIXED = Entry(
     best_fixed,
     "moves to one policy of the archive, the best one on training races, and keeps it",
     "baseline: never observes the race",
+    "fit",
+)
+BEST_LEAD_PLAN = Entry(
+    best_lead_plan,
+    "moves to one policy of the archive while the opponent leads and to another one otherwise, the best two on "
+    "training races",
+    "baseline: observes who leads, and nothing of the opponent",
     "fit",
 )

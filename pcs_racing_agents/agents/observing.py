@@ -9,7 +9,7 @@ G of the game's axes.
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ObservationBatch", "earlier", "moves_made", "opponent", "own", "step_count"]
+__all__ = ["ObservationBatch", "earlier", "lead", "moves_made", "opponent", "own", "step_count"]
 
 ObservationBatch = NDArray[np.float32]
 
@@ -36,6 +36,11 @@ def own(observation: ObservationBatch, axes: int, step: int | None = None) -> Ob
 def opponent(observation: ObservationBatch, axes: int, step: int | None = None) -> ObservationBatch:
     """Measured coordinates of the opponent in a step, by default in the last one that is over, shape (B, G)."""
     return _coordinates(observation, axes, step, axes)
+
+
+def lead(observation: ObservationBatch, axes: int, step: int | None = None) -> ObservationBatch:
+    """Own lead at the end of a step, by default of the last one that is over, in units of 20 m, shape (B,)."""
+    return _coordinates(observation, axes, step, axes + 1)[:, -1]
 
 
 def _coordinates(observation: ObservationBatch, axes: int, step: int | None, first: int) -> ObservationBatch:

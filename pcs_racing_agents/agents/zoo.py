@@ -80,6 +80,7 @@ SHIPPED = {
     "random-moves": "pcs_racing_agents.agents.blind:RANDOM_MOVES",
     "best-schedule": "pcs_racing_agents.agents.blind:BEST_SCHEDULE",
     "best-fixed": "pcs_racing_agents.agents.blind:BEST_FIXED",
+    "best-lead-plan": "pcs_racing_agents.agents.blind:BEST_LEAD_PLAN",
     "cfr-argmax": "pcs_racing_agents.agents.from_network:CFR_ARGMAX",
     "cfr-regret-matching": "pcs_racing_agents.agents.from_network:CFR_REGRET_MATCHING",
     "normalised-regret": "pcs_racing_agents.agents.from_network:NORMALISED_REGRET",

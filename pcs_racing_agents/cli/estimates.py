@@ -58,6 +58,7 @@ ROW = 4.3e-6
 AXES_MOVES = 4
 """Moves of an archive of two characteristics, "stay" not counted."""
 BLIND_ROUNDS = 3
+LEAD_PLAN_ROUNDS = 2
 """Assumed rounds of the search for the best open-loop sequence."""
 LONG = 60.0
 """Least duration of work, s, that a command announces."""
@@ -210,7 +211,8 @@ def stage_estimates(config: StudyConfig) -> dict[str, float]:
     networks = training_seconds(load_train_settings(config.training)) * len(config.targets)
     pool = len(config.circuits) * len(config.response_pool)
     responses = (response_seconds(load_response_settings(name), game, moves, pool) for name in config.responses)
-    candidates = config.fixed_targets + moves + BLIND_ROUNDS * config.moves * moves
+    plans = LEAD_PLAN_ROUNDS * 2 * config.fixed_targets
+    candidates = 2 * config.fixed_targets + plans + moves + BLIND_ROUNDS * config.moves * moves
     blind = candidates * config.fitting_games * len(config.circuits) * len(config.fitting_opponents)
     tables = sum(
         len(tracks) * len(opponents) * len(arms) * config.egos * config.variants * lines * 2

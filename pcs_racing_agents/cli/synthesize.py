@@ -71,6 +71,8 @@ def run(arguments: argparse.Namespace) -> None:
     print(archive)
     for axis, low, high in zip(archive.characteristics, archive.nadir, archive.ideal, strict=True):
         print(f"{axis}: {low:.2f} to {high:.2f}")
+    for (one, other), together in archive.correlations.items():
+        print(f"correlation of {one} and {other}: {together:+.3f}")
     for key in (
         "policies_not_beaten",
         "hypervolume",

@@ -1,14 +1,13 @@
 """``pcs-racing view``: write or serve a page that lists the races of a tournament and plays them."""
 
 import argparse
-import os
 import sys
-import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcs_racing.base.errors import InputError
+from pcs_racing_agents.cli.browser import open_page
 from pcs_racing_agents.cli.options import Commands, add_command, output_file
 
 if TYPE_CHECKING:
@@ -80,7 +79,7 @@ def run(arguments: argparse.Namespace) -> None:
         print(f"{LONE_FILE}; the page lists them")
     print(f"page: {target}")
     if not arguments.no_open:
-        _open(target.resolve().as_uri())
+        open_page(target.resolve().as_uri())
 
 
 def _check(arguments: argparse.Namespace) -> Path:
@@ -197,15 +196,8 @@ def _serve(
         address = f"http://127.0.0.1:{server.server_address[1]}/"
         print(f"{len(races)} races at {address} (Ctrl-C ends it)", flush=True)
         if not arguments.no_open:
-            _open(address)
+            open_page(address)
         try:
             server.serve_forever()
         except KeyboardInterrupt:
             print("ended", file=sys.stderr)
-
-
-def _open(address: str) -> None:
-    """Open a browser if there is a display; without one, Python would start a browser in this terminal."""
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
-        return
-    webbrowser.open(address)

@@ -20,8 +20,8 @@ from pcs_racing_agents.synthesis.config import load_archive_config
 
 __all__ = ["BEST_BLIND", "StudyConfig", "load_study_config"]
 
-BEST_BLIND = ("best-fixed", "best-schedule")
-"""Agents without observations, fitted on training races: the best fixed policy, the best open-loop sequence."""
+BEST_BLIND = ("best-fixed", "best-schedule", "best-lead-plan")
+"""Blind agents, fitted on training races: the best fixed policy, the best open-loop sequence, the best lead plan."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,12 @@ class StudyConfig(Settings):
     fitting_games: int = setting(
         100,
         whole(2, 1_000_000),
-        "Games against each opponent on each circuit, to select the best open-loop strategies; even.",
+        "Games against each opponent on each circuit, to select the best blind agents; even.",
     )
     fixed_targets: int = setting(
         16,
         whole(0, 1_000_000),
-        "Candidate policies for the target of best-fixed, spread over the archive; 0 for all.",
+        "Candidate policies for the targets of best-fixed and best-lead-plan, spread over the archive; 0 for all.",
     )
     fitting_opponents: tuple[str, ...] = setting(("never-switch",), names(), "Opponents in those games.")
     tracks: tuple[str, ...] = setting(("Tarnfjord",), names(), "Circuits of the table.")
@@ -80,10 +80,10 @@ class StudyConfig(Settings):
         ("never-switch", "random-policy", "lane-switcher"), names(), "Opponents of the table."
     )
     arms: tuple[str, ...] = setting(
-        ("never-switch", "best-fixed", "best-schedule", "cfr-argmax"),
+        ("never-switch", *BEST_BLIND, "cfr-argmax"),
         names(),
-        "Agents of the table; the first is the baseline. With both best open-loop agents among them "
-        "the table has the adaptivity gain; one without the other is refused.",
+        "Agents of the table; the first is the baseline. With the three best blind agents among them (best-fixed, "
+        "best-schedule, best-lead-plan) the table has the adaptivity gain; some without the others are refused.",
     )
     best: str = setting("cfr-argmax", text(), "The agent of main interest among them.")
     egos: int = setting(20, whole(2, 1000), "Start policies of the ego in each cell.")
@@ -147,11 +147,11 @@ class StudyConfig(Settings):
         if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
             raise ConfigError(f"ppo is {self.ppo!r}; these are no settings of level duel")
         missing = [name for name in BEST_BLIND if name not in self.arms]
-        if len(missing) == 1:
+        if 0 < len(missing) < len(BEST_BLIND):
             present = next(name for name in BEST_BLIND if name in self.arms)
             raise ConfigError(
-                f"arms hold {present!r} but not {missing[0]!r}; name both or neither: the adaptivity gain is over the "
-                "one that won more training races"
+                f"arms hold {present!r} but not {missing[0]!r}; name all of {', '.join(BEST_BLIND)} or none: the "
+                "adaptivity gain is over the one that won most training races"
             )
         if self.best not in self.arms:
             raise ConfigError(f"best is {self.best!r}; it must be one of the arms, {', '.join(self.arms)}")

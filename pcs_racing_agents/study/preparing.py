@@ -149,8 +149,13 @@ class _Training:
 
 
 def choose_blind(study: Study) -> None:
-    """Fit the best open-loop sequence of moves and the best fixed policy on training races."""
-    from pcs_racing_agents.tournament.fitting import TrainingRaces, fit_best_fixed, fit_best_schedule
+    """Fit the best blind agents on training races: a fixed policy, an open-loop sequence of moves, a lead plan."""
+    from pcs_racing_agents.tournament.fitting import (
+        TrainingRaces,
+        fit_best_fixed,
+        fit_best_lead_plan,
+        fit_best_schedule,
+    )
 
     config = study.config
     training = TrainingRaces(
@@ -170,6 +175,7 @@ def choose_blind(study: Study) -> None:
         for name, find in (
             ("best-fixed", partial(fit_best_fixed, targets=targets)),
             ("best-schedule", fit_best_schedule),
+            ("best-lead-plan", partial(fit_best_lead_plan, targets=targets)),
         ):
             fit = find(training, job=job, executor=study.executor, progress=study.progress(f"races ({name})"))
             save_fit(fit, folder / f"{name}.yaml")

@@ -70,10 +70,11 @@ def study_table(study: Study, study_races: Sequence[StudyRaces], name: str) -> S
 
 
 def best_blind(study: Study) -> str | None:
-    """Return the arm without observations that won most training races; None without such arms.
+    """Return the blind arm that won most training races; None without such arms.
 
-    It is the better of the best fixed policy and the best open-loop sequence. That sequence is at least as good on
-    those races as any constant move, since its search begins with the best of these.
+    It is the best of the best fixed policy, the best open-loop sequence and the best lead plan. The sequence is at
+    least as good on those races as any constant move, and the plan as any of the fixed policies, since their searches
+    begin with the best of these.
     """
     if not set(BEST_BLIND) <= set(study.config.arms):
         return None
@@ -142,7 +143,7 @@ def _findings(table: StudyTable) -> Iterator[str]:
         results = [difference.result for row in table.rows for difference in row.differences if difference.arm == arm]
         yield verdict_text(arm, table.base, results)
     gains = [row.gain.result for row in table.rows if row.gain is not None]
-    if gains:
+    if gains and table.best is not None:
         yield f"What looking at the race brings: {verdict_text(table.best, f'{table.blind}, which never looks', gains)}"
 
 

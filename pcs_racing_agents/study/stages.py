@@ -85,7 +85,12 @@ STAGES = (
     Stage("archive", (), "searches policies", preparing.make_the_archive, _synthesis),
     Stage("trees", ("archive",), "plays game trees", preparing.play_trees),
     Stage("networks", ("trees",), "trains networks on the trees", preparing.train_networks, _torch_for_networks),
-    Stage("blind", ("archive",), "chooses the best strategies that never look at the race", preparing.choose_blind),
+    Stage(
+        "blind",
+        ("archive",),
+        "chooses the best blind agents, which look at nothing of the race but who leads",
+        preparing.choose_blind,
+    ),
     Stage(
         "responses",
         ("networks", "blind"),

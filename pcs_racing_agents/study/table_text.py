@@ -105,8 +105,8 @@ def notes(table: StudyTable) -> list[str]:
         )
     if table.best is not None and table.blind is not None:
         sentences.append(
-            f"Adaptivity gain: {table.best} minus {table.blind}, the best of the agents that never look at the race; "
-            "that one was chosen on training races."
+            f"Adaptivity gain: {table.best} minus {table.blind}, the best of the blind agents, which look at nothing "
+            "of the race but who leads; that one was chosen on training races."
         )
     return sentences
 

@@ -100,6 +100,8 @@ def write_archive(
     )
     for axis, high, low in zip(config.axes, archive.ideal, archive.nadir, strict=True):
         facts[f"ideal_{axis}"], facts[f"nadir_{axis}"] = high, low
+    for (one, other), value in archive.correlations.items():
+        facts[f"correlation_{one}_{other}"] = value
     facts["no_op_share"], facts["duplicate_share"] = no_op_share(archive), duplicate_share(archive)
     if len(parameters) < config.fewest:
         _log.warning("the archive holds %d policies; %d were wanted", len(parameters), config.fewest)
@@ -208,7 +210,10 @@ def draw_front(archive: PolicyArchive, file: Path) -> Path:
         figure.colorbar(dots, ax=plot, label="own crashes in % of the measuring races")
     plot.set_xlabel(f"{axes[right].name} ({axes[right].unit})")
     plot.set_ylabel(f"{axes[up].name} ({axes[up].unit})")
-    plot.set_title(f"archive {archive.name}, preset {archive.preset}; bars: one standard error")
+    title = f"archive {archive.name}, preset {archive.preset}; bars: one standard error"
+    if up != right:
+        title += f"; correlation {archive.correlations[axes[up].name, axes[right].name]:+.2f}"
+    plot.set_title(title, fontsize="medium")
     plot.legend(loc="lower left", frameon=False)
     plot.grid(alpha=0.3)
     write_atomically(file, lambda stream: figure.savefig(stream, format="png", metadata={"Software": None}))

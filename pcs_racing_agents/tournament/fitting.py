@@ -1,8 +1,9 @@
-"""Fits on training races: the best open-loop sequence, the best fixed policy, and the equilibrium mixture of agents.
+"""Fits on training races: the best blind agents of three kinds, and the equilibrium mixture of agents.
 
-Every candidate drives the same training races (common random numbers), which reduces the noise of their differences.
-The first two are a :class:`pcs_racing_agents.agents.fits.Fit`, a small file for the agents "best-schedule" and
-"best-fixed".
+Blind agents are an open-loop sequence of moves, a fixed policy, and a lead plan (a policy behind and one ahead). Every
+candidate drives the same training races (common random numbers), which reduces the noise of their differences. A blind
+agent's result is a :class:`pcs_racing_agents.agents.fits.Fit`, a small file for the agents "best-schedule",
+"best-fixed" and "best-lead-plan".
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +20,7 @@ from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
-from pcs_racing_agents.agents.blind import best_fixed, best_schedule
+from pcs_racing_agents.agents.blind import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.jobs import Job, Progress
@@ -28,7 +29,17 @@ from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
 
-__all__ = ["OBJECTIVES", "MetaStrategy", "TrainingRaces", "fit_best_fixed", "fit_best_schedule", "fit_psro"]
+__all__ = [
+    "OBJECTIVES",
+    "MetaStrategy",
+    "TrainingRaces",
+    "fit_best_fixed",
+    "fit_best_lead_plan",
+    "fit_best_schedule",
+    "fit_psro",
+]
+
+Choices = tuple[int, ...]
 
 OBJECTIVES: dict[str, Callable[[PlayedGames], NDArray[np.float64]]] = {
     "score": lambda games: games.score,
@@ -144,33 +155,64 @@ def fit_best_schedule(
     """
     setting, work = training.setting, Work(job, executor, progress)
     count, steps = len(setting.moves), setting.config.moves
-    scores: dict[tuple[int, ...], float] = {}
-
-    def evaluate_new(sequences: Sequence[tuple[int, ...]]) -> None:
-        new = [sequence for sequence in dict.fromkeys(sequences) if sequence not in scores]
-        plans = [best_schedule(setting, moves=[setting.moves[i] for i in sequence]) for sequence in new]
-        if plans:
-            values = evaluate(training, plans, work, f"schedule-{len(scores)}")
-            scores.update(zip(new, values.tolist(), strict=True))
-
-    def best() -> tuple[int, ...]:
-        return max(scores, key=lambda sequence: (scores[sequence], [-i for i in sequence]))
-
-    if method == "all":
-        if count**steps > 10_000:
-            raise InputError(f"method 'all' would try {count**steps} sequences; take 'ascent'")
-        evaluate_new(list(product(range(count), repeat=steps)))
-    elif method == "ascent":
-        evaluate_new([(move,) * steps for move in range(count)])
-        current: tuple[int, ...] | None = None
-        while current != best():
-            current = best()
-            evaluate_new([(*current[:k], move, *current[k + 1 :]) for k in range(steps) for move in range(count)])
-    else:
+    if method not in ("ascent", "all"):
         raise InputError(f"method is {method!r}; it must be 'ascent' or 'all'")
-    best_sequence = best()
-    facts = {"method": method, **training.facts(scores[best_sequence], len(scores))}
-    return make_fit("best-schedule", [setting.moves[i] for i in best_sequence], setting, facts)
+    if method == "all" and count**steps > 10_000:
+        raise InputError(f"method 'all' would try {count**steps} sequences; take 'ascent'")
+
+    def raced(sequences: Sequence[Choices], before: int) -> NDArray[np.float64]:
+        plans = [best_schedule(setting, moves=[setting.moves[i] for i in sequence]) for sequence in sequences]
+        return evaluate(training, plans, work, f"schedule-{before}")
+
+    best, scores = _search(raced, range(count), steps, method == "all")
+    facts = {"method": method, **training.facts(scores[best], len(scores))}
+    return make_fit("best-schedule", [setting.moves[i] for i in best], setting, facts)
+
+
+def _search(
+    raced: Callable[[Sequence[Choices], int], NDArray[np.float64]],
+    options: Sequence[int],
+    places: int,
+    every: bool = False,
+) -> tuple[Choices, dict[Choices, float]]:
+    """Search the best choice of an option for each of some places.
+
+    Parameters
+    ----------
+    raced : callable
+        ``raced(choices, before)`` returns what choices reach; ``before`` were raced earlier.
+    options : sequence of int
+    places : int
+    every : bool
+        Whether to race every choice; otherwise the search begins with the best of those with one option at all places,
+        and takes the best change of one place until none is an improvement.
+
+    Returns
+    -------
+    best : tuple of int
+        Of equals the one with the lowest numbers.
+    scores : dict of tuple of int to float
+        What was raced.
+    """
+    scores: dict[Choices, float] = {}
+
+    def race_new(choices: Sequence[Choices]) -> None:
+        new = [choice for choice in dict.fromkeys(choices) if choice not in scores]
+        if new:
+            scores.update(zip(new, raced(new, len(scores)).tolist(), strict=True))
+
+    def best() -> Choices:
+        return max(scores, key=lambda choice: (scores[choice], [-i for i in choice]))
+
+    if every:
+        race_new(list(product(options, repeat=places)))
+        return best(), scores
+    race_new([(option,) * places for option in options])
+    current: Choices | None = None
+    while current != best():
+        current = best()
+        race_new([(*current[:k], option, *current[k + 1 :]) for k in range(places) for option in options])
+    return current, scores
 
 
 def fit_best_fixed(
@@ -202,6 +244,44 @@ def fit_best_fixed(
     values = evaluate(training, walkers, Work(job, executor, progress), "fixed")
     index = int(np.argmax(values))
     return make_fit("best-fixed", candidates[index], setting, training.facts(float(values[index]), len(candidates)))
+
+
+def fit_best_lead_plan(
+    training: TrainingRaces,
+    *,
+    targets: Sequence[int] | None = None,
+    job: Job | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Fit:
+    """Find two target policies with the highest mean objective, for an agent that goes to one behind and one ahead.
+
+    The search begins with the best fixed policy, the same behind and ahead, and takes the best change of one of the
+    two until none is an improvement: on the training races the plan is at least as good as the best fixed policy.
+
+    Parameters
+    ----------
+    training : TrainingRaces
+    targets : sequence of int, optional
+        Candidates; all policies of the archive by default.
+    job, executor, progress
+        As for :func:`fit_best_schedule`.
+
+    Raises
+    ------
+    InputError
+        If the archive has no such policy.
+    """
+    setting, work = training.setting, Work(job, executor, progress)
+    candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
+
+    def raced(plans: Sequence[Choices], before: int) -> NDArray[np.float64]:
+        agents = [best_lead_plan(setting, targets=dict(zip(LEAD_PLAN, plan, strict=True))) for plan in plans]
+        return evaluate(training, agents, work, f"lead-plan-{before}")
+
+    best, scores = _search(raced, candidates, len(LEAD_PLAN))
+    choice = dict(zip(LEAD_PLAN, best, strict=True))
+    return make_fit("best-lead-plan", choice, setting, training.facts(scores[best], len(scores)))
 
 
 class MetaStrategy(NamedTuple):

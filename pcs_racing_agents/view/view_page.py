@@ -20,7 +20,7 @@ from pcs_racing_agents.results.races import Categorical, RaceTable
 from pcs_racing_agents.view.race_choice import Pick
 from pcs_racing_agents.view.race_replays import DrivenRace
 
-__all__ = ["ViewContent", "packed_races", "view_page"]
+__all__ = ["ViewContent", "fill", "packed_races", "player_parts", "template", "view_page"]
 
 _SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTALL)
 
@@ -72,8 +72,8 @@ def view_page(content: ViewContent) -> str:
     ----------
     content : ViewContent
     """
-    list_page, player, beside = (_template(*place) for place in _TEMPLATES)
-    shared = {name: text.strip() for name, text in _SHARED.findall(player)}
+    list_page, player, beside = (template(*place) for place in _TEMPLATES)
+    shared = player_parts(player)
     driven = {race.race: race for race in content.driven}
     table, path = content.races, shlex.quote(content.results)
     commands = [f"pcs-racing view {path} --serve", f"pcs-racing view {path} --races {{race}}"]
@@ -105,8 +105,17 @@ def view_page(content: ViewContent) -> str:
             for number, race in driven.items()
         ),
     }
-    # In one pass: a name that spells a placeholder is not one.
-    return re.sub("|".join(map(re.escape, parts)), lambda match: parts[match.group()], list_page)
+    return fill(list_page, parts)
+
+
+def fill(page: str, parts: Mapping[str, str]) -> str:
+    """Return a page with its placeholders replaced, in one pass: a text that spells a placeholder is not one."""
+    return re.sub("|".join(map(re.escape, parts)), lambda match: parts[match.group()], page)
+
+
+def player_parts(player: str) -> dict[str, str]:
+    """Return the parts of the player's page that other pages share, by name: ``colours`` and ``reading``."""
+    return {name: text.strip() for name, text in _SHARED.findall(player)}
 
 
 def packed_races(races: RaceTable) -> dict[str, Any]:
@@ -164,7 +173,8 @@ _TEMPLATES = (
 )
 
 
-def _template(package: str, name: str) -> str:
+def template(package: str, name: str) -> str:
+    """Return the text of a page in a package."""
     return files(package).joinpath(name).read_text(encoding="utf-8")
 
 

@@ -1,8 +1,9 @@
-"""A small local server for the page of the viewer; it repeats races on request.
+"""A small local server for a page that asks for races while it is open.
 
-It listens on 127.0.0.1 only and answers two addresses, ``/`` and ``/race/NUMBER``. Requests that another site's page
-makes a browser send are refused: by the name of the host that they ask for (a page that has rebound its own name to
-127.0.0.1 would still ask for that name), and by what the browser says about where they come from.
+It listens on 127.0.0.1 only. It answers ``/`` with the page, and hands every other address to a service, such as the
+one that repeats the races of a results folder. Requests that another site's page makes a browser send are refused: by
+the name of the host that they ask for (a page that has rebound its own name to 127.0.0.1 would still ask for that
+name), and by what the browser says about where they come from.
 """
 
 import re
@@ -10,19 +11,41 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import Any, NamedTuple
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import safe_json
 from pcs_racing_agents.view.race_replays import RaceDriver
 
-__all__ = ["MOST_KEPT", "RaceService", "make_server"]
+__all__ = ["MOST_KEPT", "Answer", "RaceService", "error_answer", "make_server"]
 
 MOST_KEPT = 200  # answers kept in memory, some 40 kB each
 LONGEST_PATH = 100
 
 _RACE = re.compile(r"/race/([0-9]{1,7})")
+
+
+class Answer(NamedTuple):
+    """The answer to a request.
+
+    Attributes
+    ----------
+    status : int
+        HTTP status.
+    body : bytes
+    kind : str
+        Media type of the body.
+    """
+
+    status: int
+    body: bytes
+    kind: str = "application/json"
+
+
+def error_answer(status: int, text: str) -> Answer:
+    """Return the answer to a request that fails: JSON with one line, ``error``."""
+    return Answer(status, safe_json({"error": " ".join(text.split())}).encode())
 
 
 class RaceService:
@@ -41,30 +64,30 @@ class RaceService:
         self._kept: OrderedDict[int, bytes] = OrderedDict()
         self._lock = threading.Lock()
 
-    def answer(self, number: int) -> tuple[int, bytes]:
-        """Return the status and the JSON for a race: the race with its circuit and space, or ``error``."""
+    def answer(self, path: str) -> Answer:
+        """Answer ``/race/NUMBER`` with the race, its circuit and its space as JSON, or with ``error``."""
+        match = _RACE.fullmatch(path)
+        if match is None:
+            return error_answer(404, "there is / and /race/NUMBER here")
+        number = int(match.group(1))
         if not 0 <= number < self.races:
-            return 404, _error(f"there is no race {number}; there are races 0 to {self.races - 1}")
+            return error_answer(404, f"there is no race {number}; there are races 0 to {self.races - 1}")
         with self._lock:
             if number not in self._kept:
                 try:
                     race = self.driver.drive(number)
                 except (InputError, ModuleNotFoundError, OSError) as error:
-                    return 409, _error(" ".join(str(error).split()))
+                    return error_answer(409, str(error))
                 circuit = [race.circuit, self.driver.circuits[race.circuit]]
                 content = {"race": race.values, "circuit": circuit, "space": self.driver.space}
                 self._kept[number] = safe_json(content).encode()
                 while len(self._kept) > MOST_KEPT:
                     self._kept.popitem(last=False)
             self._kept.move_to_end(number)
-            return 200, self._kept[number]
+            return Answer(200, self._kept[number])
 
 
-def _error(text: str) -> bytes:
-    return safe_json({"error": text}).encode()
-
-
-def make_server(page: str, answer: Callable[[int], tuple[int, bytes]], port: int = 0) -> ThreadingHTTPServer:
+def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> ThreadingHTTPServer:
     """Return a server on 127.0.0.1 that is ready to be started with ``serve_forever``.
 
     Parameters
@@ -72,7 +95,7 @@ def make_server(page: str, answer: Callable[[int], tuple[int, bytes]], port: int
     page : str
         What ``/`` shows.
     answer : callable
-        ``answer(number) -> (status, JSON)`` for ``/race/NUMBER``.
+        ``answer(path) -> Answer`` for every other address of at most 100 characters.
     port : int
         0 takes a free one.
 
@@ -93,33 +116,32 @@ def make_server(page: str, answer: Callable[[int], tuple[int, bytes]], port: int
         timeout = 60
 
         def do_GET(self) -> None:
-            """Send the page or a race."""
+            """Send the page, or what the service answers."""
             own_port = self.connection.getsockname()[1]
             host = self.headers.get("Host", "")
             site = self.headers.get("Sec-Fetch-Site", "none")
-            match = _RACE.fullmatch(self.path)
             if host not in (f"127.0.0.1:{own_port}", f"localhost:{own_port}"):
-                self._send(403, _error("this server answers for 127.0.0.1 only"))
+                self._send(error_answer(403, "this server answers for 127.0.0.1 only"))
             elif site not in ("none", "same-origin"):
-                self._send(403, _error("another site's page asked for this"))
+                self._send(error_answer(403, "another site's page asked for this"))
             elif self.path == "/":
-                self._send(200, content, "text/html; charset=utf-8")
-            elif len(self.path) <= LONGEST_PATH and match is not None:
-                self._send(*answer(int(match.group(1))))
+                self._send(Answer(200, content, "text/html; charset=utf-8"))
+            elif len(self.path) > LONGEST_PATH:
+                self._send(error_answer(404, f"an address here has at most {LONGEST_PATH} characters"))
             else:
-                self._send(404, _error("there is / and /race/NUMBER here"))
+                self._send(answer(self.path))
 
-        def _send(self, status: int, body: bytes, kind: str = "application/json") -> None:
-            self.send_response(status)
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(body)))
+        def _send(self, sent: Answer) -> None:
+            self.send_response(sent.status)
+            self.send_header("Content-Type", sent.kind)
+            self.send_header("Content-Length", str(len(sent.body)))
             self.send_header("Cache-Control", "no-store")
             self.send_header("X-Content-Type-Options", "nosniff")
-            self.send_header("X-Frame-Options", "DENY")
+            self.send_header("X-Frame-Options", "SAMEORIGIN")
             self.send_header("Cross-Origin-Resource-Policy", "same-origin")
             self.send_header("Referrer-Policy", "no-referrer")
             self.end_headers()
-            self.wfile.write(body)
+            self.wfile.write(sent.body)
 
         def log_message(self, *_: Any) -> None:
             """Keep quiet."""

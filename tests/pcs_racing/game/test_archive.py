@@ -155,6 +155,24 @@ def test_policies_that_stand_out():
         toy.select("speed")
 
 
+def test_the_correlations_of_the_axes():
+    """In pairs, in the order of the axes; that of the toy by hand."""
+    toy = archive()
+    assert toy.correlations == {AXES: pytest.approx(np.corrcoef(COORDINATES.T)[0, 1])}
+    assert "aggressiveness, restraint (correlation -0.98)" in repr(toy)
+    third = np.array([1.0, -1.0, 1.0, -1.0, 0.0])
+    three = archive(np.column_stack([COORDINATES, third]), (*AXES, "speed"))
+    expected = np.corrcoef(three.coordinates.T)
+    assert list(three.correlations) == [AXES, (AXES[0], "speed"), (AXES[1], "speed")]
+    np.testing.assert_allclose(list(three.correlations.values()), expected[np.triu_indices(3, 1)])
+    assert toy.project(("restraint",)).correlations == {}
+
+
+def test_the_correlation_with_a_constant_axis_is_unknown():
+    constant = archive([[0.0, 1.0], [2.0, 1.0]], parameters=[[0.0, 0.0], [1.0, 0.0]], ideal=[2, 2], nadir=[0, 0])
+    assert np.isnan(constant.correlations[AXES])
+
+
 def test_an_archive_can_be_seen_along_some_axes():
     toy = archive().project(("restraint",))
     np.testing.assert_array_equal(toy.coordinates, COORDINATES[:, 1:])

@@ -104,7 +104,7 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
                 [move(archive, p, *moves[a], 0.5) for p, a in zip(policy, actions[step - 1], strict=True)]
             )
         before = race.copy()
-        advance(setup, race, np.ascontiguousarray(archive.parameters[policy][None]), 800)
+        advance(setup, race, archive.complete(archive.parameters[policy])[None], 800)
         seen = measure(Segment.between(before, race, 8.0), axes)[0]
         span = archive.ideal - archive.nadir
         np.testing.assert_array_equal(end.estimates[0, :, step], np.clip((seen - archive.nadir) / span, -1.0, 2.0))

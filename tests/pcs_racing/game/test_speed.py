@@ -36,7 +36,7 @@ def alone():
 
 
 def test_the_same_policy_has_the_same_speed_on_every_circuit(alone):
-    """In m/s the circuits differ by more than the paces do."""
+    """To within TOLERANCE, which is less than half of what half of the range of paces makes."""
     assert np.ptp(alone, axis=0).max() < TOLERANCE
     assert np.diff(alone, axis=1).min() > 2.0 * TOLERANCE
 

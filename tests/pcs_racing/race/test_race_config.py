@@ -12,7 +12,7 @@ def test_the_two_presets():
     assert PRESETS == {"paper": PAPER, "contest": CONTEST}
     assert RaceConfig() == PAPER
     assert (PAPER.start, PAPER.steering_noise, PAPER.crash_rule) == ("side-by-side", 0.0, "nobody")
-    assert (CONTEST.start, CONTEST.crash_rule, CONTEST.aggressiveness) == ("staggered", "fault-loses", "pace")
+    assert (CONTEST.start, CONTEST.crash_rule, CONTEST.aggressiveness) == ("staggered", "fault-loses", "speed")
     assert CONTEST.steering_noise > 0.0
     assert PAPER.ticks == CONTEST.ticks == 4000
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import InputError
-from pcs_racing_agents.agents.blind import best_fixed, best_schedule, never_switch, path_moves
+from pcs_racing_agents.agents.blind import best_fixed, best_lead_plan, best_schedule, never_switch, path_moves
 
 
 def test_never_switching_is_staying(setting, seen):
@@ -45,6 +45,29 @@ def test_a_walk_arrives_and_stays(setting, game, target):
     seen = np.zeros((1, 31), np.float32)
     seen[0, :2], seen[0, 5] = place[target], 1.0
     assert int(agent.predict(seen)[0][0]) == 4  # stay
+
+
+def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(setting, game, seen):
+    """Every decision is that of the walk to one of its two policies, by the lead of the last step that is over."""
+    plan = best_lead_plan(setting, targets={"behind": 10, "ahead": 1})
+    walks = [best_fixed(setting, target=target) for target in (10, 1)]
+    for made, observation in enumerate(seen):
+        leads = observation[:, 6 * made + 4] >= 0.0
+        assert 0 < leads.sum() < len(leads)
+        expected = np.where(leads, *(walk.predict(observation)[0] for walk in reversed(walks)))
+        np.testing.assert_array_equal(plan.predict(observation)[0], expected)
+        hidden = observation.copy()
+        for step in range(made + 1):
+            hidden[:, 6 * step + 2 : 6 * step + 4] = 0.5  # the opponent's coordinates
+            hidden[:, 6 * step + 4] = np.sign(hidden[:, 6 * step + 4])
+        np.testing.assert_array_equal(plan.predict(hidden)[0], expected)
+    assert plan.facts["ahead"].startswith("policy 1 (")
+
+
+@pytest.mark.parametrize("targets", [{"behind": 1}, {"behind": 1, "level": 2}, 3, {"behind": 1, "ahead": 12}])
+def test_impossible_lead_plans_are_refused(setting, targets):
+    with pytest.raises(InputError, match=r"behind, ahead|index of a policy"):
+        best_lead_plan(setting, targets=targets)
 
 
 def _reachable(table) -> list[list[int]]:

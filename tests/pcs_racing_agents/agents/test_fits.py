@@ -8,7 +8,8 @@ from pcs_racing_agents.agents.fits import Fit, find_fit, load_fit, make_fit, sav
 from pcs_racing_agents.agents.zoo import build
 
 PLAN = ["stay", "restraint +", "aggressiveness -", "stay"]
-CHOICES = {"best-schedule": PLAN, "best-fixed": 3}
+CHOICES = {"best-schedule": PLAN, "best-fixed": 3, "best-lead-plan": {"behind": 7, "ahead": 2}}
+OPTIONS = {"best-schedule": "moves", "best-fixed": "target", "best-lead-plan": "targets"}
 
 
 @pytest.mark.parametrize("kind", CHOICES)
@@ -18,8 +19,7 @@ def test_a_fit_is_kept_and_followed(setting, tmp_path, kind, seen):
     assert vars(load_fit(path)) == vars(fit)
     agent = build(kind, setting, fit=str(path))
     assert agent.facts["trained on"] == "races 10, reached 0.5"
-    direct = {"best-schedule": {"moves": PLAN}, "best-fixed": {"target": 3}}
-    same = build(kind, setting, **direct[kind])
+    same = build(kind, setting, **{OPTIONS[kind]: CHOICES[kind]})
     assert (agent.predict(seen[0])[0] == same.predict(seen[0])[0]).all()
     assert [entry.name for entry in tmp_path.iterdir()] == ["fit.yaml"]
 
@@ -34,8 +34,9 @@ def test_a_fit_of_another_game_is_refused(setting, archive):
         find_fit("best-fixed", make_setting(fewer, setting.config), fit)
     with pytest.raises(InputError, match="is one of 'best-fixed'"):
         find_fit("best-schedule", setting, fit)
-    with pytest.raises(InputError, match=r"agent 'best-fixed' got .* and a fit"):
-        build("best-fixed", setting, fit=fit, target=3)
+    for kind, option in OPTIONS.items():
+        with pytest.raises(InputError, match=f"agent '{kind}' got .* and a fit"):
+            build(kind, setting, fit=fit, **{option: CHOICES[kind]})
     with pytest.raises(UnknownNameError, match="none is shipped for archive 'toy' and rules 'paper'"):
         find_fit("best-schedule", setting)
 

@@ -17,6 +17,7 @@ def learned(name: str, setting) -> dict:
     given = {
         "best-schedule": {"moves": ["stay"] * 4},
         "best-fixed": {"target": 3},
+        "best-lead-plan": {"targets": {"behind": 3, "ahead": 5}},
         "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
         "remember": {"table": made_up_behaviours(setting)},
     }

@@ -13,7 +13,7 @@ import yaml
 from pcs_racing import load_track, save_archive
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import plain_settings
-from pcs_racing_agents.cli import view
+from pcs_racing_agents.cli import browser, view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import open_job
@@ -25,7 +25,7 @@ from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairing
 from pcs_racing_agents.view.race_replays import DrivenRace, RaceDriver
 from pcs_racing_agents.view.results_folder import open_results
-from pcs_racing_agents.view.view_server import MOST_KEPT, RaceService, make_server
+from pcs_racing_agents.view.view_server import MOST_KEPT, Answer, RaceService, make_server
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def folder(tournament_folder, tmp_path):
 def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
     opened = []
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(view.webbrowser, "open", opened.append)
+    monkeypatch.setattr(browser.webbrowser, "open", opened.append)
     assert main(["view", str(folder), "--replays", "2"]) == 0
     page = folder / "view.html"
     assert capsys.readouterr().out.splitlines()[-1] == f"page: {page}"
@@ -57,10 +57,10 @@ def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
 
 
 def test_no_browser_is_opened_where_there_is_no_screen(folder, monkeypatch):
-    monkeypatch.setattr(view.sys, "platform", "linux")
+    monkeypatch.setattr(browser.sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setattr(view.webbrowser, "open", lambda _: pytest.fail("a browser in the terminal"))
+    monkeypatch.setattr(browser.webbrowser, "open", lambda _: pytest.fail("a browser in the terminal"))
     assert main(["view", str(folder), "--replays", "0"]) == 0
 
 
@@ -267,9 +267,9 @@ def test_the_server_is_for_reading(ask):
 def test_a_race_that_can_not_be_driven_is_told(folder):
     another_agent(folder)
     service = RaceService(RaceDriver(open_results(folder)), 18)
-    status, content = service.answer(3)
-    assert status == 409
-    assert "has changed since the races were driven" in json.loads(content)["error"]
+    answer = service.answer("/race/3")
+    assert answer.status == 409
+    assert "has changed since the races were driven" in json.loads(answer.body)["error"]
 
 
 def test_answers_are_kept_but_not_for_ever():
@@ -284,11 +284,11 @@ def test_answers_are_kept_but_not_for_ever():
     driver = Counting()
     service = RaceService(driver, MOST_KEPT + 10)
     for number in (0, 1, 0, *range(2, MOST_KEPT + 1)):
-        assert service.answer(number)[0] == 200
+        assert service.answer(f"/race/{number}").status == 200
     assert driver.asked == list(range(MOST_KEPT + 1))
-    service.answer(0)
+    service.answer("/race/0")
     assert driver.asked[-1] == MOST_KEPT  # was used again later than 1, so it is still there
-    service.answer(1)
+    service.answer("/race/1")
     assert driver.asked[-1] == 1
 
 
@@ -299,7 +299,7 @@ def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):
         addresses.append(self.server_address)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(view, "_open", addresses.append)
+    monkeypatch.setattr(view, "open_page", addresses.append)
     monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
     assert main(["view", str(folder), "--serve"]) == 0
     assert addresses[0] == f"http://127.0.0.1:{addresses[1][1]}/"
@@ -310,7 +310,7 @@ def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):
 
 def test_a_port_that_is_taken_is_named():
     with (
-        make_server("", lambda number: (200, b"")) as server,
+        make_server("", lambda path: Answer(200, b"")) as server,
         pytest.raises(InputError, match="can't listen on port"),
     ):
-        make_server("", lambda number: (200, b""), port=int(np.int64(server.server_address[1])))
+        make_server("", lambda path: Answer(200, b""), port=int(np.int64(server.server_address[1])))

@@ -91,6 +91,8 @@ def test_the_manifest_says_how_it_was_made(made):
     assert settings["choice_candidates"] - left_out == len(made[0])
     assert settings["policies_not_beaten"] == np.sum(front_layers(made[0].coordinates) == 0)
     assert settings["hypervolume_error"] > 0.0
+    together = np.corrcoef(made[0].coordinates.T)[0, 1]
+    assert settings["correlation_aggressiveness_restraint"] == pytest.approx(together, abs=1e-5)
 
 
 def test_the_coordinates_come_from_races_that_chose_nobody(made):
@@ -209,7 +211,7 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     wild.write_text("preset: contest\nname: wild\nspeed_range: [1.0, 1.5]\n")
     config = with_(preset=str(wild), crash_limit=0.3, seed=6)
     assert config.search_crash_limit == pytest.approx(1.0 - 0.7**0.5)
-    assert config.axes == ("pace", "restraint")
+    assert config.axes == ("speed", "restraint")
     archive = make_archive(config, tmp_path / "archive")
     assert (archive.own_crash <= 0.3).all()
     assert (
@@ -325,7 +327,7 @@ def test_the_shipped_configurations():
         assert config.evaluations == 2000
         assert config.races == 48
     assert load_archive_config("default").rules.name == "paper"
-    assert load_archive_config("contest").axes == ("pace", "restraint")
+    assert load_archive_config("contest").axes == ("speed", "restraint")
 
 
 # The command

@@ -14,6 +14,7 @@ from pcs_racing_agents.tournament.fitting import (
     Work,
     evaluate,
     fit_best_fixed,
+    fit_best_lead_plan,
     fit_best_schedule,
     fit_psro,
 )
@@ -54,6 +55,21 @@ def test_the_best_target_is_found(training, short):
     assert values[fit.choice] == values.max()
     assert fit_best_fixed(training, targets=[3, 5]).choice in (3, 5)
     assert build("best-fixed", short, fit=fit).facts["target"].startswith(f"policy {fit.choice} ")
+
+
+def test_the_best_lead_plan_is_found(training, short):
+    """It is at least as good as the best fixed policy, and no change of one of its two policies is better."""
+    targets = [0, 4, 8, 11]
+    fit, fixed = fit_best_lead_plan(training, targets=targets), fit_best_fixed(training, targets=targets)
+    assert fit.training["reached"] >= fixed.training["reached"]
+    plans = [{"behind": behind, "ahead": ahead} for behind, ahead in product(targets, repeat=2)]
+    values = evaluate(training, [build("best-lead-plan", short, targets=plan) for plan in plans], Work(), "test")
+    reached = values[plans.index(fit.choice)]
+    assert fit.training["reached"] == pytest.approx(reached, abs=1e-4)
+    near = [plan["behind"] == fit.choice["behind"] or plan["ahead"] == fit.choice["ahead"] for plan in plans]
+    assert reached == values[near].max()
+    assert fit.training["candidates"] <= len(plans)
+    assert build("best-lead-plan", short, fit=fit).facts["behind"].startswith(f"policy {fit.choice['behind']} ")
 
 
 def test_faster_is_better_against_somebody_slow(oval, archive):

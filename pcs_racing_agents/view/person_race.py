@@ -1,0 +1,218 @@
+"""A race in which a person makes the moves of car 0, against an agent, a driver or a policy in car 1.
+
+A race is a function of its number and of the person's moves so far: nothing is kept between two questions, and the
+same moves give the same race.
+"""
+
+import html
+import re
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seed
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.competitor import competitor_name
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.races import starts_of
+from pcs_racing.race.replay import Replay, replay_page, safe_json
+from pcs_racing_agents.agents.agent import Competitor, Driver
+from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
+from pcs_racing_agents.explain.explain import Step, explain_game, mark_moves
+from pcs_racing_agents.tournament.games import PlayedGames
+from pcs_racing_agents.tournament.watching import record_game
+from pcs_racing_agents.view.view_page import fill, player_parts, template
+from pcs_racing_agents.view.view_server import Answer, error_answer
+
+__all__ = ["MOST_RACES", "PersonRaces", "first_frames", "play_page"]
+
+MOST_RACES = 1_000_000
+
+_ADDRESS = re.compile(r"/race/([0-9]{1,6})/((?:[0-9]{1,3}(?:-[0-9]{1,3})*)?)(\.html)?")
+
+
+@dataclass(frozen=True)
+class _GivenMoves:
+    """A competitor that makes given moves, and then stays."""
+
+    moves: tuple[int, ...]
+    stay: int
+    axes: int
+    name: str = "you"
+
+    def predict(
+        self, observation: NDArray[np.float32], state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.int64], None]:
+        """Return the move for each observation."""
+        made = moves_made(observation, self.axes)
+        padded = np.array([*self.moves, self.stay])
+        return padded[np.minimum(made, len(self.moves))], None
+
+
+@dataclass(frozen=True, eq=False)
+class PersonRaces:
+    """Races of a person in car 0 against a competitor in car 1; race ``k`` has a start and policies of its own.
+
+    Attributes
+    ----------
+    game : RaceGame
+    rival : Competitor
+        In car 1.
+    seed : int
+        Root of the starts, of the policies that both cars start with, and of the noise.
+    """
+
+    game: RaceGame
+    rival: Competitor
+    seed: int = 0
+
+    def answer(self, path: str) -> Answer:
+        """Answer ``/race/K/MOVES`` with :meth:`situation` as JSON, and ``/race/K/MOVES.html`` with the race so far.
+
+        ``MOVES`` are the indices of the person's moves with hyphens between them; none before the first move.
+        """
+        match = _ADDRESS.fullmatch(path)
+        if match is None:
+            return error_answer(404, "there is / and /race/NUMBER/MOVES here")
+        number, moves = int(match.group(1)), tuple(int(move) for move in match.group(2).split("-") if move)
+        try:
+            if match.group(3):
+                page = replay_page(self.replay(number, moves))
+                return Answer(200, page.encode(), "text/html; charset=utf-8")
+            return Answer(200, safe_json(self.situation(number, moves)).encode())
+        except InputError as error:
+            return error_answer(409, str(error))
+
+    def replay(self, number: int, moves: tuple[int, ...]) -> Replay:
+        """Return the race up to the next move of the person, or to its end.
+
+        Raises
+        ------
+        InputError
+            If there is no such race or move, or more moves than the game has.
+        """
+        return self._drive(number, moves)[0]
+
+    def situation(self, number: int, moves: tuple[int, ...]) -> dict[str, Any]:
+        """Return what the person may know before the next move, as plain values.
+
+        Raises
+        ------
+        InputError
+            As for :meth:`replay`.
+        """
+        replay, played, steps = self._drive(number, moves)
+        game, archive = self.game, self.game.archive
+        made, over = len(moves), self._over(played, len(moves))
+        policy = int(played.policy[0, 0, made]) if played.policy[0, 0, made] >= 0 else int(played.policy[0, 0].max())
+        axes = get_characteristics(archive.characteristics)
+        seen = [
+            opponent(earlier(played.observations[:, car], len(axes), made), len(axes))[0].astype(float).tolist()
+            for car in range(2)
+        ]
+        return {
+            "number": number,
+            "made": made,
+            "moves": game.config.moves,
+            "step_seconds": game.config.step_seconds,
+            "seconds": replay.duration,
+            "over": over,
+            "outcome": replay.outcome,
+            "winner": int(played.winner[0]) if over else None,
+            "lead": float(replay.lead[-1]),
+            "rival": replay.car_names[1],
+            "track": replay.track_name,
+            "axes": [{"name": axis.name, "unit": axis.unit, "meaning": axis.meaning} for axis in axes],
+            "policies": archive.normalised.tolist(),
+            "policy": policy,
+            "choices": [
+                {"name": name, "policy": int(game.next_policy(np.array([policy]), np.array([move]))[0])}
+                for move, name in enumerate(game.competitor_moves)
+            ],
+            "rival_seen": seen[0],
+            "you_seen": seen[1],
+            "history": [self._decision(step, moves[k]) for k, step in enumerate(steps)],
+        }
+
+    def _decision(self, step: Step, own_move: int) -> dict[str, Any]:
+        """Return what the rival decided in a step, beside the person's move, as plain values."""
+        names = self.game.competitor_moves
+        return {
+            "you": names[own_move],
+            "rival": names[step.move],
+            "probabilities": None if step.probabilities is None else step.probabilities.tolist(),
+            "values": None if step.values is None else step.values.tolist(),
+        }
+
+    def _over(self, played: PlayedGames, made: int) -> bool:
+        """Whether the race ended within the step that follows a number of moves."""
+        return made >= self.game.config.moves or float(played.duration[0]) < self._end(made)
+
+    def _end(self, made: int) -> float:
+        """Time at which the step after a number of moves ends, s."""
+        return (made + 1) * self.game.config.step_seconds
+
+    def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, PlayedGames, tuple[Step, ...]]:
+        """Drive the whole race, staying after the given moves, and return it up to the next move."""
+        game, names = self.game, self.game.competitor_moves
+        if not 0 <= number < MOST_RACES:
+            raise InputError(f"there is no race {number}; there are races 0 to {MOST_RACES - 1}")
+        if len(moves) > game.config.moves:
+            raise InputError(f"{len(moves)} moves were made; a race has {game.config.moves}")
+        for move in moves:
+            if not 0 <= move < len(names):
+                raise InputError(f"move {move} is none of the moves 0 to {len(names) - 1} ({', '.join(names)})")
+        person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
+        variants = len(self.rival.policies) if isinstance(self.rival, Driver) else len(game.archive)
+        draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
+        race: dict[str, Any] = {
+            "policies": np.array([draw.integers(len(game.archive)), draw.integers(variants)]),
+            "start": starts_of(game.track, game.setup.config, [number], self.seed),
+            "seed": int(race_seed(self.seed, number)),
+        }
+        if isinstance(self.rival, Driver):
+            recording = record_game(game, person, self.rival, **race, candidates=False)
+            whole, played = recording.replay, recording.played
+            replay = mark_moves(whole, played, recording.game.competitor_moves, game.config.step_seconds)
+            steps: tuple[Step, ...] = ()
+        else:
+            explanation = explain_game(game, person, self.rival, **race, car=1)
+            replay, played, steps = explanation.replay, explanation.played, explanation.steps
+        if not self._over(played, len(moves)):
+            replay = first_frames(replay, self._end(len(moves)))
+        return replay, played, steps[: len(moves)]
+
+
+def first_frames(replay: Replay, seconds: float) -> Replay:
+    """Return the beginning of a race: its frames, plans and events up to a time, without an outcome.
+
+    Parameters
+    ----------
+    replay : Replay
+        Without candidates.
+    seconds : float
+        Up to when, s.
+    """
+    frames = round(seconds / replay.frame_dt) + 1
+    plans = round(seconds / replay.plan_dt) + 1
+    return replace(
+        replay,
+        cars=replay.cars[:frames],
+        progress=replay.progress[:frames],
+        ittc=None if replay.ittc is None else replay.ittc[:frames],
+        paths=None if replay.paths is None else replay.paths[:plans],
+        events=tuple(event for event in replay.events if event.time < seconds),
+        outcome="",
+    )
+
+
+def play_page(races: PersonRaces) -> str:
+    """Return the page on which a person makes the moves; it asks a server for everything else."""
+    title = f"You against {competitor_name(races.rival)}"
+    colours = player_parts(template("pcs_racing.race", "replay.html"))["colours"]
+    return fill(
+        template("pcs_racing_agents.view", "play.html"), {"<!--title-->": html.escape(title), "/*colours*/": colours}
+    )

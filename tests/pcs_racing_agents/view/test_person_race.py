@@ -1,0 +1,134 @@
+"""Races in which a person makes the moves: what the person is told, and the page in headless Chromium."""
+
+import json
+import threading
+
+import numpy as np
+import pytest
+from zoo_games import CONFIG, toy_archive
+
+from pcs_racing import InputError, make_game
+from pcs_racing_agents import make
+from pcs_racing_agents.cli import play
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.tournament import play_games
+from pcs_racing_agents.view.person_race import MOST_RACES, PersonRaces, play_page
+from pcs_racing_agents.view.view_server import make_server
+
+
+@pytest.fixture(scope="module")
+def races():
+    archive = toy_archive()
+    game = make_game("Pipkin", archive, CONFIG, stay=True)
+    return PersonRaces(game, make("random-moves", archive=archive, race=CONFIG), seed=3)
+
+
+def test_a_person_is_told_what_every_move_leads_to(races):
+    told = races.situation(0, ())
+    game = races.game
+    assert [choice["name"] for choice in told["choices"]] == list(game.competitor_moves)
+    assert [choice["policy"] for choice in told["choices"]] == game.table[told["policy"]].tolist()
+    assert (told["made"], told["over"], told["winner"]) == (0, False, None)
+    after = races.situation(0, (2,))
+    assert after["policy"] == told["choices"][2]["policy"]
+    assert after["history"][0]["you"] == game.competitor_moves[2]
+
+
+def test_what_was_driven_does_not_depend_on_moves_to_come(races):
+    short, longer = races.replay(1, (0,)), races.replay(1, (0, 3, 1))
+    frames = len(short.cars)
+    assert short.duration == pytest.approx(2 * CONFIG.step_seconds)
+    np.testing.assert_array_equal(short.cars, longer.cars[:frames])
+    np.testing.assert_array_equal(short.progress, longer.progress[:frames])
+    assert races.situation(1, (0, 3))["history"] == races.situation(1, (0, 3, 1))["history"][:2]
+
+
+def test_a_race_to_its_end_is_that_of_a_tournament(races):
+    moves = (0, 3, 1, 4)
+    told = races.situation(2, moves)
+    assert told["over"]
+    assert told["outcome"] == races.replay(2, moves).outcome != ""
+
+    class Person:
+        name = "person"
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            step = 0 if state is None else state
+            return np.array([moves[step]]), step + 1
+
+    _, played, _ = races._drive(2, moves)
+    start = races.situation(2, ())["policy"], int(played.policy[0, 1, 0])
+    from pcs_racing.base.seeds import race_seed
+    from pcs_racing.race.races import starts_of
+
+    again = play_games(
+        races.game,
+        Person(),
+        races.rival,
+        policies=np.array([start]),
+        starts=starts_of(races.game.track, races.game.setup.config, [2], races.seed),
+        seeds=np.array([race_seed(races.seed, 2)]),
+    )
+    assert told["lead"] == pytest.approx(again.lead[0], abs=1e-9)
+
+
+def test_drivers_can_be_raced_too(races):
+    driven = PersonRaces(races.game, make("lattice:pace=0.3", archive=races.game.archive, race=CONFIG))
+    told = driven.situation(0, (1,))
+    assert told["history"] == []
+    assert told["rival"] == "lattice:pace=0.3"
+
+
+@pytest.mark.parametrize(
+    ("number", "moves", "message"),
+    [(MOST_RACES, (), str(MOST_RACES)), (0, (5,), "move 5"), (0, (0,) * 5, "5 moves")],
+)
+def test_what_can_not_be_is_refused(races, number, moves, message):
+    with pytest.raises(InputError, match=message):
+        races.situation(number, moves)
+
+
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [("/race/0/", 200), ("/race/0/1-2", 200), ("/race/0/9", 409), ("/race/0/1-", 404), ("/race/x/", 404), ("/a", 404)],
+)
+def test_addresses(races, path, status):
+    answer = races.answer(path)
+    assert answer.status == status
+    assert ("error" in json.loads(answer.body)) == (status != 200)
+
+
+def test_the_page_in_a_browser(races, browser):
+    with make_server(play_page(races), races.answer) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            browser.open(f"http://127.0.0.1:{server.server_address[1]}/")
+            count = "document.querySelectorAll('#choices button:enabled').length"
+            assert browser.wait(count) == len(races.game.competitor_moves)
+            for made in range(1, races.game.config.moves + 1):
+                browser.run("document.querySelector('#choices button').click()")
+                browser.wait(f"document.querySelectorAll('#history tr').length === {made}")
+            assert races.situation(0, (0, 0, 0, 0))["outcome"] in browser.run(
+                "document.querySelector('#lead').innerText"
+            )
+            assert browser.run("document.documentElement.scrollWidth") <= 1280
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_the_command_serves_until_it_is_ended(capsys, monkeypatch):
+    def end(self, *_):
+        raise KeyboardInterrupt
+
+    opened = []
+    monkeypatch.setattr(play, "open_page", opened.append)
+    monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
+    assert main(["play", "--opponent", "never-switch", "--track", "Pipkin"]) == 0
+    assert f"play at {opened[0]}" in capsys.readouterr().out
+
+
+def test_an_unknown_opponent_is_told_before_the_page_opens(capsys):
+    assert main(["play", "--opponent", "nobody"]) == 2
+    assert "'nobody'" in capsys.readouterr().err
