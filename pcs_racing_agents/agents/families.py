@@ -49,7 +49,7 @@ FAMILIES = (
     OpponentFamily(
         "switching agents",
         TEST,
-        ("best-schedule", "cfr-argmax", "response", "robust", "psro", "self-play", "ppo"),
+        ("best-schedule", "best-lead-plan", "cfr-argmax", "response", "robust", "psro", "self-play", "ppo"),
         "agents that choose their moves",
     ),
 )
