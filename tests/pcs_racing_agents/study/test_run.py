@@ -2,6 +2,7 @@
 
 import csv
 import re
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +28,17 @@ from pcs_racing_agents.study.study import Study
 
 HERE = Path(__file__).parent
 
+
+def settings_file(name: str, text: str) -> str:
+    """A file of settings; one may name another by its path."""
+    file = Path(tempfile.mkdtemp(prefix="tiny-study-")) / f"{name}.yaml"
+    file.write_text(text, encoding="utf-8")
+    return str(file)
+
+
+LEARNER = settings_file("learner", "starts: 16\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 3\n")
+SELF_PLAY = settings_file("self_play", "iterations: 2\nstarts: 16\nhidden: [8]\nepochs: 3\n")
+
 TINY = load_study_config(
     "quick",
     moves=2,
@@ -35,10 +47,10 @@ TINY = load_study_config(
     tracks=("Pipkin",),
     pairs=3,
     targets=("advantage",),
-    robust=str(HERE / "robust_tiny.yaml"),
-    psro=str(HERE / "psro_tiny.yaml"),
-    self_play=str(HERE / "self_play_tiny.yaml"),
-    sampled_cfr=str(HERE / "self_play_tiny.yaml"),
+    robust=settings_file("robust", f"rounds: 1\nlearner: {LEARNER}\n"),
+    psro=settings_file("psro", f"rounds: 2\nraces: 4\nlearner: {LEARNER}\n"),
+    self_play=SELF_PLAY,
+    sampled_cfr=SELF_PLAY,
     fitting_games=2,
     fixed_targets=2,
     opponents=("never-switch", "lane-switcher"),
@@ -50,7 +62,7 @@ TINY = load_study_config(
     further_opponents=("random-moves",),
     further_arms=("ppo", "robust", "psro", "self-play"),
     replies=("cfr-argmax", "self-play"),
-    reply="quick",
+    reply=LEARNER,
     reply_races=40,
     ppo=str(HERE / "ppo_tiny.yaml"),
     rivals=("never-switch", "cfr-argmax", "ppo", "lane-switcher"),
