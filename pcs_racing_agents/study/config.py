@@ -117,14 +117,14 @@ class StudyConfig(Settings):
             get_target(name)
         for name in (*self.responses, self.reply):
             load_response_settings(name)
-        for load, name in (
+        for load, source in (
             (load_robust_settings, self.robust),
             (load_psro_settings, self.psro),
             (load_self_play_settings, self.self_play),
             (load_self_play_settings, self.sampled_cfr),
         ):
-            if name is not None:
-                load(name)
+            if source is not None:
+                load(source)
         if self.sampled_cfr is not None and "regret" in self.targets and self.pairs > 0:
             raise ConfigError(
                 f"sampled_cfr is {self.sampled_cfr!r} and targets hold 'regret'; name one source of the regrets"

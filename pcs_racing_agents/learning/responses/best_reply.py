@@ -153,7 +153,7 @@ def race_on_circuits(
     rng = np.random.default_rng(np.random.SeedSequence(seed + RACE_SEED, spawn_key=(0,)))
     # The same start policies for both, so that an agent against itself wins as often as it loses.
     policies = np.sort(rng.permutation(len(games[0].archive))[:count]).tolist()
-    variants = [count if isinstance(car, Driver) else policies for car in (ego, opponent)]
+    variants: list[int | list[int]] = [count if isinstance(car, Driver) else policies for car in (ego, opponent)]
     pairings = [
         cross_pairing(
             game, ego, opponent, egos=variants[0], opponents=variants[1], lines=LINES, seed=seed + RACE_SEED + i

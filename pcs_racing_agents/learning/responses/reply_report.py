@@ -33,7 +33,7 @@ def reply_text(replies: Mapping[str, BestReply], settings: ResponseSettings) -> 
 
 def reply_rows(replies: Mapping[str, BestReply]) -> list[tuple[str, ...]]:
     """Return the lines of the table: each agent on each circuit, and on all if there are several."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for agent, reply in replies.items():
         for track, races, loss in _by_track(reply):
             won, lost = np.mean(races.winner == 0), np.mean(races.winner == 1)

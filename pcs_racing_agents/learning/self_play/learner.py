@@ -146,7 +146,7 @@ def learn_self_play(
         networks.append(merge_networks(fitted, place))
     # The network of iteration t is the strategy of iteration t + 1; that of the first, random moves, is left out.
     weights = [settings.iteration_weight(iteration + 2) for iteration in range(settings.iterations)]
-    facts = {
+    facts: dict[str, str | int | float | bool] = {
         "rows": sum(map(len, rows)),
         "iterations": settings.iterations,
         "starts": settings.starts,
