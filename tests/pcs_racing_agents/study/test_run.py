@@ -80,7 +80,7 @@ def finished(tmp_path_factory):
 
 def test_a_study_leaves_its_results(finished):
     lines = (finished.folder / "results.csv").read_text(encoding="utf-8").splitlines()
-    main, further = 2 * 5 * 8, 3 * 9 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
+    main, further = 2 * 6 * 8, 3 * 10 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
     assert len(lines) == 1 + main + further
     assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
     page = (finished.folder / "report.html").read_text(encoding="utf-8")
@@ -199,7 +199,7 @@ def test_what_was_found_can_be_shipped(finished, tmp_path):
         f"default-paper-{kind}" for kind in kinds
     ]
     assert load_network_set(tmp_path / "networks" / "default-paper-psro").name == "default-paper-psro"
-    assert len(list(fits.glob("default-paper-best-*.yaml"))) == 2
+    assert len(list(fits.glob("default-paper-best-*.yaml"))) == 3
 
 
 def test_the_command_goes_on_in_the_folder_and_says_where_the_results_are(finished, tmp_path, capsys):
@@ -235,7 +235,7 @@ def test_the_gain_is_over_the_blind_agent_that_won_more_training_races(finished,
         reached = 0.7 if name == better else 0.6
         save_fit(replace(fit, training={**fit.training, "reached": reached}), tmp_path / "blind" / f"{name}.yaml")
     assert best_blind(other) == better
-    assert best_blind(replace(other, config=replace(TINY, arms=("never-switch", "quick")))) is None
+    assert best_blind(replace(other, config=replace(TINY, arms=("never-switch", "quick"), replies=()))) is None
 
 
 def test_the_table_names_the_blind_agent_that_it_compares_with(finished):
