@@ -12,7 +12,7 @@ FLOORS = [
     ("agents", "view/", "the page on which races are filtered and watched"),
     ("agents", "study/", "the paper's study: stages, table, report"),
     ("agents", "explain/", "why an agent made a move, in words and pictures"),
-    ("agents", "learning/", "PPO, responses, robust answers, self-play"),
+    ("agents", "learning/", "PPO, responses, robust answers, self-play, axes"),
     ("agents", "tournament/", "races of many competitors, ratings, statistics"),
     ("agents", "agents/", "the zoo: everything that answers predict"),
     ("agents", "networks/", "regrets of a game tree, learned; drivers' networks"),

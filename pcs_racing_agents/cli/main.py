@@ -11,6 +11,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli import (
     agents,
     best_reply,
+    characteristics,
     compilation,
     explain,
     export,
@@ -98,6 +99,7 @@ def _parser() -> argparse.ArgumentParser:
         policies,
         synthesize,
         headroom,
+        characteristics,
         match,
         play,
         tree,
