@@ -68,6 +68,8 @@ REFERENCE = {
     "pcs_racing_agents.tournament.statistics": "Statistics",
     "pcs_racing_agents.learning.ppo": "PPO baselines",
     "pcs_racing_agents.learning.responses": "Responses learned from branched games",
+    "pcs_racing_agents.learning.robust": "Robust answers and response oracles",
+    "pcs_racing_agents.learning.self_play": "Self-play",
     "pcs_racing_agents.learning.characteristics": "Learned characteristics",
     "pcs_racing_agents.explain": "Explanations",
     "pcs_racing_agents.study": "The study",

@@ -10,12 +10,18 @@ from pcs_racing_agents.cli.options import Commands, add_command, output_folder
 from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from pcs_racing.race.replay import Replay
+    from pcs_racing_agents.agents.agent import Competitor
+    from pcs_racing_agents.benchmark.protocol import Protocol
     from pcs_racing_agents.benchmark.scoring import CellRaces
+    from pcs_racing_agents.jobs.jobs import Job
 
 __all__ = ["add"]
 
 WATCHED = 3
+REPLY_RACES = 4000
 
 
 def add(commands: Commands) -> None:
@@ -88,7 +94,7 @@ def run(arguments: argparse.Namespace) -> None:
         announce(racing_seconds(races, protocol.setting.config.horizon), cores_of(arguments))
         with open_job(arguments.out, "benchmark", {"protocol": protocol.content_hash, "agent": digest}) as job:
             results = play_protocol(protocol, agent, job=job, executor=executor, progress=show_progress("races"))
-            reply = _best_reply(arguments, protocol, agent) if arguments.full else None
+            reply = _best_reply(protocol, agent, job, executor) if arguments.full else None
     own = results[name]
     circuits = {"seen": True, "unseen": False, "all": None}
     card = Card(
@@ -108,9 +114,26 @@ def run(arguments: argparse.Namespace) -> None:
         print(f"written: {path}")
 
 
-def _best_reply(arguments: argparse.Namespace, protocol: object, agent: object) -> dict[str, object]:
-    """Train a best reply to the agent, and return what it wins."""
-    raise InputError("--full is not there yet")
+def _best_reply(
+    protocol: "Protocol", agent: "Competitor", job: "Job", executor: "Executor | None"
+) -> dict[str, float | int | str]:
+    """Train a best reply to the agent on the circuits that may be trained on, and return what it wins there."""
+    from pcs_racing_agents.learning.responses.best_reply import best_reply
+    from pcs_racing_agents.learning.responses.learner import load_response_settings
+
+    settings = load_response_settings("best-reply")
+    reply = best_reply(
+        [protocol.game(name) for name in protocol.config.seen],
+        agent,
+        protocol.setting,
+        settings,
+        job,
+        races=REPLY_RACES,
+        executor=executor,
+        progress=show_progress("best reply"),
+    )
+    loss = reply.loss
+    return {"loss": loss.mean, "low": loss.low, "high": loss.high, "starts": settings.starts, "races": loss.units}
 
 
 def _watched(own: "list[CellRaces]", results: "dict[str, list[CellRaces]]") -> "list[tuple[str, Replay]]":
