@@ -379,12 +379,13 @@ class DriveBatch:
         cars = self.state.cars[race, :1] if self.alone else self.state.cars[race]
         info = self.info(race * self.players)
         text = f"{info['time']:.1f} s    {info['progress']:.1f} m"
-        if not self.alone:
-            text += f"    lead {info['lead']:+.1f} m"
+        names = ("car_0", "car_1") if self.players == 2 else ("you", "opponent")
         if self.opponents:
-            text += f"    against {self.opponents[info['opponent']].name}"
+            names = ("you", self.opponents[info["opponent"]].name)
+        if not self.alone:
+            text += f"    lead of {names[0]} {info['lead']:+.1f} m"
         plans = [np.full((1, 2), np.nan), self.state.path[race, 1]] if self.opponents else None
-        return renderer.render(cars, plans=plans, text=text)
+        return renderer.render(cars, plans=plans, names=names, text=text)
 
     def get_state(self) -> tuple[Any, ...]:
         """Copies of the races, of the opponents' indices and parameters, and of the moves they made."""

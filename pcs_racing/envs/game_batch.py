@@ -312,8 +312,10 @@ def draw_game(
 ) -> NDArray[np.uint8] | None:
     """Draw one game of a batch at some moment of its driving."""
     race = state.race
-    moves = " | ".join(f"car_{car}: {batch.codes['move'][int(batch.moves[game, car])]}" for car in range(2))
-    opponent = f" | against {batch.opponents[batch.drawn[game]].name}" if batch.opponents else ""
-    text = f"{race.tick[game] * DT:.1f} s | lead of car_0 {race.lead[game]:+.1f} m | {moves}{opponent}"
+    names = ("you", batch.opponents[batch.drawn[game]].name) if batch.opponents else ("car_0", "car_1")
+    moves = " | ".join(f"{name}: {batch.codes['move'][int(batch.moves[game, car])]}" for car, name in enumerate(names))
+    text = f"{race.tick[game] * DT:.1f} s | lead of {names[0]} {race.lead[game]:+.1f} m | {moves}"
     plans = [path[:, :2] for path in race.path[game] if path.any()]
-    return renderer.render(race.cars[game], plans=plans if len(plans) == 2 else None, trails=trails, text=text)
+    return renderer.render(
+        race.cars[game], plans=plans if len(plans) == 2 else None, trails=trails, names=names, text=text
+    )
