@@ -44,12 +44,13 @@ napoleon_custom_sections = [("Attributes", "params_style")]
 
 html_theme = "furo"
 html_title = f"pcs-racing {release}"
-html_static_path: list[str] = []
+html_static_path = ["static"]
+html_js_files = ["access.js"]
 html_copy_source = False
 html_theme_options = {"navigation_with_keys": True}
 copybutton_exclude = ".linenos, .gp, .go"
-pygments_style = "friendly"
-pygments_dark_style = "monokai"
+pygments_style = "a11y-high-contrast-light"  # of accessible-pygments, which furo brings
+pygments_dark_style = "a11y-high-contrast-dark"
 
 site_pages.write(HERE)
 
