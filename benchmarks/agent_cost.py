@@ -16,7 +16,7 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.game.identity import game_identity
 from pcs_racing_agents.agents import Agent, make_setting
 from pcs_racing_agents.agents.zoo import SHIPPED, build
-from pcs_racing_agents.networks import RegretNetwork
+from pcs_racing_agents.networks import NetworkSet, RegretNetwork
 
 
 def untrained(game: Any) -> RegretNetwork:
@@ -47,13 +47,10 @@ def main() -> None:
         "best-schedule": {"moves": ["stay"] * 4},
         "best-fixed": {"target": 0},
         "best-lead-plan": {"targets": {"behind": 0, "ahead": 1}},
-        "psro": {"weights": {"never-switch": 1.0, "random-moves": 1.0}},
         "adaptive": {"network": network, "blind": build("best-fixed", setting, target=0)},
-        "restricted-response": {
-            "exploit": build("static-q", setting, network=network),
-            "safe": build("nash", setting, network=network),
-        },
     }
+    several = NetworkSet("untrained", (network,) * 4, np.ones(4), "argmax")
+    learned |= {name: {"networks": several} for name in ("robust", "psro", "self-play")}
     state = game.reset(games=500, seed=0)
     state = game.step(state, np.tile([0, 2], (500, 1)))
     rows = game.observation(state).reshape(1000, -1)

@@ -25,7 +25,6 @@ from pcs_racing import load_archive, make_game
 from pcs_racing.game.identity import game_identity
 from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.cli.estimates import LEAD_PLAN_ROUNDS
@@ -34,11 +33,10 @@ from pcs_racing_agents.learning.ppo.seed_training import SeedTraining
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task
 from pcs_racing_agents.learning.responses import learner
-from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.learning.responses.learner import ResponseSettings, load_response_settings
 from pcs_racing_agents.networks import Rows, load_network, train_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.study import StudyConfig, load_study_config
-from pcs_racing_agents.study.racing import _Judge
 from pcs_racing_agents.synthesis.archive_run import draw_policies, stage_scenarios
 from pcs_racing_agents.synthesis.archive_search import BLOCK as POLICIES
 from pcs_racing_agents.synthesis.config import load_archive_config
@@ -46,7 +44,6 @@ from pcs_racing_agents.synthesis.evaluate import race_policies
 from pcs_racing_agents.tournament import runner
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.trees.storage import _Builder, _TreeTask
-from pcs_racing_agents.trees.tree import tree_from_arrays
 
 CIRCUITS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 ROWS = 20_000  # that a network learns from, for the time of a row
@@ -120,11 +117,7 @@ def measure(moves: int) -> dict[str, Cost]:
     tree_game = replace(make_game("Tarnfjord", moves=moves, stay=False), threads=1)
     warm_up = _Builder(replace(make_game("Tarnfjord", moves=1, stay=False), threads=1))
     warm_up(_TreeTask((0, 1), 0, 1, 0))  # loads the code
-    arrays = keep("tree", _Builder(tree_game), [_TreeTask((10, 20), 0, 1, 0)], loaded=True)
-    names = load_study_config("paper").every_arm
-    agents = [agent for agent in (build(_shipped(name), setting) for name in names) if isinstance(agent, Agent)]
-    tree = tree_from_arrays(arrays, moves, "the tree")
-    keep("judging", _Judge.of(tree_game, agents, [tree]), [tree])  # type: ignore[arg-type]
+    keep("tree", _Builder(tree_game), [_TreeTask((10, 20), 0, 1, 0)], loaded=True)
 
     rng = np.random.default_rng(0)
     shape = ROWS, len(game.observation_elements), len(game.move_names)
@@ -145,11 +138,6 @@ def measure(moves: int) -> dict[str, Cost]:
     found["evaluation"] = first._replace(seconds=first.seconds - found["update"].seconds)
     print(f"{'evaluation':14} {found['evaluation'].seconds:8.2f} s  (in the same piece of work)", flush=True)
     return found
-
-
-def _shipped(name: str) -> str:
-    """An agent of the zoo in place of one that a study makes."""
-    return "adaptive" if name == "response" else name
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +199,10 @@ def waves(config: StudyConfig, found: Mapping[str, Cost]) -> dict[str, list[Wave
     plans = [moves + 1] + [moves * moves] * ceil((tried - moves - 1) / (moves * moves))
     lead_plans = [config.fixed_targets, *[2 * config.fixed_targets - 2] * LEAD_PLAN_ROUNDS]
     stages["blind"] = [each._replace(tasks=places * count) for count in (config.fixed_targets, *plans, *lead_plans)]
-    stages["responses"] = [wave for name in config.responses for wave in _response(config, name)]
+    pool = len(config.response_pool)
+    stages["responses"] = [
+        wave for name in config.responses for wave in _response(config, load_response_settings(name), pool)
+    ]
     stages["ppo"] = []
     if config.ppo is not None:
         ppo = load_ppo_settings(config.ppo)
@@ -224,8 +215,8 @@ def waves(config: StudyConfig, found: Mapping[str, Cost]) -> dict[str, list[Wave
     rivals = comb(len(config.rivals), 2)
     again = Wave("games", rivals, config.rival_races / runner.BLOCK)
     stages["rivals"] = [again._replace(tasks=rivals * n) for n in (len(config.tracks), circuits)] if rivals else []
-    held_out = circuits * max(2, config.pairs // 4)
-    stages["exploitability"] = [Wave("tree", held_out, config.seeds), Wave("judging", held_out)] if forest else []
+    reply = [*_response(config, load_response_settings(config.reply), 1), each._replace(times=1.0)]
+    stages["best-replies"] = reply * len(config.replies)
     main = len(config.tracks) * len(config.opponents) * 2 * ceil(1000 / runner.BLOCK)
     stages["report"] = [Wave("games", main, 1)]
     return stages
@@ -245,12 +236,11 @@ def _synthesis(config: StudyConfig) -> list[Wave]:
     ]
 
 
-def _response(config: StudyConfig, name: str) -> list[Wave]:
-    settings = load_response_settings(name)
+def _response(config: StudyConfig, settings: ResponseSettings, opponents: int) -> list[Wave]:
     about = load_network("default-paper-gain").training
     found = []
     waves = settings.rounds * config.moves
-    games = len(config.circuits) * len(config.response_pool)
+    games = len(config.circuits) * opponents
     for wave in range(1, waves + 1):
         rows = min(50_000, games * settings.starts * wave) * int(about["epochs"])
         members = settings.members if wave == waves else min(settings.members, 2)

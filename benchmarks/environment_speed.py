@@ -3,9 +3,10 @@
     python benchmarks/environment_speed.py [--track NAME_OR_FOLDER] [--envs 256] [--seconds 1.0]
 
 Everything is measured in one run, the variants in turn for several rounds, and the best round of each counts. Times
-are the thread's own, so other work on the machine disturbs little. All on one thread. "Control level" steps last 0.02
-s, the period at which planners steer; the cars roll straight on at 1 m/s, and begin anew when they crash. "Both cars"
-adds a scan for the opponent to that of the agent. SuperSuit's path is measured where it is installed.
+are the thread's own, so other work on the machine disturbs little. All on one thread. A step of a match is a whole
+race. "Control level" steps last 0.02 s, the period at which planners steer; the cars roll straight on at 1 m/s, and
+begin anew when they crash. "Both cars" adds a scan for the opponent to that of the agent. In "two agents" both cars are
+steered, and steps are counted for each car: what a learner gets. SuperSuit's path is measured where it is installed.
 """
 
 import argparse
@@ -16,7 +17,9 @@ import numpy as np
 
 from pcs_racing import Lidar
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
+from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 
 ROUNDS = 5
 STEPS = 100  # between two looks at the clock
@@ -38,6 +41,20 @@ def drive_batch(track: str, envs: int, both: bool = False, **arguments) -> Work:
             if lidar is not None:
                 cars = env.batch.state.cars
                 lidar.scan(cars[:, 1][:, [0, 1, 4]], cars[:, 0][:, [0, 1, 4]])
+
+    return work, STEPS * envs
+
+
+def pair_batch(track: str, envs: int, **arguments) -> Work:
+    """Steps of a batch whose cars are all steered by agents, counted for each car."""
+    env = DriveHeadToHeadVectorEnv(envs, track=track, time_step=0.02, threads=1, **arguments)
+    env.reset(seed=0)
+    actions = np.tile(np.array([0.0, -0.75], np.float32), (envs, 1))
+
+    def work() -> None:
+        env.reset()
+        for _ in range(STEPS):
+            env.step(actions)
 
     return work, STEPS * envs
 
@@ -91,6 +108,34 @@ def duel_scalar(track: str) -> Work:
     return work, 100
 
 
+def match_batch(track: str, envs: int) -> Work:
+    """Races of a batch of matches against policies of the archive, with all that begins anew."""
+    env = MatchVectorEnv(envs, track=track, threads=1)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    policies = len(env.game.archive)
+
+    def work() -> None:
+        env.step(rng.integers(0, policies, envs))
+
+    return work, envs
+
+
+def match_scalar(track: str) -> Work:
+    """Races of one match after the other."""
+    env = MatchEnv(track)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    policies = len(env.game.archive)
+
+    def work() -> None:
+        for _ in range(20):
+            if env.step(int(rng.integers(policies)))[2]:
+                env.reset()
+
+    return work, 20
+
+
 def supersuit_games(track: str) -> Work:
     """Moves of both players by way of PettingZoo and SuperSuit, counted per game."""
     import supersuit
@@ -124,11 +169,16 @@ def main() -> None:
         "drive, batch, pure pursuit, 108 beams": drive_batch(track, envs, opponent="pure-pursuit", beams=108),
         "drive, batch, pure pursuit, 1080 beams": drive_batch(track, envs, opponent="pure-pursuit", beams=1080),
         "drive, batch, both cars 1080 beams": drive_batch(track, envs, both=True, opponent="pure-pursuit", beams=1080),
+        "two agents, batch": pair_batch(track, envs),
+        "two agents, batch, 108 beams": pair_batch(track, envs, beams=108),
+        "two agents, batch, 1080 beams": pair_batch(track, envs, beams=1080),
         "drive, scalar, pure pursuit": drive_scalar(track, opponent="pure-pursuit"),
         "drive, scalar, compiled call alone": drive_scalar(track, inner=True, opponent="pure-pursuit"),
         "drive, scalar, 1080 beams": drive_scalar(track, opponent="pure-pursuit", beams=1080),
         "duel, batch": duel_batch(track, envs),
         "duel, scalar": duel_scalar(track),
+        "match, batch": match_batch(track, envs),
+        "match, scalar": match_scalar(track),
     }
     try:
         variants["duel, SuperSuit (games)"] = supersuit_games(track)
@@ -147,7 +197,8 @@ def main() -> None:
     print(f"{track}, {envs} environments in a batch, one thread")
     print(f"{'':42} {'steps/s':>10} {'us/step':>9} {'ratio':>7}")
     for name, rate in best.items():
-        scalar = best["duel, scalar" if name.startswith("duel") else "drive, scalar, pure pursuit"]
+        level = name.partition(",")[0]
+        scalar = best["drive, scalar, pure pursuit" if level == "drive" else f"{level}, scalar"]
         print(f"{name:42} {rate:10.0f} {1e6 / rate:9.2f} {rate / scalar:7.2f}")
     wrapper = 1e6 / best["drive, scalar, pure pursuit"] - 1e6 / best["drive, scalar, compiled call alone"]
     print(f"what Gymnasium's interface adds to the compiled call: {wrapper:.1f} us a step")

@@ -21,10 +21,10 @@ def main() -> None:
     parser.add_argument("--track", default=DEFAULT_TRACK, help="name or folder of a circuit")
     parser.add_argument("--ego", default=EGO, help="driver of car 0")
     parser.add_argument("--opponent", default=OPPONENT, help="driver of car 1")
-    parser.add_argument("--preset", default="paper", help="rules of the race")
+    parser.add_argument("--race", default="paper", help="rules of the race")
     parser.add_argument("--seeds", type=int, default=30, help="try seeds 0 to this number, less one")
     arguments = parser.parse_args()
-    track, config = load_track(arguments.track), load_race_config(arguments.preset)
+    track, config = load_track(arguments.track), load_race_config(arguments.race)
     ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
     crashes, found = 0, []
     for seed in range(arguments.seeds):

@@ -59,7 +59,7 @@ def configuration(preset: str, seed: int, generations: int, refresh: tuple[float
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--preset", default="paper", choices=("paper", "contest"))
+    parser.add_argument("--race", default="paper", choices=("paper", "contest"))
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--generations", type=int, default=26, help="of 20 policies, after 40 at random (default: 26)")
     parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
@@ -72,12 +72,12 @@ def main() -> None:
     with executor_from(arguments) as executor:
 
         def made(seed: int, variant: str):  # type: ignore[no-untyped-def]
-            folder = arguments.out / arguments.preset / f"{variant.replace(' ', '-')}-{seed}"
-            config = configuration(arguments.preset, seed, arguments.generations, VARIANTS[variant])
+            folder = arguments.out / arguments.race / f"{variant.replace(' ', '-')}-{seed}"
+            config = configuration(arguments.race, seed, arguments.generations, VARIANTS[variant])
             return make_archive(config, folder, executor=executor)
 
         other = made(OTHER_RUN, "fixed")
-        first = configuration(arguments.preset, OTHER_RUN, arguments.generations)
+        first = configuration(arguments.race, OTHER_RUN, arguments.generations)
         held_out = {
             "random": draw_policies(family, 8, np.random.SeedSequence(OTHER_RUN + 1)),
             "competitive": other.complete(other.parameters[select_diverse(other, 8, "map")]),
@@ -97,7 +97,7 @@ def main() -> None:
                     found.setdefault((kind, variant), []).append(hypervolume(scale(points), REFERENCE))
                     if kind == "random":
                         sizes[variant].append(len(archive.explored.parameters))
-    print(f"preset {arguments.preset}, {arguments.seeds} seeds, {arguments.generations} generations of 20\n")
+    print(f"preset {arguments.race}, {arguments.seeds} seeds, {arguments.generations} generations of 20\n")
     print("| opponents held out | variant | policies raced | median | lowest | highest | mean gain over fixed (95 %) |")
     print("|---|---|---|---|---|---|---|")
     for (kind, variant), volumes in found.items():

@@ -64,9 +64,9 @@ def _steps(n, lanes):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _progresses(n, line, ds, length, cars, frenet, progress):  # type: ignore[no-untyped-def]
+def _progresses(n, line, ds, length, cars, frenet, progress, laps):  # type: ignore[no-untyped-def]
     for _ in range(n):
-        update_progress(line, ds, length, cars, frenet, progress, 0)
+        update_progress(line, ds, length, cars, frenet, progress, laps, 0, 0)
 
 
 @njit(error_model="numpy")
@@ -212,7 +212,7 @@ def main() -> None:
             "dynamics (RK4)": (2 * ticks // LANES, lambda: _steps(CALLS, lanes.copy())),
             "Frenet projection": (
                 ticks // CONTROL_EVERY,
-                lambda: _progresses(CALLS, t.line, t.ds, t.length, *arrays, one.progress),
+                lambda: _progresses(CALLS, t.line, t.ds, t.length, *arrays, one.progress, one.laps),
             ),
             "collisions": (
                 ticks // CONTROL_EVERY,

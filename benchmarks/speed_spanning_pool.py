@@ -19,16 +19,16 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races, winners
 
-AXES = ("pace", "restraint")
+AXES = ("speed", "restraint")
 PACES = (0.1, 0.3, 0.5, 0.7, 0.9)
 SLOWEST = 0.45
 SEGMENT = 8.0  # s, the step of the game, to which coordinates that grow with time refer
 
 
 def race_all(theta: np.ndarray, rivals: np.ndarray, tracks, config, races: int, seed: int):
-    """Mean score, speed (m/s) and coordinates of policies against rivals, shape (K,), (K,) and (K, G)."""
+    """Mean score and coordinates of policies against rivals, shape (K,) and (K, G)."""
     planner, axes = get_planner("lattice"), get_characteristics(AXES)
-    score, speed, seen = np.zeros(len(theta)), np.zeros(len(theta)), np.zeros((len(theta), len(axes)))
+    score, seen = np.zeros(len(theta)), np.zeros((len(theta), len(axes)))
     for number, track in enumerate(tracks):
         setup = RaceSetup(track, replace(config, start_lines=races // 2), (planner, planner))
         starts = draw_starts(track, setup.config, races, seed + number)
@@ -42,17 +42,16 @@ def race_all(theta: np.ndarray, rivals: np.ndarray, tracks, config, races: int, 
                 won = winners(setup.config, state)
                 score[k] += np.where(won == 0, 1.0, np.where((won < 0) & ~state.crashed, 0.5, 0.0)).mean()
                 segment = Segment.between(before, state, SEGMENT)
-                speed[k] += (segment.progress[:, 0] / np.maximum(segment.time, 0.5)).mean()
                 seen[k] += measure(segment, axes)[:, 0].mean(axis=0)
     count = len(tracks) * len(rivals)
-    return score / count, speed / count, seen / count
+    return score / count, seen / count
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="where the archive is written")
     parser.add_argument("--track", nargs="+", default=["Brackwater", "Pipkin"], help="circuits that choose")
-    parser.add_argument("--preset", default="contest")
+    parser.add_argument("--race", default="contest")
     parser.add_argument("--draws", type=int, default=96, help="policies that are drawn")
     parser.add_argument("--intervals", type=int, default=14, help="intervals of speed, a policy from each")
     parser.add_argument("--races", type=int, default=16, help="races against each rival on each circuit, even")
@@ -64,8 +63,8 @@ def main() -> None:
     drawn = qmc.LatinHypercube(len(bounds), seed=given.seed).random(given.draws)
     theta = bounds[:, 0] + drawn * (bounds[:, 1] - bounds[:, 0])
     rivals = np.array([planner.policy({"pace": pace}).parameters for pace in PACES])
-    score, speed, _ = race_all(theta, rivals, tracks, config, given.races, 1000 * given.seed + 1)
-    relative = speed / speed.max()
+    score, seen = race_all(theta, rivals, tracks, config, given.races, 1000 * given.seed + 1)
+    relative = seen[:, 0] / seen[:, 0].max()
     interval = np.floor((relative - SLOWEST) / (1.0 - SLOWEST) * given.intervals)
     interval = np.minimum(interval, given.intervals - 1).astype(int)
     kept = []
@@ -77,7 +76,7 @@ def main() -> None:
                 f"interval {each:2}: {len(inside):2} policies, best {kept[-1]} speed {relative[kept[-1]]:.2f} ", end=""
             )
             print(f"score {score[kept[-1]]:.2f}")
-    _, _, coordinates = race_all(theta[kept], rivals, tracks, config, 2 * given.races, 1000 * given.seed + 501)
+    _, coordinates = race_all(theta[kept], rivals, tracks, config, 2 * given.races, 1000 * given.seed + 501)
     archive = PolicyArchive(
         "speeds",
         planner.name,

@@ -69,8 +69,8 @@ def made_up_rows(count: int) -> Iterator[RaceRow]:
     for number in range(count):
         pair, race = divmod(number, races)
         track, ego, opponent = pairs[pair]
-        crash = ("", "wall", "car")[int(rng.integers(1, 3)) if rng.random() < 0.2 else 0]
-        duration = float(np.round(rng.uniform(1.0, 40.0), 2)) if crash else 40.0
+        crash = ("none", "wall", "car")[int(rng.integers(1, 3)) if rng.random() < 0.2 else 0]
+        duration = float(np.round(rng.uniform(1.0, 40.0), 2)) if crash != "none" else 40.0
         steps = min(int(duration // 8), 4)
         moves = [tuple(MOVES[k] for k in rng.integers(0, 5, steps)) for _ in range(2)]
         paths = [tuple(rng.integers(0, 46, steps + 1).tolist()) for _ in range(2)]
@@ -85,9 +85,9 @@ def made_up_rows(count: int) -> Iterator[RaceRow]:
             side=race % 2,
             seed=0,
             lead=lead,
-            winner="" if crash else ("ego" if lead > 0.0 else "opponent"),
+            winner="none" if crash != "none" else ("ego" if lead > 0.0 else "opponent"),
             crash=crash,
-            fault=("ego", "opponent", "both")[int(rng.integers(3))] if crash else "",
+            fault=("ego", "opponent", "both")[int(rng.integers(3))] if crash != "none" else "none",
             ego_overtakes=int(rng.integers(3)),
             opponent_overtakes=int(rng.integers(3)),
             duration=duration,

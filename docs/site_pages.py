@@ -16,12 +16,22 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 ENVIRONMENTS = {
     "head_to_head": ("pcs_racing.envs.head_to_head", "HeadToHeadEnv", "Head to head: two agents"),
+    "head_to_head_match": ("pcs_racing.envs.head_to_head_match", "HeadToHeadMatchEnv", "Match of two agents"),
+    "drive_head_to_head": (
+        "pcs_racing.envs.drive_head_to_head",
+        "DriveHeadToHeadEnv",
+        "Drive head to head: two agents steer",
+    ),
     "duel": ("pcs_racing.envs.duel", "DuelEnv", "Duel: one agent's moves"),
+    "match": ("pcs_racing.envs.match", "MatchEnv", "Match: a policy for each race"),
     "drive": ("pcs_racing.envs.drive", "DriveEnv", "Drive: steering and speed"),
 }
 NAMES = {
     "head_to_head": '`pettingzoo.make("parallel", "pcs_racing/head_to_head-v1")`, or `"aec"`',
+    "head_to_head_match": '`pettingzoo.make("parallel", "pcs_racing/head_to_head_match-v0")`, or `"aec"`',
+    "drive_head_to_head": '`pettingzoo.make("parallel", "pcs_racing/drive_head_to_head-v0")`, or `"aec"`',
     "duel": '`gym.make("pcs_racing/Duel-v1")`',
+    "match": '`gym.make("pcs_racing/Match-v0")`',
     "drive": '`gym.make("pcs_racing/Drive-v1")`',
 }
 COPIES = {
@@ -47,6 +57,7 @@ REFERENCE = {
     "pcs_racing_agents.jobs": "Long work",
     "pcs_racing_agents.results": "Results",
     "pcs_racing_agents.pictures": "Style of pictures",
+    "pcs_racing_agents.payoffs": "Payoffs of pools of policies",
     "pcs_racing_agents.synthesis": "Synthesis",
     "pcs_racing_agents.solvers": "Solvers",
     "pcs_racing_agents.trees": "Game trees",
@@ -56,6 +67,9 @@ REFERENCE = {
     "pcs_racing_agents.tournament.statistics": "Statistics",
     "pcs_racing_agents.learning.ppo": "PPO baselines",
     "pcs_racing_agents.learning.responses": "Responses learned from branched games",
+    "pcs_racing_agents.learning.robust": "Robust answers and response oracles",
+    "pcs_racing_agents.learning.self_play": "Self-play",
+    "pcs_racing_agents.learning.characteristics": "Learned characteristics",
     "pcs_racing_agents.explain": "Explanations",
     "pcs_racing_agents.study": "The study",
     "pcs_racing_agents.view": "The race viewer",

@@ -1,7 +1,7 @@
 """A head-to-head tournament between policies of one planner, told apart by their weights.
 
     python examples/tournament.py
-    python examples/tournament.py --track Brackwater --preset paper --races 100
+    python examples/tournament.py --track Brackwater --race paper --races 100
 
 It prints the table and the payoff matrix, and writes the results and a replay of the liveliest race.
 """
@@ -53,7 +53,7 @@ def drivers() -> list[Policy]:
 def main() -> None:
     arguments = parse(Arguments)
     track = load_track(arguments.track)
-    config = load_race_config(arguments.preset, duration=arguments.duration)
+    config = load_race_config(arguments.race, duration=arguments.duration)
     tournament = play_tournament(
         track, drivers(), config, races_per_pair=arguments.races, seed=arguments.seed, progress=show_progress()
     )
@@ -67,7 +67,7 @@ def main() -> None:
 
 def liveliness(row: RaceRow) -> tuple[int, bool, float]:
     """What makes a race worth watching: overtakes, a finish, a close one."""
-    return row.ego_overtakes + row.opponent_overtakes, row.crash == "", -abs(row.lead)
+    return row.ego_overtakes + row.opponent_overtakes, row.crash == "none", -abs(row.lead)
 
 
 def parse(kind: type[Arguments]) -> Arguments:

@@ -110,7 +110,7 @@ def test_impossible_commands_are_found():
 def test_commands_within_lines_exist():
     from pcs_racing_agents.cli.main import _parser
 
-    named = {name for text in TEXTS.values() for name in re.findall(r"`(?:[\w./]*/)?pcs-racing ([a-z]+)", text)}
+    named = {name for text in TEXTS.values() for name in re.findall(r"`(?:[\w./]*/)?pcs-racing ([a-z-]+)", text)}
     assert {"train", "study", "track"} <= named
     for name in named:
         assert parses([name, "--help"]), name

@@ -13,7 +13,7 @@ SHORTER = {
     "n_steps=16, batch_size=256": "n_steps=4, batch_size=64",
     '"duel", 64': '"duel", 16',
     "races_per_pair=40": "races_per_pair=2",
-    "[calm] * 100": "[calm] * 10",
+    "[fast] * 100": "[fast] * 10",
 }
 
 

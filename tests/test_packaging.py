@@ -139,6 +139,7 @@ EXAMPLES = {
     "openspiel_tree": ("pyspiel", "games"),
     "ppo_against_cfr": ("stable_baselines3", "learning"),
     "self_play_ppo": ("stable_baselines3", "learning"),
+    "drive_self_play": ("torch", "learning"),
     "train_ppo": ("matplotlib", "learning,plots"),
 }
 

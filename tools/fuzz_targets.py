@@ -61,6 +61,8 @@ from pcs_racing_agents.learning.ppo.checkpoint import unpack as unpack_state
 from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play.settings import load_self_play_settings
 from pcs_racing_agents.networks.ego_rows import ego_values
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
@@ -576,13 +578,19 @@ TARGETS: dict[str, Target] = {
     "results table": Target(results_table, texts(RESULTS), "csv"),
     "results in the viewer": Target(viewed_table, texts(RESULTS), "csv"),
     "results manifest": Target(results_manifest, results_manifests, "yaml"),
-    "exploitability table": Target(
+    "losses to best replies": Target(
         as_file(read_losses, "losses.csv"),
         texts(
-            "track,agent,lost_to_best_response,lost_to_equilibrium,against_random\nPipkin,a,1.5,2,1\nPipkin,a,,nan,2\n"
+            "agent,track,loss,low,high,races,reply_won,agent_won,agent_own_crash\n"
+            "a,Pipkin,0.1,0,0.2,400,0.6,0.4,0.1\na,all,,nan,2,3,1,1,1\n"
         ),
         "csv",
     ),
+    "robust config": Target(
+        as_file(load_robust_settings, "robust.yaml"), texts("pool_share: 0.5\nrounds: 2\n"), "yaml"
+    ),
+    "psro config": Target(as_file(load_psro_settings, "psro.yaml"), texts("rounds: 3\nraces: 20\n"), "yaml"),
+    "self-play config": Target(as_file(load_self_play_settings, "self-play.yaml"), configs("self-play"), "yaml"),
     "loss table": Target(
         as_file(read_curves, "curve.csv"), texts("epoch,training_loss,validation_loss\n0,1.5,2\n1,1,2\n"), "csv"
     ),

@@ -95,7 +95,7 @@ HEAD = """# Gallery
 
 This page is a reference of what happens in races: overtakes, defences and crashes. A rule selects them. On each circuit
 the races 0, 1, 2, ... of seed {seed} are simulated under the rules of the preset `contest`, between
-`{fast}` (fast) and `{slow}` (slow); the slow one is car 0 in even races.
+`{fast}` (fast, blue) and `{slow}` (slow, orange).
 The first race with a scene of a kind gives its GIF. It plays at the speed of the race, and its clock begins
 with the clip. The arrow, or the mark ahead of a car, shows which way the car drives.
 """
@@ -127,14 +127,12 @@ def find_clips(circuit: str) -> list[tuple[Clip, Replay]]:
     track, drivers = load_track(circuit), (parse_policy(FAST), parse_policy(SLOW))
     found: dict[str, tuple[Clip, Replay]] = {}
     for race in range(RACES):
-        ego, opponent = drivers if race % 2 else drivers[::-1]
-        replay = record_race(track, ego, opponent, CONTEST, seed=SEED, index=race, candidates=False)
-        names = tuple("fast" if driver is drivers[0] else "slow" for driver in (ego, opponent))
+        replay = record_race(track, *drivers, CONTEST, seed=SEED, index=race, candidates=False)
         for kind in SCENES.keys() - found.keys():
             time = SCENES[kind].find(replay)
             if time is not None:
-                clip = Clip(kind, circuit, race, time, replay.outcome)
-                found[kind] = clip, replace(replay, car_names=names)
+                outcome = replay.outcome.replace(FAST, "fast").replace(SLOW, "slow")
+                found[kind] = Clip(kind, circuit, race, time, outcome), replace(replay, car_names=("fast", "slow"))
         if len(found) == len(SCENES):
             break
     missing = SCENES.keys() - found.keys()

@@ -107,6 +107,9 @@ MODULES = {
         duel: ; duel
         scalar vector over_batch reset_options: ; vector
         head_to_head: ; head_to_head
+        match match_batch head_to_head_match: ; match
+        drive_head_to_head: ; drive_head_to_head
+        parallel: ; head_to_head drive_head_to_head
         """,
     ),
     **_modules(
@@ -141,12 +144,18 @@ MODULES = {
     ),
     **_modules(
         "statistics",
+        "pcs_racing_agents/payoffs",
+        """
+        headroom: headroom
+        policy_pool: ; policy_pool
+        """,
+    ),
+    **_modules(
+        "statistics",
         "pcs_racing_agents/tournament",
         """
         ratings: ratings
         meta_game: meta_game
-        headroom: headroom
-        policy_pool: ; policy_pool
         best_response: ; best_response
         table: ; tournament_table
         statistics/clusters: statistics

@@ -11,9 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from pcs_racing_agents.agents.fits import load_fit, save_fit
-from pcs_racing_agents.networks import load_network, save_network
+from pcs_racing_agents.networks import load_network, load_network_set, save_network, save_network_set
 from pcs_racing_agents.study.config import load_study_config
-from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.study.study import SET_AGENTS, Study
 
 
 def ship(study: Study, checkout: Path) -> list[Path]:
@@ -25,7 +25,8 @@ def ship(study: Study, checkout: Path) -> list[Path]:
     setting = study.setting
     stem = f"{setting.archive.name}-{setting.race}"
     written = []
-    kinds = {target: target for target in study.config.targets if study.network(target).is_dir()}
+    targets = dict.fromkeys((*study.config.targets, "regret"))
+    kinds = {target: target for target in targets if study.network(target).is_dir()}
     if study.config.responses:
         kinds["gain"] = study.config.responses[0]
     for kind, found in kinds.items():
@@ -33,9 +34,14 @@ def ship(study: Study, checkout: Path) -> list[Path]:
         written.append(
             save_network(replace(load_network(study.network(found)), name=name), checkout / "networks" / name)
         )
+    for kind in SET_AGENTS:
+        if study.network(kind).is_dir():
+            name = f"{stem}-{kind}"
+            networks = replace(load_network_set(study.network(kind)), name=name)
+            written.append(save_network_set(networks, checkout / "networks" / name))
     folder = checkout / "pcs_racing_agents" / "agents" / "fits"
     folder.mkdir(exist_ok=True)
-    for file in sorted([*study.folder.glob("blind/*.yaml"), *study.folder.glob("rivals/psro.yaml")]):
+    for file in sorted(study.folder.glob("blind/*.yaml")):
         if file.name != "done.yaml":
             written.append(save_fit(load_fit(file), folder / f"{stem}-{file.name}"))
     return written

@@ -166,7 +166,7 @@ def _page_head(name: str, kind: str) -> str:
 def _command(name: str, setting: Setting) -> str:
     """Return commands that race an agent where it is shipped, and show the races."""
     rival = "never-switch" if name != "never-switch" else "random-moves"
-    game = f"--archive {setting.archive.name} --preset {setting.race}"
+    game = f"--archive {setting.archive.name} --race {setting.race}"
     line = f"pcs-racing tournament --track Tarnfjord {game} --agents {name} {rival} --races 10 --out out/races"
     return f"```console\n{line}\npcs-racing view out/races\n```"
 

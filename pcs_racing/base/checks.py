@@ -23,12 +23,18 @@ __all__ = [
     "check_whole",
     "check_wholes",
     "did_you_mean",
+    "is_flag",
     "is_number",
     "is_whole",
     "within",
 ]
 
 Error = type[InputError]
+
+
+def is_flag(value: object) -> TypeGuard[bool]:
+    """Whether a value is a truth value of Python or numpy."""
+    return isinstance(value, bool | np.bool_)
 
 
 def is_whole(value: object) -> TypeGuard[int]:
@@ -82,7 +88,7 @@ def check_number(
 
 def check_flag(name: str, value: Any, error: Error = InputError) -> bool:
     """Return a truth value as a ``bool``."""
-    if not isinstance(value, bool | np.bool_):
+    if not is_flag(value):
         raise error(f"{name} is {value!r}; it must be true or false")
     return bool(value)
 

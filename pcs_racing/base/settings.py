@@ -167,7 +167,7 @@ def setting(default: Any, rule: Rule, meaning: str) -> Any:
     Parameters
     ----------
     default
-        Must obey the rule, or be None where the setting may be None.
+        Must obey the rule, or be None where the setting may be None; ``dataclasses.MISSING`` where there is none.
     rule : Rule
     meaning : str
         One sentence, with the unit.
@@ -335,5 +335,5 @@ def _declared(cls: type) -> dict[str, tuple[str, "Field[Any]"]]:
 def _sentence(field: "Field[Any]") -> str:
     rule, meaning = field.metadata["rule"], field.metadata["meaning"].rstrip(".")
     default = field.default if field.default_factory is MISSING else field.default_factory()
-    said = "" if default is None else f" (default: {default!r})"
+    said = "" if default is None or default is MISSING else f" (default: {default!r})"
     return f"{meaning}{f'; {rule.words}' if rule.words else ''}{said}."

@@ -1,15 +1,17 @@
 """A 2D lidar that measures ranges to walls and to the opponent."""
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_number, check_whole
+from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.settings import Rule, Settings, number, setting, whole
 from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_into
 from pcs_racing.track.frenet import locate
 from pcs_racing.track.track import Track
@@ -41,41 +43,25 @@ def _poses(value: ArrayLike, name: str) -> NDArray[np.float64]:
     return poses
 
 
+def _track(name: str, value: Any) -> Track:
+    if not isinstance(value, Track):
+        raise ConfigError(f"{name} is a {type(value).__name__}; it must be a Track, as load_track returns it")
+    return value
+
+
+BEAMS, FIELD_OF_VIEW, MAX_RANGE = whole(1, MOST_BEAMS), number(1e-6, 2.0 * np.pi), number(1e-3, 1e6)
+"""Rules of the settings of a lidar."""
+
+
 @dataclass(frozen=True, eq=False)
-class Lidar:
-    """A scanning lidar at the pose of a car, on one track.
+class Lidar(Settings):
+    """A scanning lidar at the pose of a car, on one track."""
 
-    Attributes
-    ----------
-    track : Track
-    beams : int
-        Number of beams, 1 to 100,000; a single beam points straight ahead.
-    fov : float
-        Angle from the first beam to the last in rad, up to 2 pi.
-    max_range : float
-        Maximum range, m.
-    noise : float
-        Standard deviation of the noise that `scan` adds to ranges, m.
-
-    Raises
-    ------
-    InputError
-        If a value lies outside its range.
-    """
-
-    track: Track
-    beams: int = 1080
-    fov: float = 4.7
-    max_range: float = 30.0
-    noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.track, Track):
-            raise InputError(f"track must be a Track, as load_track returns it, got {type(self.track).__name__}")
-        check_whole("beams", self.beams, 1, MOST_BEAMS)
-        check_number("fov", self.fov, 1e-6, 2.0 * np.pi)
-        check_number("max_range", self.max_range, 1e-3, 1e6)
-        check_number("noise", self.noise, 0.0, 1e6)
+    track: Track = setting(MISSING, Rule(_track), "The circuit.")
+    beams: int = setting(1080, BEAMS, "Number of beams; a single beam points straight ahead.")
+    fov: float = setting(4.7, FIELD_OF_VIEW, "Angle from the first beam to the last, rad.")
+    max_range: float = setting(30.0, MAX_RANGE, "Maximum range, m.")
+    noise: float = setting(0.0, number(0.0, 1e6), "Standard deviation of the noise that `scan` adds to ranges, m.")
 
     @cached_property
     def angles(self) -> NDArray[np.float64]:

@@ -11,8 +11,10 @@ References
    single-track model with load transfer.
 """
 
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.settings import Settings, checked, load_settings, number, setting
 
 __all__ = [
     "F1TENTH",
@@ -29,6 +32,8 @@ __all__ = [
     "Handling",
     "VehicleParams",
     "handling",
+    "load_vehicle",
+    "load_vehicles",
     "runge_kutta",
     "simulate",
     "step",
@@ -45,59 +50,52 @@ KINEMATIC_BELOW = 0.5  # m/s; the dynamic branch divides by the speed
 ControlMode = Literal["rates", "target", "f1tenth_gym"]
 
 
+COMMAND_PERIOD = 0.02  # s between two steering commands of a race
+MOST_DELAYED = 25  # of them
+
+
+def _steer_delay(value: Any) -> float:
+    delay = check_number("steer_delay", value, 0.0, MOST_DELAYED * COMMAND_PERIOD)
+    if abs(delay / COMMAND_PERIOD - round(delay / COMMAND_PERIOD)) > 1e-9:
+        raise InputError(f"steer_delay is {delay!r} s; it must be a multiple of {COMMAND_PERIOD:g} s")
+    return delay
+
+
 @dataclass(frozen=True)
-class VehicleParams:
+class VehicleParams(Settings):
     """Parameters of one car; the defaults are the 1:10 F1TENTH car.
 
-    Attributes
-    ----------
-    mu : float
-        Friction coefficient.
-    c_sf, c_sr : float
-        Cornering stiffness of the front and rear tyres, 1/rad.
-    lf, lr : float
-        Distance from the centre of gravity to the front and rear axle, m.
-    h : float
-        Height of the centre of gravity, m.
-    m : float
-        Mass, kg.
-    inertia : float
-        Yaw inertia, kg m^2.
-    steer_max : float
-        Largest steering angle either way, rad.
-    steer_rate_max : float
-        Largest steering rate either way, rad/s.
-    v_switch : float
-        Speed above which the engine's power, not its force, limits the acceleration, m/s.
-    a_max : float
-        Largest acceleration and braking, m/s^2.
-    v_min, v_max : float
-        Speed limits, m/s.
-    width, length : float
-        The car's rectangle, centred on its pose, m.
+    The last two concern races, where the car is steered by commands at 50 Hz: `simulate` knows neither.
     """
 
-    mu: float = 1.0489
-    c_sf: float = 4.718
-    c_sr: float = 5.4562
-    lf: float = 0.15875
-    lr: float = 0.17145
-    h: float = 0.074
-    m: float = 3.74
-    inertia: float = 0.04712
-    steer_max: float = 0.4189
-    steer_rate_max: float = 3.2
-    v_switch: float = 7.319
-    a_max: float = 9.51
-    v_min: float = -5.0
-    v_max: float = 20.0
-    width: float = 0.31
-    length: float = 0.58
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            most, above = (0.0, None) if field.name == "v_min" else (None, 0.0)
-            check_number(f"vehicle parameter {field.name}", getattr(self, field.name), most=most, above=above)
+    mu: float = setting(1.0489, number(0.01, 10.0), "Friction coefficient.")
+    c_sf: float = setting(4.718, number(0.01, 1000.0), "Cornering stiffness of the front tyres, 1/rad.")
+    c_sr: float = setting(5.4562, number(0.01, 1000.0), "Cornering stiffness of the rear tyres, 1/rad.")
+    lf: float = setting(0.15875, number(0.001, 10.0), "Distance from the centre of gravity to the front axle, m.")
+    lr: float = setting(0.17145, number(0.001, 10.0), "Distance from the centre of gravity to the rear axle, m.")
+    h: float = setting(0.074, number(0.0001, 10.0), "Height of the centre of gravity, m.")
+    m: float = setting(3.74, number(0.001, 1e5), "Mass, kg.")
+    inertia: float = setting(0.04712, number(1e-6, 1e6), "Yaw inertia, kg m^2.")
+    steer_max: float = setting(0.4189, number(0.001, 1.5), "Largest steering angle either way, rad.")
+    steer_rate_max: float = setting(3.2, number(0.001, 1000.0), "Largest steering rate either way, rad/s.")
+    v_switch: float = setting(
+        7.319,
+        number(0.01, 1000.0),
+        "Speed above which the engine's power, not its force, limits the acceleration, m/s.",
+    )
+    a_max: float = setting(9.51, number(0.01, 1000.0), "Largest acceleration and braking, m/s^2.")
+    v_min: float = setting(-5.0, number(-1000.0, 0.0), "Lowest speed, m/s.")
+    v_max: float = setting(20.0, number(0.01, 1000.0), "Highest speed, m/s.")
+    width: float = setting(0.31, number(0.001, 100.0), "Width of the car's rectangle, centred on its pose, m.")
+    length: float = setting(0.58, number(0.001, 100.0), "Length of that rectangle, m.")
+    steer_delay: float = setting(
+        0.0, checked(_steer_delay, "from 0 to 0.5, a multiple of 0.02"), "Time by which steering commands are late, s."
+    )
+    steer_noise: float | None = setting(
+        None,
+        number(0.0, 0.4),
+        "Standard deviation of the disturbance of every steering command, rad; None takes that of the race's rules.",
+    )
 
     @property
     def wheelbase(self) -> float:
@@ -105,17 +103,60 @@ class VehicleParams:
         return self.lf + self.lr
 
     def as_row(self) -> NDArray[np.float64]:
-        """Return the parameters as the row of numbers that compiled code reads, shape (16,)."""
-        return np.array([getattr(self, field.name) for field in fields(self)], dtype=np.float64)
+        """Return the parameters as the row of numbers that compiled code reads, shape (18,)."""
+        row = [getattr(self, field.name) for field in fields(self)[:STEER_DELAY]]
+        noise = RULES_NOISE if self.steer_noise is None else self.steer_noise
+        return np.array([*row, round(self.steer_delay / COMMAND_PERIOD), noise], dtype=np.float64)
 
 
 F1TENTH = VehicleParams()
+
+
+def load_vehicle(source: VehicleParams | Mapping[str, Any] | str | os.PathLike[str]) -> VehicleParams:
+    """Return a car: its parameters, a mapping of those that differ from F1TENTH's, "f1tenth", or a YAML file of them.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter is unknown or out of its range, or the source is none of these.
+    UnknownNameError
+        If the name is neither "f1tenth" nor a file.
+
+    Examples
+    --------
+    >>> load_vehicle({"mu": 0.8}).mu
+    0.8
+    """
+    if isinstance(source, Mapping):
+        if not all(isinstance(name, str) for name in source):
+            raise ConfigError(f"vehicle is {source!r:.200}; it must be a mapping of parameters' names to numbers")
+        return load_settings("vehicle", F1TENTH, None, **source)
+    return load_settings("vehicle", F1TENTH, source, {"f1tenth": F1TENTH})
+
+
+def load_vehicles(source: Any) -> tuple[VehicleParams, VehicleParams]:
+    """Return the cars of a race: one source of :func:`load_vehicle` for both, or a list of two, car 0's first.
+
+    Raises
+    ------
+    ConfigError
+        If there are not one or two, or one is wrong.
+    """
+    if not isinstance(source, list | tuple):
+        return (load_vehicle(source),) * 2
+    if len(source) != 2:
+        raise ConfigError(f"vehicle lists {len(source)} cars; give one for both, or two")
+    return load_vehicle(source[0]), load_vehicle(source[1])
+
 
 # Columns of a parameter row.
 (MU, C_SF, C_SR, LF, LR, H, M, INERTIA, STEER_MAX, STEER_RATE_MAX, V_SWITCH, A_MAX, V_MIN, V_MAX, WIDTH, LENGTH) = (
     range(16)
 )
-PARAMS_SIZE = 16
+STEER_DELAY = 16  # in commands
+STEER_NOISE = 17  # rad; below 0 where the race's rules say it
+PARAMS_SIZE = 18
+RULES_NOISE = -1.0
 
 
 class Handling(NamedTuple):
@@ -269,7 +310,7 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
         The vehicle's state, overwritten.
     rate, acceleration : float
         Steering rate in rad/s and longitudinal acceleration in m/s^2.
-    p : ndarray, shape (16,)
+    p : ndarray, shape (18,)
         Parameter row (:meth:`VehicleParams.as_row`).
     dt : float
         Length of the step in s.

@@ -9,7 +9,17 @@ from pcs_racing.base.errors import unknown_argument
 
 __all__ = ["batch_arguments"]
 
-FRAME = ("self", "num_envs", "autoreset_mode", "max_episode_steps", "threads", "render_mode", "view", "render_size")
+FRAME = (
+    "self",
+    "num_envs",
+    "autoreset_mode",
+    "max_episode_steps",
+    "max_cycles",
+    "threads",
+    "render_mode",
+    "view",
+    "render_size",
+)
 """Arguments of the environment itself; all others are the batch's."""
 
 

@@ -6,13 +6,13 @@ its own, so a batch of any size gives the same numbers. What happens when an epi
 :class:`pcs_racing.envs.scalar.ScalarEnv` and :class:`pcs_racing.envs.vector.BatchVectorEnv` see to that.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_seed, check_whole
+from pcs_racing.base.checks import check_choice, check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.race.rendering import MODES, VIEWS, Renderer
 
@@ -51,6 +51,8 @@ class Batch(Protocol):
         Steps of an episode that does not end early.
     frame_rate : int
         Steps in a second of racing, or 1 if a step is longer.
+    film_rate : int or None
+        Frames for each second of racing in :meth:`film`; None where a step is short enough to be a single frame.
     """
 
     episodes: int
@@ -59,6 +61,7 @@ class Batch(Protocol):
     reset_options: tuple[str, ...]
     horizon: int
     frame_rate: int
+    film_rate: int | None
 
     @property
     def observation_space(self) -> Any:
@@ -84,6 +87,9 @@ class Batch(Protocol):
     ) -> None:
         """Begin new episodes in some places, each drawn from its own generator."""
 
+    def forget(self, rows: NDArray[np.int64]) -> None:
+        """Let what lasts for several episodes begin anew, as the generators of some episodes do."""
+
     def step(self, actions: NDArray[Any], generators: Sequence[np.random.Generator]) -> BatchStep:
         """Make a step in every episode; those that are over stand still."""
 
@@ -98,6 +104,11 @@ class Batch(Protocol):
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw an environment's race as it stands."""
+
+    def film(
+        self, renderer: Renderer, environment: int, ticks: int | None = None
+    ) -> Iterator[NDArray[np.uint8] | None]:
+        """Draw the last step of an environment, a frame every so many simulation steps of 0.01 s."""
 
     def get_state(self) -> tuple[Any, ...]:
         """Return copies of all that changes."""
@@ -133,12 +144,11 @@ def check_reset_seed(seed: Any, name: str = "seed") -> int | None:
     return None if seed is None else check_seed(name=name, seed=seed)
 
 
-def check_rendering(render_mode: str | None, view: str) -> None:
+def check_rendering(render_mode: str | None, view: str, modes: Sequence[str] = MODES) -> None:
     """Refuse an unknown render mode or view."""
-    if view not in VIEWS:
-        raise InputError(f"view is {view!r}; it must be one of {', '.join(VIEWS)}")
-    if render_mode is not None and render_mode not in MODES:
-        raise InputError(f"render_mode is {render_mode!r}; it must be None or one of {', '.join(MODES)}")
+    check_choice("view", view, VIEWS)
+    if render_mode is not None:
+        check_choice("render_mode", render_mode, modes)
 
 
 def check_options(options: Any, known: Iterable[str]) -> dict[str, Any]:

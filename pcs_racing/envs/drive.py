@@ -6,6 +6,7 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
 from pcs_racing.envs.drive_batch import EXTERNAL, DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
@@ -13,7 +14,6 @@ from pcs_racing.envs.scalar import ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.track.track import Track
 
 __all__ = ["EXTERNAL", "DriveEnv", "DriveVectorEnv"]
 
@@ -87,7 +87,8 @@ class DriveEnv(ScalarEnv):
     generator, and so are the opponent, if there are several, and the key of the race's noise: the steering disturbance
     of the preset "contest" and the noise of the lidar. Cars start at up to 4 m/s.
 
-    ``reset(options=...)`` takes ``start``, (arc length of the line in m, side: 0 puts the agent on the left or in
+    ``reset(options=...)`` takes ``obstacles`` (boxes: x, y, heading, length and width in m and rad, shape (K, 5));
+    ``start``, (arc length of the line in m, side: 0 puts the agent on the left or in
     front); or ``poses``, (x, y, heading) or (x, y, heading, speed) of both cars, in m, rad and m/s; ``opponent`` and
     ``track``, which replace the arguments from then on; and ``state``, what ``get_state()`` returned. Others are
     refused.
@@ -102,15 +103,20 @@ class DriveEnv(ScalarEnv):
     Numbers: ``time`` (s), ``progress`` and ``lead`` (m), ``crash`` and ``opponent_crash``
     (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the agent is to blame for a crash),
     ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that
-    pays nobody; alone always 0), and ``opponent``, the index of the episode's opponent (-1 if there is none).
+    pays nobody; alone always 0), ``opponent``, the index of the episode's opponent (-1 if there is none), ``laps``
+    (complete ones, from one crossing of the line s = 0 to the next), ``lap_time`` and ``best_lap`` (s, of the last and
+    the shortest of them; -1 if there is none), and where episodes differ in it, ``track`` (its number), ``obstacles``
+    (how many) and what ``randomize`` drew.
     ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.
 
     ## Arguments
 
     Parameters
     ----------
-    track : str, Path or Track
-        Name of a shipped circuit, a map folder, or a track.
+    track : str, Path or Track, a list of these, "random" or RandomCircuits
+        Name of a shipped circuit, a map folder, or a track. Of a list one is drawn for each episode; with "random" each
+        episode is driven on a newly generated circuit, or as
+        :class:`pcs_racing.race.random_circuits.RandomCircuits` says.
     opponent : str, competitor, None, or a list of them
         "lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a driver. Or an agent of the game of moves
         (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an object, such as "cfr-argmax": it changes its policy of
@@ -150,6 +156,16 @@ class DriveEnv(ScalarEnv):
         Number of start lines to draw from.
     archive : str, Path or PolicyArchive
         Policies of an opponent that moves.
+    vehicle : VehicleParams, dict, str or Path, or a list of two
+        Parameters of both cars, or of car 0 and car 1: a dict or a YAML file names those that differ from F1TENTH's
+        (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.
+    randomize : Randomization, dict, str or Path, optional
+        Ranges from which each episode draws friction, mass, steering delay, steering noise and noise of the lidar
+        (:class:`pcs_racing.envs.randomization.Randomization`), such as ``{"friction": [0.7, 1.1]}``.
+    obstacles : Obstacles, int, dict, str or Path, optional
+        Boxes that stand on the track, drawn for each episode: how many, or their settings
+        (:class:`pcs_racing.envs.obstacles.Obstacles`).
+        The lidar sees them, a car that touches one has crashed as into a wall, and the lattice planner avoids most.
     render_mode : {"rgb_array", "human"}, optional
     view : {"track", "both", "car_0", "car_1"}
         What a frame shows.
@@ -186,7 +202,7 @@ class DriveEnv(ScalarEnv):
 
     def __init__(
         self,
-        track: str | Path | Track = "Tarnfjord",
+        track: Any = "Tarnfjord",
         opponent: Any = "lattice",
         race: str | Path | RaceConfig = "paper",
         *,
@@ -208,6 +224,9 @@ class DriveEnv(ScalarEnv):
         win_reward: float = 0.0,
         start_lines: int = 100,
         archive: str | Path | PolicyArchive = "default",
+        vehicle: Any = F1TENTH,
+        randomize: Any = None,
+        obstacles: Any = None,
         render_mode: str | None = None,
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),

@@ -1,8 +1,10 @@
 """Many races at the level of steering and speed, advanced together: the batch behind the Drive environments."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -16,20 +18,24 @@ from pcs_racing.envs.drive_kernel import Sight, observe_races, restart, set_comm
 from pcs_racing.envs.drive_options import SEE_OPPONENT, DriveOptions, drive_elements
 from pcs_racing.envs.infos import Crash, Result, codes
 from pcs_racing.envs.moving_opponents import MovingOpponents
+from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent, drive_opponents, shared_planner
 from pcs_racing.envs.reset_options import place_poses, poses_option, start_option
+from pcs_racing.envs.variety import Variety
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import COMMAND_SLOTS, Planner, hold_command, leave_path
+from pcs_racing.race.conditions import runs_of
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.driving import default_threads
-from pcs_racing.race.kernel import DT, WORK_SIZE
+from pcs_racing.race.kernel import DT, WORK_SIZE, KernelSettings
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
-from pcs_racing.race.rendering import Renderer
-from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import RaceState, take
-from pcs_racing.track.track import as_track
+from pcs_racing.race.rendering import Renderer, half_sizes
+from pcs_racing.race.start_grid import Starts, settle
+from pcs_racing.race.state import BEST_LAP, LAP_TIME, MOST_CROSSINGS, NO_LAP, WALL_CRASH, RaceState, take
+from pcs_racing.track.frenet import TrackArrays
+from pcs_racing.track.track import Track
 
 __all__ = ["EXTERNAL", "DriveBatch"]
 
@@ -37,6 +43,7 @@ EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND
 """The planner of a car that is driven from outside: its memory holds the target steering angle and speed."""
 
 RACES_PER_THREAD = 16  # fewer are not worth handing over
+KEPT_COURSES = 64  # circuits that no race is on
 MOST_NUMBERS = 250_000_000  # of all observations together: 1 GB
 
 
@@ -49,6 +56,22 @@ def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Non
     if not hasattr(function, "typeof_pyval"):
         return function
     return function.compile(tuple(function.typeof_pyval(argument) for argument in arguments))
+
+
+class _Scene(NamedTuple):
+    """What the kernel is handed for a run of races: the circuit, the rules, and what the players observe."""
+
+    arrays: TrackArrays
+    settings: KernelSettings
+    sight: Sight
+
+
+class _Course(NamedTuple):
+    """What all races on a circuit share."""
+
+    setup: RaceSetup
+    grid: RaceState
+    scene: _Scene
 
 
 class DriveBatch:
@@ -77,7 +100,8 @@ class DriveBatch:
         Index of each race's opponent.
     """
 
-    reset_options: tuple[str, ...] = ("start", "poses")
+    reset_options: tuple[str, ...] = ("start", "poses", "obstacles")
+    film_rate: int | None = None
 
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)
@@ -85,7 +109,7 @@ class DriveBatch:
         self.episodes, self.players, self.options = int(episodes), players, options
         if players == 2 and options.opponent is not None:
             raise InputError(f"opponent is {options.opponent!r}; both cars belong to agents here, so it must be None")
-        self.track = as_track(options.track)
+        self.variety = Variety(self.episodes, options.track, options.vehicle, options.randomize, options.obstacles)
         changes: dict[str, Any] = {"start_lines": options.start_lines}
         if options.duration is not None:
             changes["duration"] = options.duration
@@ -97,7 +121,8 @@ class DriveBatch:
         planner = EXTERNAL
         if self.opponents:
             planner = shared_planner(self.opponents, self._moving.game if self._moving else None)
-        self.setup = RaceSetup(self.track, config, (EXTERNAL, planner))
+        delay = self.variety.randomization.most_delay
+        self.setup = RaceSetup(self.variety.circuits.track(0), config, (EXTERNAL, planner), self.variety.cars, delay)
         self.horizon = -(-self.setup.config.ticks // options.ticks)
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
@@ -105,6 +130,7 @@ class DriveBatch:
             "opponent_crash": codes(Crash),
             "result": codes(Result),
             "opponent": {-1: "none", **{i: opponent.name for i, opponent in enumerate(self.opponents)}},
+            **self.variety.codes,
         }
         self.elements = drive_elements(options)
         environments = self.episodes * players
@@ -122,7 +148,18 @@ class DriveBatch:
         """The game of moves that an opponent plays which changes its policy while it drives."""
         options = self.options
         rules = load_game_config(options.race)
-        return RaceGame(self.track, load_archive(options.archive), rules, ego_planner=EXTERNAL)
+        track = self.variety.circuits.track(0)
+        return RaceGame(track, load_archive(options.archive), rules, ego_planner=EXTERNAL, vehicles=self.variety.cars)
+
+    @property
+    def track(self) -> Track:
+        """The circuit of the first race."""
+        return self.variety.track(0)
+
+    @property
+    def grid(self) -> RaceState:
+        """Races at all places of the first circuit that episodes begin at."""
+        return self._on(0).grid
 
     def _prepare_observations(self, options: DriveOptions) -> None:
         low = np.array([element.low for element in self.elements])
@@ -132,47 +169,64 @@ class DriveBatch:
         self.high = (high * scale + shift).astype(np.float32)
         self.low = (low * scale + shift).astype(np.float32)
         self._writing = (low, high, scale, shift)
-        line, ds = self.track.arrays.line, self.track.arrays.ds
-        ahead = np.array([round(distance / ds) % len(line) for distance in options.look_ahead], np.int64)
         if options.beams > 0:
-            beams = Lidar(self.track, options.beams, options.fov, options.max_range).kernel
+            self._beams = Lidar(self.setup.track, options.beams, options.fov, options.max_range).kernel
         else:
             nothing = np.empty(0)
             nothing.flags.writeable = False  # as a lidar's are: both have the same compiled type then
-            beams = Beams(0.0, 1.0, float(options.max_range), nothing, nothing)
-        self._sight = Sight(
-            self.players,
-            self.alone,
-            options.own_state,
-            ahead,
-            SEE_OPPONENT.index(options.see_opponent),
-            options.time_left,
-            self.setup.config.ticks,
-            beams,
-            float(options.lidar_noise),
-        )
+            self._beams = Beams(0.0, 1.0, float(options.max_range), nothing, nothing)
+        self._noise = self.variety.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
+
+    def _on(self, circuit: int) -> "_Course":
+        """What the races on a circuit share."""
+        known = self._courses.get(circuit)
+        if known is None:
+            options, setup = self.options, replace(self.setup, track=self.variety.circuits.track(circuit))
+            line, ds = setup.track.arrays.line, setup.track.arrays.ds
+            sight = Sight(
+                self.players,
+                self.alone,
+                options.own_state,
+                np.array([round(distance / ds) % len(line) for distance in options.look_ahead], np.int64),
+                SEE_OPPONENT.index(options.see_opponent),
+                options.time_left,
+                setup.config.ticks,
+                self._beams,
+                self._noise,
+            )
+            lines = start_lines(setup.track, setup.config, 0, split="train")
+            places = Starts(np.repeat(lines, 2), np.tile(np.array([0, 1]), len(lines)))
+            grid = start_races(setup, places, np.zeros(len(places), np.uint64))
+            # Time to collision is measured only for opponents that observe characteristics: it costs time.
+            settings = setup.settings if self._moving else setup.settings._replace(ittc_horizon=0.0)
+            known = self._courses[circuit] = _Course(setup, grid, _Scene(setup.track.arrays, settings, sight))
+            if len(self._courses) > KEPT_COURSES + self.episodes:
+                self._courses.popitem(last=False)
+        self._courses.move_to_end(circuit)
+        return known
 
     def _prepare_races(self, threads: int | None) -> None:
         setup, races = self.setup, self.episodes
-        lines = start_lines(self.track, setup.config, 0, split="train")
-        places = Starts(np.repeat(lines, 2), np.tile(np.array([0, 1]), len(lines)))
-        self.grid = start_races(setup, places, np.zeros(len(places), np.uint64))
-        self.state = take(self.grid, np.zeros(races, np.intp))
+        self._courses: OrderedDict[int, _Course] = OrderedDict()
+        course = self._on(0)
+        self._scenes = [course.scene] * races  # of each race: what it is driven on, and what its players observe
+        self.state = take(course.grid, np.zeros(races, np.intp))
         self.drawn = np.zeros(races, np.int64)
         weights = np.array([opponent.weight for opponent in self.opponents] or [1.0])
         self._edges = None if (weights == weights[0]).all() else np.cumsum(weights) / weights.sum()
         self.theta = np.zeros((races, 2, setup.theta_size))
-        cars = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
-        self.vehicles = np.tile(cars, (races, 1, 1))  # never read-only, which would be another type to compile
-        # Time to collision is measured only for opponents that observe characteristics: it costs time.
-        self._settings = setup.settings if self._moving else setup.settings._replace(ittc_horizon=0.0)
-        self._limits = (setup.vehicles[0].steer_max, float(self.options.top_speed))
+        self.vehicles = self.variety.vehicles
+        turn = max(vehicle.steer_max for vehicle in setup.vehicles[: self.players])
+        self._limits = (turn, float(self.options.top_speed))
         worth = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
         self._weights = (
             *(float(getattr(self.options, name)) for name in worth),
             setup.config.crash_rule == "fault-loses",
         )
         self._rows = np.arange(races)
+        variety = self.variety
+        self._uniform = not variety.circuits.several  # until an obstacle stands somewhere
+        self._varied = bool(variety.codes or variety.drawn or variety.obstacles)
         self._in_python = setup.planners[1].drive is not None
         workers = 1 if self._in_python else min(threads or default_threads(), max(1, races // RACES_PER_THREAD))
         size = max(1, setup.planners[1].scratch_size)
@@ -197,24 +251,56 @@ class DriveBatch:
         """Begin new episodes in some races, each drawn from its own generator.
 
         Options, for each race or for all: "start", arc length of the line (m) and side (0 puts car 0 on the left or in
-        front); or "poses", x, y (m), heading (rad) and optionally speed (m/s) of both cars.
+        front); or "poses", x, y (m), heading (rad) and optionally speed (m/s) of both cars; and "obstacles", boxes (x,
+        y, heading, length, width).
         """
         starts, poses = start_option(options, len(rows)), poses_option(options, len(rows))
         if starts is not None and poses is not None:
             raise InputError("reset options 'start' and 'poses' were both given; give one of the two")
-        grid, places = self.grid, np.zeros(len(rows), np.int64)
-        if starts is not None:
-            grid = start_races(self.setup, starts, np.zeros(len(rows), np.uint64))
-        elif poses is not None:
-            grid = place_poses(self.setup, poses, self.alone)
-        seeds = np.zeros(len(rows), np.uint64)
-        for i, generator in enumerate(generators):
-            places[i] = generator.integers(self.grid.races)
-            self._draw_opponent(int(rows[i]), generator)
-            seeds[i] = generator.integers(2**64, dtype=np.uint64)
-        restart(self.state, grid, rows, places if grid is self.grid else np.arange(len(rows)), seeds)
+        boxes = obstacles_option(options, len(rows))
+        self.variety.draw(rows, generators)
+        groups = [(self._on(circuit), some) for circuit, some in self.variety.groups(rows)]
+        places, seeds, at = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.uint64), np.zeros((len(rows), 2))
+        grids: list[RaceState] = []
+        for course, some in groups:
+            grid = course.grid
+            if starts is not None:
+                grid = start_races(course.setup, starts.take(some), np.zeros(len(some), np.uint64))
+            elif poses is not None:
+                grid = place_poses(course.setup, poses[some], self.alone)
+            for k, i in enumerate(some):
+                generator = generators[i]
+                places[i] = generator.integers(course.grid.races)
+                self._draw_opponent(int(rows[i]), generator)
+                seeds[i] = generator.integers(2**64, dtype=np.uint64)
+                if grid is not course.grid:
+                    places[i] = k
+            at[some] = grid.frenet[places[some], :, 0]
+            grids.append(grid)
+        self.variety.place_obstacles(rows, at, generators, boxes)
+        if boxes is not None:
+            for (course, some), grid in zip(groups, grids, strict=True):
+                self._check_clear(course.setup, rows[some], take(grid, places[some]))
+        for (course, some), grid in zip(groups, grids, strict=True):
+            for row in rows[some]:
+                arrays = self.variety.track(int(row)).arrays
+                own = arrays is not course.scene.arrays
+                self._scenes[row] = course.scene._replace(arrays=arrays) if own else course.scene
+                self._uniform &= not own
+            restart(self.state, grid, rows[some], places[some], seeds[some])
         if self._moving is not None:
             self._moving.restart(rows, self.state, self.theta)
+
+    def _check_clear(self, setup: RaceSetup, rows: NDArray[np.int64], placed: RaceState) -> None:
+        """Refuse obstacles that a car would stand in."""
+        settle(setup.track, setup.vehicles, placed, self.variety.conditions(rows))
+        wrong = np.flatnonzero(placed.crash[:, 0] == WALL_CRASH if self.alone else placed.crashed)
+        if len(wrong):
+            raise InputError(f"episode {rows[wrong[0]]}: a car starts in one of the obstacles")
+
+    def forget(self, rows: NDArray[np.int64]) -> None:
+        """Let what lasts for several episodes begin anew, as the generators of some episodes do."""
+        self.variety.circuits.forget(rows)
 
     def _draw_opponent(self, row: int, generator: np.random.Generator) -> None:
         if self._edges is None:
@@ -232,18 +318,30 @@ class DriveBatch:
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
         """Write the observations of the players of some races into their rows of ``out``, shape (B * players, n)."""
-        observe_races(
-            self.track.arrays,
-            self.state,
-            self.vehicles,
-            self._sight,
-            *self._writing,
-            rows,
-            0,
-            len(rows),
-            *self._buffers[0][2:],
-            out,
-        )
+        self._see(rows, self.players, out)
+
+    def both_views(self) -> NDArray[np.float32]:
+        """What each car of every race observes, or would if it were driven by a player, shape (B, 2, n)."""
+        out = np.empty((2 * self.episodes, len(self.elements)), np.float32)
+        self._see(self._rows, 2, out)
+        return out.reshape(self.episodes, 2, -1)
+
+    def _see(self, rows: NDArray[np.int64], players: int, out: NDArray[np.float32]) -> None:
+        scenes = [self._scenes[row] for row in rows]
+        for first, last in runs_of(scenes):
+            scene = scenes[first]
+            observe_races(
+                scene.arrays,
+                self.state,
+                self.vehicles,
+                scene.sight._replace(players=players),
+                *self._writing,
+                rows,
+                first,
+                last,
+                *self._buffers[0][2:],
+                out,
+            )
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return actions as float64 of shape (B, players, 2), or raise an error that says what is wrong, and where."""
@@ -268,7 +366,7 @@ class DriveBatch:
         results = self._results()
         if self._in_python:
             set_commands(actions, *self._limits, self.state.memory, 0, races)
-            advance(self.setup, self.state, self.theta, ticks)
+            self._advance_in_python(ticks)
             ticks = 0
         if self._pool is None:
             self._step_part(actions, ticks, 0, races, 0, results)
@@ -296,28 +394,39 @@ class DriveBatch:
         self, actions: NDArray[np.float64], ticks: int, first: int, last: int, worker: int, results: tuple[Any, ...]
     ) -> None:
         """Step a part of the races, on one thread."""
-        arguments = (
-            self.track.arrays,
-            self.state,
-            self.theta,
-            self.vehicles,
-            *self._pointers,
-            self._settings,
-            ticks,
-            actions,
-            self._limits,
-            self._weights,
-            self._sight,
-            *self._writing,
-            self._rows,
-            first,
-            last,
-            self._buffers[worker],
-            *results,
-        )
-        if self._compiled is None:
-            self._compiled = compiled_for(step_races, arguments)
-        self._compiled(*arguments)
+        runs = [(0, last - first)] if self._uniform or first == last else runs_of(self._scenes[first:last])
+        for low, high in runs:
+            scene = self._scenes[first + low] if first < last else self._scenes[0]
+            arguments = (
+                scene.arrays,
+                self.state,
+                self.theta,
+                self.vehicles,
+                *self._pointers,
+                scene.settings,
+                ticks,
+                actions,
+                self._limits,
+                self._weights,
+                scene.sight,
+                *self._writing,
+                self._rows,
+                first + low,
+                first + high,
+                self._buffers[worker],
+                *results,
+            )
+            if self._compiled is None:
+                self._compiled = compiled_for(step_races, arguments)
+            self._compiled(*arguments)
+
+    def _advance_in_python(self, ticks: int) -> None:
+        """Drive every race on against an opponent in plain Python."""
+        circuits = self.variety.circuits.number if self.variety.circuits.several else np.zeros(self.episodes, np.int64)
+        for first, last in runs_of(circuits.tolist()):
+            part = RaceState._make(array[first:last] for array in self.state)
+            conditions = self.variety.conditions(np.arange(first, last))
+            advance(self._on(int(circuits[first])).setup, part, self.theta[first:last], ticks, conditions=conditions)
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
@@ -338,6 +447,10 @@ class DriveBatch:
             "overtakes": state.overtakes[:, car].copy(),
             "result": self._outcomes(car),
             "opponent": self.drawn.copy() if self.opponents else np.full(self.episodes, -1),
+            "laps": state.lap_count[:, car],
+            "lap_time": state.lap_time[:, car],
+            "best_lap": state.best_lap[:, car],
+            **self.variety.infos(),
         }
 
     def _outcomes(self, car: int) -> NDArray[np.int64]:
@@ -360,6 +473,7 @@ class DriveBatch:
         state, other = self.state, 1 - car
         progress, tick = float(state.progress[race, car]), state.tick.item(race)
         crash, opponent_crash = int(state.crash[race, car]), int(state.crash[race, other])
+        laps = max(int(state.laps[race, car, MOST_CROSSINGS]) - 1, 0)
         over = crash or opponent_crash or tick >= self.setup.config.ticks
         return {
             "time": tick * DT,
@@ -371,6 +485,10 @@ class DriveBatch:
             "overtakes": int(state.overtakes[race, car]),
             "result": int(self._outcomes(car)[race]) if over else int(Result.RUNNING),
             "opponent": int(self.drawn[race]) if self.opponents else -1,
+            "laps": laps,
+            "lap_time": float(state.laps[race, car, LAP_TIME]) if laps else NO_LAP,
+            "best_lap": float(state.laps[race, car, BEST_LAP]) if laps else NO_LAP,
+            **(self.variety.info(race) if self._varied else {}),
         }
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
@@ -385,16 +503,23 @@ class DriveBatch:
         if not self.alone:
             text += f"    lead of {names[0]} {info['lead']:+.1f} m"
         plans = [np.full((1, 2), np.nan), self.state.path[race, 1]] if self.opponents else None
+        renderer.show(self.variety.track(race), half_sizes(self.vehicles[race]))
         return renderer.render(cars, plans=plans, names=names, text=text)
+
+    def film(
+        self, renderer: Renderer, environment: int, ticks: int | None = None
+    ) -> Iterator[NDArray[np.uint8] | None]:
+        """Draw nothing: a step is short enough to be a single frame."""
+        yield from ()
 
     def get_state(self) -> tuple[Any, ...]:
         """Copies of the races, of the opponents' indices and parameters, and of the moves they made."""
         moving = None if self._moving is None else self._moving.get_state()
-        return self.state.copy(), self.drawn.copy(), self.theta[:, 1].copy(), moving
+        return self.state.copy(), self.drawn.copy(), self.theta[:, 1].copy(), moving, self.variety.get_state()
 
     def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned, here or in an equal batch."""
-        races, drawn, theta, moving = state
+        races, drawn, theta, moving, variety = state
         if not isinstance(races, RaceState) or [a.shape for a in races] != [a.shape for a in self.state]:
             raise InputError(
                 f"the state is not one of {self.episodes} races with these planners; use what get_state returned"
@@ -402,6 +527,12 @@ class DriveBatch:
         count = max(1, len(self.opponents))
         if np.shape(drawn) != (self.episodes,) or not ((drawn >= 0) & (drawn < count)).all():
             raise InputError(f"the state's opponents {drawn!r} are not among the {len(self.opponents)} that there are")
+        self.variety.set_state(variety)
+        for row in range(self.episodes):
+            scene = self._on(int(self.variety.circuits.number[row])).scene
+            arrays = self.variety.track(row).arrays
+            self._scenes[row] = scene if arrays is scene.arrays else scene._replace(arrays=arrays)
+            self._uniform &= self._scenes[row] is self._scenes[0]
         for name, own in self.state._asdict().items():
             own[...] = getattr(races, name)
         self.drawn[:], self.theta[:, 1] = drawn, theta
@@ -410,6 +541,7 @@ class DriveBatch:
 
     def close(self) -> None:
         """Free the threads."""
+        self.variety.circuits.close()
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None

@@ -16,7 +16,15 @@ from pcs_racing.car.collision import car_hits_wall
 from pcs_racing.car.lidar_kernel import Beams, scan_into
 from pcs_racing.game.reward import step_reward, win_sign
 from pcs_racing.race import state as _state
-from pcs_racing.race.kernel import CONTROL_EVERY, DT, advance_races, steering_noise
+from pcs_racing.race.kernel import (
+    CONTROL_EVERY,
+    DT,
+    advance_races,
+    count_crossing,
+    delayed,
+    steering_noise,
+    steering_sd,
+)
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
 from pcs_racing.track.grid import cast
 
@@ -68,8 +76,8 @@ class Sight(NamedTuple):
         Steps of 0.01 s of a race.
     beams : Beams
         Of the lidar; with no beams there is no scan.
-    noise : float
-        Standard deviation of its ranges, m.
+    noise : ndarray, shape (B,)
+        Standard deviation of its ranges in each race, m.
     """
 
     players: int
@@ -80,7 +88,7 @@ class Sight(NamedTuple):
     time_left: bool
     end_tick: int
     beams: Beams
-    noise: float
+    noise: NDArray[Any]
 
 
 @kernel
@@ -91,21 +99,26 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
     first two numbers of its memory say. Car 1 stays where it is, and nothing is summed up for characteristics.
     """
     keep = settings.noise_keep
-    gain = settings.noise_sd * np.sqrt(1.0 - keep * keep)
+    share = np.sqrt(1.0 - keep * keep)
     half = 0.5 * track.length
     for race in range(first, last):
         end = min(state.tick[race] + ticks, settings.end_tick)
         own = state.cars[race, 0]
         p = vehicles[race, 0]
+        noise_sd = steering_sd(settings, p)
         while state.tick[race] < end and state.crash[race, 0] == 0:
             tick = state.tick[race]
             if tick % CONTROL_EVERY == 0:
                 state.command[race, 0, 0] = state.memory[race, 0, 0]
                 state.command[race, 0, 1] = state.memory[race, 0, 1]
-                if settings.noise_sd > 0.0:
-                    draw = steering_noise(state.seed[race], 0, tick)
-                    state.disturbance[race, 0] = keep * state.disturbance[race, 0] + gain * draw
+                if noise_sd > 0.0:
+                    draw = noise_sd * share * steering_noise(state.seed[race], 0, tick)
+                    state.disturbance[race, 0] = keep * state.disturbance[race, 0] + draw
                     state.command[race, 0, 0] += state.disturbance[race, 0]
+                if p[_vehicle.STEER_DELAY] > 0.0:
+                    state.command[race, 0, 0] = delayed(
+                        state.memory[race, 0], p[_vehicle.STEER_DELAY], tick, state.command[race, 0, 0]
+                    )
             _vehicle.step_to_target(own, state.command[race, 0, 0], state.command[race, 0, 1], p, DT)
             tick += 1
             state.tick[race] = tick
@@ -115,8 +128,10 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
                 driven = s - before
                 if driven > half:
                     driven -= track.length
+                    count_crossing(track.length, before, driven, tick, state.laps, race, 0)
                 elif driven < -half:
                     driven += track.length
+                    count_crossing(track.length, before, driven, tick, state.laps, race, 0)
                 state.progress[race, 0] += driven
                 state.frenet[race, 0, 0] = s
                 state.frenet[race, 0, 1] = d
@@ -247,8 +262,8 @@ def _observe(track, state, vehicles, sight, race, car, row, work):  # type: igno
         work,
         scan,
     )
-    if sight.noise > 0.0:
-        _noisy(scan, state.seed[race], car, state.tick[race], sight.noise, sight.beams.max_range)
+    if sight.noise[race] > 0.0:
+        _noisy(scan, state.seed[race], car, state.tick[race], sight.noise[race], sight.beams.max_range)
 
 
 @kernel
@@ -275,7 +290,7 @@ def observe_races(track, state, vehicles, sight, low, high, gain, shift, rows, f
     ----------
     track : TrackArrays
     state : RaceState
-    vehicles : ndarray, shape (B, 2, 16)
+    vehicles : ndarray, shape (B, 2, 18)
     sight : Sight
     low, high, gain, shift : ndarray, shape (n,)
         Bounds of the elements, and what turns a clipped value into the one that is written.
@@ -327,6 +342,7 @@ def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
         state.fault[race] = 0
         state.leader[race] = -1
         state.overtakes[race] = 0
+        state.laps[race] = 0.0
 
 
 @kernel

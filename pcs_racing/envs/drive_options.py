@@ -10,12 +10,14 @@ import numpy as np
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Rule, Settings, checked, choice, flag, number, setting, whole
-from pcs_racing.car.lidar import MOST_BEAMS
-from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_RANGE, MOST_BEAMS
+from pcs_racing.car.vehicle import F1TENTH, load_vehicles
+from pcs_racing.envs.circuits import is_circuits
+from pcs_racing.envs.obstacles import Obstacles, load_obstacles
+from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.kernel import CONTROL_EVERY, DT
-from pcs_racing.track.track import Track
 
 __all__ = ["SEE_OPPONENT", "DriveOptions", "Element", "drive_elements"]
 
@@ -44,6 +46,14 @@ def _source(kind: type) -> Rule:
     return Rule(check)
 
 
+def _circuits(name: str, value: Any) -> Any:
+    if not is_circuits(value):
+        raise ConfigError(
+            f"{name} is {value!r:.200}; it must be a name, a path, a Track, a list of these, 'random' or RandomCircuits"
+        )
+    return value
+
+
 def _time_step(value: Any) -> float:
     step = check_number("time_step", value, CONTROL_EVERY * DT, 1.0)
     if abs(step / (CONTROL_EVERY * DT) - round(step / (CONTROL_EVERY * DT))) > 1e-9:
@@ -62,7 +72,7 @@ def _look_ahead(value: Any) -> tuple[float, ...]:
 class DriveOptions(Settings):
     """Arguments of the control-level environments; :class:`pcs_racing.envs.drive.DriveEnv` describes them."""
 
-    track: str | Path | Track = setting("Tarnfjord", _source(Track), "Circuit.")
+    track: Any = setting("Tarnfjord", Rule(_circuits), "Circuit or circuits (`pcs_racing.envs.circuits`).")
     opponent: Any = setting("lattice", Rule(lambda name, value: value), "Opponents (`pcs_racing.envs.opponents`).")
     race: str | Path | RaceConfig = setting("paper", _source(RaceConfig), "Rules of the race.")
     duration: float | None = setting(
@@ -71,8 +81,8 @@ class DriveOptions(Settings):
     time_step: float = setting(0.1, checked(_time_step, "a multiple of 0.02, up to 1"), "Length of a step, s.")
     top_speed: float = setting(8.0, number(0.1, F1TENTH.v_max), "Target speed that the action 1 asks for, m/s.")
     beams: int = setting(0, whole(0, MOST_BEAMS), "Beams of the lidar; 0 for none.")
-    fov: float = setting(4.7, number(0.0, 1e9), "Field of view of the lidar, rad; the lidar has limits of its own.")
-    max_range: float = setting(30.0, number(0.0, 1e9), "Range of the lidar, m; the lidar has limits of its own.")
+    fov: float = setting(4.7, FIELD_OF_VIEW, "Field of view of the lidar, rad.")
+    max_range: float = setting(30.0, MAX_RANGE, "Range of the lidar, m.")
     lidar_noise: float = setting(0.0, number(0.0, 10.0), "Standard deviation of the lidar's noise, m.")
     look_ahead: tuple[float, ...] = setting(
         (0.0, 1.0, 2.0, 4.0, 6.0, 9.0),
@@ -91,6 +101,16 @@ class DriveOptions(Settings):
     archive: str | Path | PolicyArchive = setting(
         "default", _source(PolicyArchive), "Archive of opponents that move between policies."
     )
+    vehicle: Any = setting(F1TENTH, checked(load_vehicles), "The cars (`pcs_racing.car.vehicle.load_vehicles`).")
+    randomize: Randomization | None = setting(
+        None, checked(load_randomization), "Ranges from which each episode draws."
+    )
+    obstacles: Obstacles | None = setting(None, checked(load_obstacles), "Obstacles on the track.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.randomize is not None and self.randomize.lidar_noise is not None and self.beams == 0:
+            raise ConfigError("randomize holds lidar_noise, but beams is 0: there is no lidar")
 
     @property
     def ticks(self) -> int:
@@ -101,17 +121,17 @@ class DriveOptions(Settings):
 def drive_elements(options: DriveOptions) -> list[Element]:
     """Every element of the observation, in order; values beyond the bounds are clipped to them."""
     pi = float(np.pi)
-    top = F1TENTH.v_max
+    top = max(F1TENTH.v_max, *(car.v_max for car in options.vehicle))
+    turn = max(F1TENTH.steer_max, *(car.steer_max for car in options.vehicle))
+    least = min(F1TENTH.v_min, *(car.v_min for car in options.vehicle))
     elements: list[Element] = []
     if options.own_state:
         elements += [
-            Element("speed", "m/s", F1TENTH.v_min, top, "own speed"),
-            Element(
-                "steering", "rad", -F1TENTH.steer_max, F1TENTH.steer_max, "own steering angle, positive to the left"
-            ),
+            Element("speed", "m/s", least, top, "own speed"),
+            Element("steering", "rad", -turn, turn, "own steering angle, positive to the left"),
             Element("yaw rate", "rad/s", -20.0, 20.0, "own yaw rate"),
             Element("slip", "rad", -pi, pi, "own slip angle: course minus heading"),
-            Element("target steering", "rad", -F1TENTH.steer_max, F1TENTH.steer_max, "what the last action asked for"),
+            Element("target steering", "rad", -turn, turn, "what the last action asked for"),
             Element("target speed", "m/s", 0.0, top, "what the last action asked for"),
             Element("offset", "m", -10.0, 10.0, "distance from the race line, positive to the left"),
             Element("heading error", "rad", -pi, pi, "own heading minus that of the race line"),

@@ -7,16 +7,18 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
 from pcs_racing.envs.game_batch import GameBatch
 from pcs_racing.envs.opponents import Opponent
+from pcs_racing.envs.over_batch import FILM
 from pcs_racing.envs.scalar import ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.track.track import Track
+from pcs_racing.race.rendering import MODES
 
 __all__ = ["DuelEnv", "DuelVectorEnv", "SelfPlayVectorEnv"]
 
@@ -65,8 +67,9 @@ class DuelEnv(ScalarEnv):
     environment's generator; then the first step is driven. Should it end in a crash, the game is drawn again.
 
     ``reset(options=...)`` takes ``policies`` (two indices of the archive; -1 draws one), ``start`` (arc length of the
-    line in m, and side: 0 puts car 0 on the left or in front), ``opponent`` and ``track``, which replace the arguments
-    from then on, and ``state``, what ``get_state()`` returned. Others are refused.
+    line in m, and side: 0 puts car 0 on the left or in front), ``obstacles`` (boxes: x, y, heading, length and width in
+    m and rad, shape (K, 5)), ``opponent`` and ``track``, which replace the arguments from then on, and ``state``, what
+    ``get_state()`` returned. Others are refused.
 
     ## Episode End
 
@@ -78,14 +81,18 @@ class DuelEnv(ScalarEnv):
     (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the own car is to blame for a crash),
     ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that
     pays nobody), ``opponent`` (index of the game's opponent), ``move`` and ``opponent_move`` (-1 before the first, and
-    for a driver), ``policy`` (index in the archive) and ``action_mask``. ``env.unwrapped.metadata["codes"]`` holds the
-    words of all codes; ``env.unwrapped.outcome()`` is the info in words.
+    for a driver), ``policy`` (index in the archive), ``action_mask``, ``laps`` (complete ones, from one crossing of the
+    line s = 0 to the next), ``lap_time`` and ``best_lap`` (s, of the last and the shortest of them; -1 if there is
+    none), and where episodes differ in it, ``track`` (its number) and what ``randomize`` drew.
+    ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.
 
     ## Arguments
 
     Parameters
     ----------
-    track : str, Path or Track
+    track : str, Path or Track, a list of these, "random" or RandomCircuits
+        A circuit's name, its folder, or a track. Of a list one is drawn for each episode; with "random" each episode is
+        driven on a newly generated circuit, or as :class:`pcs_racing.race.random_circuits.RandomCircuits` says.
     archive : str, Path or PolicyArchive
     opponent : str, competitor, or list
         By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each game and kept);
@@ -100,7 +107,19 @@ class DuelEnv(ScalarEnv):
     deterministic_opponent : bool
         Whether models take their best move; if not, they draw with a generator of their own, which no seed of this
         environment reaches.
-    render_mode : {"rgb_array", "human"}, optional
+    vehicle : VehicleParams, dict, str or Path, or a list of two
+        Parameters of both cars, or of car 0 and car 1: a dict or a YAML file names those that differ from F1TENTH's
+        (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.
+    randomize : Randomization, dict, str or Path, optional
+        Ranges from which each episode draws friction, mass, steering delay and steering noise of its cars
+        (:class:`pcs_racing.envs.randomization.Randomization`), such as ``{"friction": [0.7, 1.1]}``.
+    obstacles : Obstacles, int, dict, str or Path, optional
+        Boxes that stand on the track, drawn for each episode: how many, or their settings
+        (:class:`pcs_racing.envs.obstacles.Obstacles`).
+        A car that touches one has crashed as into a wall, and the lattice planner avoids most.
+    render_mode : {"rgb_array", "rgb_array_list", "human"}, optional
+        With "rgb_array" a frame shows how a step ended; with "rgb_array_list" `render` returns all frames of the last
+        step, 25 for each second of racing (:class:`pcs_racing.envs.video.RecordRaces` makes a video of them).
     view : {"track", "both", "car_0", "car_1"}
         What a frame shows.
     render_size : tuple of int
@@ -134,17 +153,21 @@ class DuelEnv(ScalarEnv):
     (31,)
     """
 
+    metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
     batch_type = GameBatch
     batch: GameBatch
 
     def __init__(
         self,
-        track: Track | str | Path = "Tarnfjord",
+        track: Any = "Tarnfjord",
         archive: PolicyArchive | str | Path = "default",
         opponent: Any = "random-moves",
         race: GameConfig | RaceConfig | str | Path = "paper",
         *,
         deterministic_opponent: bool = True,
+        vehicle: Any = F1TENTH,
+        randomize: Any = None,
+        obstacles: Any = None,
         render_mode: str | None = None,
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),
@@ -181,8 +204,10 @@ class DuelVectorEnv(BatchVectorEnv):
         Moves after which a game is truncated.
     threads : int, optional
         Threads that share a step, all cores by default; the result does not depend on it.
-    track, archive, opponent, race, deterministic_opponent, render_mode, view, render_size, **settings
+    track, archive, opponent, race, deterministic_opponent, vehicle, randomize, obstacles, render_mode, view
         As for :class:`DuelEnv`; `render` returns a frame for each environment.
+    render_size, **settings
+        As for :class:`DuelEnv`.
 
     Raises
     ------
@@ -206,11 +231,14 @@ class DuelVectorEnv(BatchVectorEnv):
         self,
         num_envs: int = 1,
         *,
-        track: Track | str | Path = "Tarnfjord",
+        track: Any = "Tarnfjord",
         archive: PolicyArchive | str | Path = "default",
         opponent: Any = "random-moves",
         race: GameConfig | RaceConfig | str | Path = "paper",
         deterministic_opponent: bool = True,
+        vehicle: Any = F1TENTH,
+        randomize: Any = None,
+        obstacles: Any = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         threads: int | None = None,

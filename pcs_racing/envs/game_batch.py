@@ -1,7 +1,8 @@
 """Many games side by side: the batch behind the environments of the strategy level."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,27 +11,38 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.infos import Crash, Result, codes
-from pcs_racing.envs.opponents import draw_opponent, parse_opponents, shared_planner
+from pcs_racing.envs.obstacles import obstacles_option
+from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
 from pcs_racing.envs.reset_options import start_option
+from pcs_racing.envs.variety import Variety
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.competitor import ask_moves
-from pcs_racing.game.config import GameConfig
+from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.observation import ObservationElement
-from pcs_racing.game.rules import OUTSIDE, RaceGame, check_moves, make_game
-from pcs_racing.game.state import GameState, empty_game, put_games
+from pcs_racing.game.rules import OUTSIDE, RaceGame, check_moves
+from pcs_racing.game.starting import check_policies
+from pcs_racing.game.state import GameState, empty_game, put_games, take_games
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.kernel import DT
-from pcs_racing.race.rendering import Renderer
+from pcs_racing.race.races import advance
+from pcs_racing.race.rendering import Renderer, half_sizes
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import RaceState, take
 from pcs_racing.track.track import Track
 
 __all__ = ["GameBatch"]
 
 NO_MOVE = -1  # before the first move, and for a driver
+FILM_TICKS = 4  # simulation steps between two frames of a film
+FILM_RATE = 25  # frames for each second of racing
+TRAIL = 50  # frames of trail behind each car: two seconds
+KEPT_GAMES = 64  # on circuits that no episode is on
 
 
 class GameBatch:
@@ -42,8 +54,10 @@ class GameBatch:
     ----------
     episodes : int
         Number of games.
-    track, archive, race, **settings
+    archive, race, **settings
         As in :func:`pcs_racing.game.rules.make_game`.
+    track, vehicle, randomize, obstacles
+        As in :class:`pcs_racing.envs.variety.Variety`.
     opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
         None where a second player moves car 1.
     deterministic_opponent : bool
@@ -56,6 +70,7 @@ class GameBatch:
     Attributes
     ----------
     game : RaceGame
+        On the first circuit; the rules are the same on the others.
     state : GameState or None
         None before the first `restart`.
     seen : ndarray, shape (episodes, 2, D)
@@ -64,18 +79,22 @@ class GameBatch:
         Last move of each car; -1 before the first.
     """
 
-    reset_options: tuple[str, ...] = ("policies", "start")
+    reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
     frame_rate = 1
+    film_rate: int | None = FILM_RATE
 
     def __init__(
         self,
         episodes: int,
         *,
-        track: Track | str | Path,
+        track: Any,
         archive: PolicyArchive | str | Path,
         opponent: Any,
         race: GameConfig | RaceConfig | str | Path,
         deterministic_opponent: bool = True,
+        vehicle: Any = F1TENTH,
+        randomize: Any = None,
+        obstacles: Any = None,
         threads: int | None = None,
         players: int = 1,
         **settings: Any,
@@ -87,10 +106,13 @@ class GameBatch:
                 + ("name one, for instance 'random-moves'" if players == 1 else "both cars belong to players here")
             )
         self.episodes, self.players = int(episodes), players
-        game = make_game(track, load_archive(archive), race, threads=threads, **settings)
-        self.opponents = [] if opponent is None else parse_opponents(opponent, game)
-        planner = shared_planner(self.opponents, game)
-        self.game: RaceGame = game if planner is game.setup.planners[1] else replace(game, opponent_planner=planner)
+        self.variety = Variety(self.episodes, track, vehicle, randomize, obstacles)
+        if "lidar_noise" in self.variety.drawn:
+            raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
+        self._opponent = opponent
+        self._rules = load_game_config(race, **settings), load_archive(archive), threads
+        self._games: OrderedDict[int, tuple[RaceGame, list[Opponent]]] = OrderedDict()
+        self.game, self.opponents = self._on(0)
         weights = np.array([each.weight for each in self.opponents] or [1.0])
         self._edges = np.cumsum(weights) / weights.sum()
         self._deterministic = deterministic_opponent
@@ -106,8 +128,10 @@ class GameBatch:
             "move": moves,
             "opponent_move": moves,
             "opponent": {-1: "none", **{i: each.name for i, each in enumerate(self.opponents)}},
+            **self.variety.codes,
         }
         self.state: GameState | None = None
+        self.before: GameState | None = None  # what the last step began with: films are driven again from it
         self.seen = np.zeros((self.episodes, 2, len(low)), np.float32)
         self.drawn = np.zeros(self.episodes, np.int64)  # index of each game's opponent
         self.moves = np.full((self.episodes, 2), NO_MOVE, np.int64)
@@ -120,8 +144,39 @@ class GameBatch:
 
     @property
     def track(self) -> Track:
-        """The circuit."""
-        return self.game.track
+        """The circuit of the first episode."""
+        return self.track_of(0)
+
+    def track_of(self, environment: int) -> Track:
+        """Return the circuit that an environment is on."""
+        return self.game.track if self.state is None else self.variety.track(environment // self.players)
+
+    def game_of(self, episode: int) -> RaceGame:
+        """Return the game on the circuit of an episode."""
+        return self._on(int(self.variety.circuits.number[episode]))[0]
+
+    def _on(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
+        """The game on a circuit, by its number, and the opponents in it."""
+        known = self._games.get(circuit)
+        if known is None:
+            (rules, archive, threads), variety = self._rules, self.variety
+            game = RaceGame(
+                variety.circuits.track(circuit),
+                archive,
+                rules,
+                threads=threads,
+                vehicles=variety.cars,
+                most_delay=variety.randomization.most_delay,
+            )
+            opponents = [] if self._opponent is None else parse_opponents(self._opponent, game)
+            planner = shared_planner(opponents, game)
+            if planner is not game.setup.planners[1]:
+                game = replace(game, opponent_planner=planner)
+            known = self._games[circuit] = game, opponents
+            if len(self._games) > KEPT_GAMES + self.episodes:
+                self._games.popitem(last=False)
+        self._games.move_to_end(circuit)
+        return known
 
     def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
         """Return moves as (episodes, players)."""
@@ -136,10 +191,20 @@ class GameBatch:
     ) -> None:
         """Begin new games in some places, each drawn from its own generator.
 
-        Options: "policies", two indices of the archive for each game or for all (-1 draws one), and "start", arc length
-        of the line (m) and side (0 puts car 0 on the left or in front), for each game or for all.
+        Options: "policies", two indices of the archive for each game or for all (-1 draws one); "start", arc length of
+        the line (m) and side (0 puts car 0 on the left or in front); and "obstacles", boxes (x, y, heading, length,
+        width), for each game or for all.
         """
         starts = start_option(options, len(rows))
+        policies = check_policies(self.game.archive, options.get("policies"), len(rows))
+        boxes = obstacles_option(options, len(rows))
+        self.variety.draw(rows, generators)
+        if self.variety.obstacles is not None and starts is None:  # they must be known, to keep obstacles away
+            lines = [self.game_of(row).start_lines for row in rows]
+            drawn_lines = [line[gen.integers(len(line))] for line, gen in zip(lines, generators, strict=True)]
+            starts = Starts(np.array(drawn_lines), np.array([gen.integers(2) for gen in generators], np.int64))
+        places = np.zeros((len(rows), 2)) if starts is None else np.repeat(starts.s[:, None], 2, axis=1)
+        self.variety.place_obstacles(rows, places, generators, boxes)
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
         drivers: list[Policy | None] = []
         drawn = np.zeros(len(rows), np.int64)
@@ -147,11 +212,17 @@ class GameBatch:
             if self.opponents:
                 drawn[i] = draw_opponent(self._edges, generator)
             drivers.append(self.opponents[drawn[i]].draw_policy(generator) if self.opponents else None)
-        fresh = self.game.reset(keys, policies=options.get("policies"), starts=starts, opponents=drivers)
         if self.state is None:
-            self.state = fresh
-        else:
-            put_games(self.state, rows, fresh)
+            self.state = self._empty()
+        for circuit, some in self.variety.groups(rows):
+            fresh = self._on(circuit)[0].reset(
+                keys[some],
+                policies=policies[some],
+                starts=None if starts is None else starts.take(some),
+                opponents=[drivers[i] for i in some],
+                conditions=self.variety.conditions(rows[some]),
+            )
+            put_games(self.state, rows[some], fresh)
         self.drawn[rows], self.moves[rows] = drawn, NO_MOVE
         for row in rows:
             self.memories[row] = None
@@ -172,17 +243,26 @@ class GameBatch:
     def step(self, actions: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> BatchStep:
         """Let both cars of every game move, and drive a step."""
         state = self.started()
-        moves = (
-            actions
-            if self.players == 2
-            else np.stack([actions[:, 0], self._replies(state, generators, self.seen[:, 1])], axis=1)
-        )
-        self.state = self.game.apply(state, moves)
+        moves = actions
+        if self.players == 1:
+            moves = np.stack([actions[:, 0], self._replies(state, generators, self.seen[:, 1])], axis=1)
+        self.before, self.state = state, self._apply(state, moves)
         self.moves = moves
         self.seen = self.game.observation(self.state)
         rewards = np.ascontiguousarray(self.game.reward(self.state)[:, : self.players]).reshape(-1)
         done = np.repeat(self.game.done(self.state), self.players)
         return BatchStep(self._observations(), rewards, done, np.zeros(len(done), np.bool_))
+
+    def _apply(self, state: GameState, moves: NDArray[np.int64]) -> GameState:
+        groups = self.variety.groups(np.arange(self.episodes))
+        if len(groups) == 1:
+            circuit, rows = groups[0]
+            return self._on(circuit)[0].apply(state, moves, self.variety.conditions(rows))
+        new = state.copy()
+        for circuit, rows in groups:
+            conditions = self.variety.conditions(rows)
+            put_games(new, rows, self._on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions))
+        return new
 
     def _replies(
         self,
@@ -194,22 +274,25 @@ class GameBatch:
         """Moves of the opponents, which observe ``seen``, in all games or among some."""
         replies = np.zeros(self.episodes, np.int64)
         among = np.arange(self.episodes) if among is None else among
-        for k, opponent in enumerate(self.opponents):
-            rows = among[self.drawn[among] == k]
-            if len(rows) == 0 or opponent.policies:
-                continue
-            asked = ask_moves(
-                opponent.competitor,
-                self.game,
-                state,
-                1,
-                rows=rows,
-                observation=seen,
-                memories=self.memories,
-                generators=generators,
-                deterministic=self._deterministic,
-            )
-            replies[rows] = asked[rows]
+        for circuit, some in self.variety.groups(among):
+            game, opponents = self._on(circuit)
+            on = among[some]
+            for k, opponent in enumerate(opponents):
+                rows = on[self.drawn[on] == k]
+                if len(rows) == 0 or opponent.policies:
+                    continue
+                asked = ask_moves(
+                    opponent.competitor,
+                    game,
+                    state,
+                    1,
+                    rows=rows,
+                    observation=seen,
+                    memories=self.memories,
+                    generators=generators,
+                    deterministic=self._deterministic,
+                )
+                replies[rows] = asked[rows]
         return replies
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
@@ -263,23 +346,71 @@ class GameBatch:
             "opponent_move": moves[:, other],
             "policy": state.policy[:, car].copy(),
             "action_mask": self.game.action_mask(state)[:, car].astype(np.int8),
+            "laps": race.lap_count[:, car],
+            "lap_time": race.lap_time[:, car],
+            "best_lap": race.best_lap[:, car],
+            **self.variety.infos(),
         }
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw a game as it stands."""
-        return draw_game(renderer, self, self.started(), environment // self.players)
+        episode = environment // self.players
+        return self._draw(renderer, episode, self.started().race, episode, None)
+
+    def film(
+        self, renderer: Renderer, environment: int, ticks: int | None = None
+    ) -> Iterator[NDArray[np.uint8] | None]:
+        """Drive the last step of a game again and draw it, a frame every so many simulation steps (4)."""
+        episode = environment // self.players
+        game, conditions = self.game_of(episode), self.variety.conditions(np.array([episode]))
+        trail: list[NDArray[np.float64]] = []
+        for begun, theta in self._pieces(episode):
+            race, left = begun.copy(), game.config.step_ticks
+            while left > 0:
+                drive, before = min(ticks or FILM_TICKS, left), int(race.tick[0])
+                advance(game.setup, race, theta, drive, threads=1, ittc=False, conditions=conditions)
+                if int(race.tick[0]) == before:
+                    break  # it is over
+                trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
+                yield self._draw(renderer, episode, race, 0, np.array(trail))
+                left -= drive
+
+    def _pieces(self, episode: int) -> list[tuple[RaceState, NDArray[np.float64]]]:
+        """Where the pieces of driving of an episode's last step began, and the parameters that drove them."""
+        state = self.started()
+        if self.before is None or int(self.before.race.tick[episode]) >= int(state.race.tick[episode]):
+            return []  # a new game, of which no move was driven yet
+        return [(take(self.before.race, [episode]), state.theta[episode : episode + 1].copy())]
+
+    def _draw(
+        self, renderer: Renderer, episode: int, race: RaceState, at: int, trails: NDArray[np.float64] | None
+    ) -> NDArray[np.uint8] | None:
+        """Draw a moment of an episode: race ``at`` of some races."""
+        names = ("you", self.opponents[self.drawn[episode]].name) if self.opponents else ("car_0", "car_1")
+        codes = self.codes["move"]
+        moves = " | ".join(f"{name}: {codes[int(self.moves[episode, car])]}" for car, name in enumerate(names))
+        text = f"{race.tick[at] * DT:.1f} s | lead of {names[0]} {race.lead[at]:+.1f} m | {moves}"
+        plans = [path[:, :2] for path in race.path[at] if path.any()]
+        renderer.show(self.variety.track(episode), half_sizes(self.variety.vehicles[episode]))
+        shown = plans if len(plans) == 2 else None
+        return renderer.render(race.cars[at], plans=shown, trails=trails, names=names, text=text)
+
+    def forget(self, rows: NDArray[np.int64]) -> None:
+        """Let what lasts for several episodes begin anew, as the generators of some episodes do."""
+        self.variety.circuits.forget(rows)
 
     def get_state(self) -> tuple[Any, ...]:
-        """Copies of all that changes: games, opponents, last moves, and what the opponents remember."""
+        """Copies of all that changes: games, opponents, last moves, what the opponents remember, and what was drawn."""
         state = None if self.state is None else self.state.copy()
-        return state, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories)
+        return state, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories), self.variety.get_state()
 
     def set_state(self, values: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned, here or in an equal batch."""
-        state, drawn, moves, memories = values
+        state, drawn, moves, memories, variety = values
         if state is not None:
             self._check_state(state)
-        self.state = None if state is None else state.copy()
+        self.variety.set_state(variety)
+        self.before, self.state = None, None if state is None else state.copy()
         self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
         if self.state is not None:
             self.seen = self.game.observation(self.state)
@@ -287,8 +418,7 @@ class GameBatch:
     def _check_state(self, state: Any) -> None:
         if not isinstance(state, GameState) or state.games != self.episodes:
             raise InputError(f"the state is not one of {self.episodes} games; use what get_state returned")
-        setup, axes = self.game.setup, len(self.game.characteristics)
-        model = empty_game(self.episodes, setup.memory_size, setup.theta_size, self.game.config.moves + 1, axes)
+        model = self._empty()
         names = (*model.race._fields, *model._fields[1:])
         given: list[Any] = [*state.race, *state[1:]]
         wanted: list[Any] = [*model.race, *model[1:]]
@@ -303,19 +433,10 @@ class GameBatch:
                 f"the state's policies {state.policy[0].tolist()} are not all in archive {self.game.archive.name!r}"
             )
 
+    def _empty(self) -> GameState:
+        setup, axes = self.game.setup, len(self.game.characteristics)
+        return empty_game(self.episodes, setup.memory_size, setup.theta_size, self.game.config.moves + 1, axes)
+
     def close(self) -> None:
-        """Do nothing: a game holds no threads."""
-
-
-def draw_game(
-    renderer: Renderer, batch: GameBatch, state: GameState, game: int, trails: NDArray[np.float64] | None = None
-) -> NDArray[np.uint8] | None:
-    """Draw one game of a batch at some moment of its driving."""
-    race = state.race
-    names = ("you", batch.opponents[batch.drawn[game]].name) if batch.opponents else ("car_0", "car_1")
-    moves = " | ".join(f"{name}: {batch.codes['move'][int(batch.moves[game, car])]}" for car, name in enumerate(names))
-    text = f"{race.tick[game] * DT:.1f} s | lead of {names[0]} {race.lead[game]:+.1f} m | {moves}"
-    plans = [path[:, :2] for path in race.path[game] if path.any()]
-    return renderer.render(
-        race.cars[game], plans=plans if len(plans) == 2 else None, trails=trails, names=names, text=text
-    )
+        """Stop building circuits."""
+        self.variety.circuits.close()

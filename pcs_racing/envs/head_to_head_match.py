@@ -1,7 +1,7 @@
 """The environment of a series of races for two agents, in PettingZoo's parallel and turn-by-turn interfaces."""
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,11 @@ from pettingzoo.utils import parallel_to_aec
 from pcs_racing.envs.arguments import batch_arguments
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
 from pcs_racing.envs.match_batch import MatchBatch
+from pcs_racing.envs.parallel import ParallelBatchEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.match import MatchGame
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track
 
 __all__ = ["HeadToHeadMatchEnv", "env", "parallel_env"]
@@ -84,7 +84,8 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
     - v0: first version.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {**HeadToHeadEnv.metadata, "name": "head_to_head_match_v0"}
+    metadata: dict[str, Any] = {**HeadToHeadEnv.metadata, "name": "head_to_head_match_v0"}  # noqa: RUF012
+    batch_type = MatchBatch
     batch: MatchBatch
 
     def __init__(
@@ -104,20 +105,12 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
         **settings: Any,
     ) -> None:
         arguments = batch_arguments(HeadToHeadMatchEnv, locals(), GameConfig, settings)
-        self._set_up(arguments, render_mode, view, render_size)
-
-    def _make_batch(self, arguments: dict[str, Any]) -> MatchBatch:
-        batch = MatchBatch(1, threads=1, players=2 if arguments["opponent"] is None else 1, **arguments)
-        batch.keep_driven = True
-        return batch
+        ParallelBatchEnv.__init__(self, arguments, render_mode, view, render_size, max_cycles)
 
     @property
     def match(self) -> MatchGame:
         """The rules."""
         return self.batch.match
-
-    def _pieces(self) -> list[tuple[RaceState, NDArray[np.float64]]]:
-        return self.batch.driven
 
 
 def parallel_env(**arguments: Any) -> HeadToHeadMatchEnv:

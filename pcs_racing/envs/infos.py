@@ -16,6 +16,10 @@ Every environment uses the same names, and every value is a number or an array o
 | `race_result` | of a match: :class:`Result` of the race that ended last |
 | `score`, `opponent_score` | of a match: races won so far, a tie counting half |
 | `policy` | index of the policy in the archive; -1 for a driver from outside |
+| `laps` | complete laps of the own car, from one forward crossing of the line s = 0 to the next |
+| `lap_time`, `best_lap` | s, of the last and the shortest of these laps; -1 if there is none |
+| `track` | number of the episode's circuit, where there are several |
+| `friction`, `mass`, `steering_delay`, `steering_noise`, `lidar_noise` | what was drawn for the episode, if it was |
 | `action_mask` | 1 for each move that may be made (int8) |
 """
 

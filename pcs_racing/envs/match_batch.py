@@ -49,11 +49,11 @@ class MatchBatch(GameBatch):
     match : MatchGame
     played : MatchState or None
         None before the first `restart`; ``state`` is its game.
-    keep_driven : bool
-        Whether to fill ``driven``; for a batch of one match.
     driven : list of (RaceState, ndarray)
-        What the pieces of driving of the last step began with, and their parameters; for frames.
+        In a batch of one match, what the pieces of driving of the last step began with, and their parameters.
     """
+
+    reset_options: tuple[str, ...] = ("policies", "start")
 
     def __init__(self, episodes: int, *, races: int = 3, race_moves: bool = False, **arguments: Any) -> None:
         for name in UNUSED:
@@ -61,6 +61,8 @@ class MatchBatch(GameBatch):
                 raise InputError(f"{name} does not count in a match, which pays the score of each race; leave it out")
         config = MatchConfig(races=races, race_moves=race_moves)
         super().__init__(episodes, **arguments)
+        if self.variety.circuits.several:
+            raise InputError("track names several circuits; all races of a match are driven on one")
         self.match = MatchGame(self.game, config)
         self.horizon = races * (self.game.config.moves + 1) if race_moves else races
         low, high = (np.array([getattr(e, end) for e in self.elements], np.float32) for end in ("low", "high"))
@@ -72,7 +74,6 @@ class MatchBatch(GameBatch):
         self.codes = {**self.codes, "race_result": codes(Result)}
         self.seen = np.zeros((self.episodes, 2, len(low)), np.float32)
         self.played: MatchState | None = None
-        self.keep_driven = False
         self.driven: list[tuple[RaceState, NDArray[np.float64]]] = []
 
     @property
@@ -162,7 +163,7 @@ class MatchBatch(GameBatch):
         self._forget(between)
         self.moves[between] = -1
         started = self.match.start(played, choices)
-        if self.keep_driven:
+        if self.episodes == 1:
             race = int(played.race[0])
             starts = Starts(played.starts[:, race], played.sides[:, race])
             self.driven.append((start_races(self.game.setup, starts, played.noise[:, race]), started.game.theta))
@@ -188,9 +189,12 @@ class MatchBatch(GameBatch):
             moves[:, 1] = np.where(choosing[self.drawn], stay, replies)
         self.moves[rows] = moves[rows]
         moved = self.match.move(played, moves, rows)
-        if self.keep_driven:
+        if self.episodes == 1:
             self.driven.append((played.game.race, moved.game.theta))
         return moved
+
+    def _pieces(self, episode: int) -> list[tuple[RaceState, NDArray[np.float64]]]:
+        return self.driven
 
     # What is told of the matches
 

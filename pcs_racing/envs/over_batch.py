@@ -10,7 +10,13 @@ from pcs_racing.envs.batch import Batch
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.track.track import Track
 
-__all__ = ["REBUILDING", "OverBatch"]
+__all__ = ["FILM", "REBUILDING", "OverBatch"]
+
+FILM = "rgb_array_list"
+"""Render mode in which `render` returns all frames of a step."""
+
+WINDOW_TICKS = 16
+"""Simulation steps between two frames that a window shows of a long step: at 25 a second, four times as fast."""
 
 REBUILDING = ("track", "opponent")
 """Options of a reset that stand for arguments of the environment."""
@@ -70,12 +76,27 @@ class OverBatch:
     def _open_renderer(self) -> Renderer:
         """Return what draws the frames; made when the first one is asked for."""
         if self.render_mode is None:
-            raise InputError("render_mode is None; make the environment with render_mode='rgb_array' or 'human'")
+            raise InputError("render_mode is None; make the environment with another one, such as 'rgb_array'")
         self._check_started()
         if self._renderer is None:
             fps = float(self.metadata["render_fps"])
-            self._renderer = Renderer(self.track, *self.render_size, self.render_mode, view=self.view, fps=fps)
+            mode = "human" if self.render_mode == "human" else "rgb_array"
+            self._renderer = Renderer(self.track, *self.render_size, mode, view=self.view, fps=fps)
         return self._renderer
+
+    def _show_step(self) -> None:
+        """Show the first environment's last step in the window."""
+        renderer = self._open_renderer()
+        frames = 0
+        for _ in self.batch.film(renderer, 0, WINDOW_TICKS):
+            frames += 1
+        if frames == 0:
+            self.batch.draw(renderer, 0)
+
+    def _frames_per_second(self) -> int:
+        """Frame rate of what `render` returns, or the window shows."""
+        whole_steps = self.render_mode in (FILM, "human") and self.batch.film_rate is not None
+        return self.batch.film_rate or 1 if whole_steps else self.batch.frame_rate
 
     def _close_renderer(self) -> None:
         """Close the window, if there is one."""

@@ -7,6 +7,7 @@ __all__ = ["GYMNASIUM_IDS", "PETTINGZOO_IDS", "register_environments"]
 
 PETTINGZOO_IDS = {
     "pcs_racing/head_to_head-v1": "pcs_racing.envs.head_to_head",
+    "pcs_racing/drive_head_to_head-v0": "pcs_racing.envs.drive_head_to_head",
     "pcs_racing/head_to_head_match-v0": "pcs_racing.envs.head_to_head_match",
 }
 """The module with ``parallel_env`` and ``env``, by name."""

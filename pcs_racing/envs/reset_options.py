@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.race.driving import vehicle_rows
-from pcs_racing.race.kernel import place_cars
 from pcs_racing.race.races import RaceSetup
-from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.start_grid import Starts, settle
 from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import X, Y
 
@@ -89,7 +87,7 @@ def place_poses(setup: RaceSetup, poses: NDArray[np.float64], alone: bool) -> Ra
     state.cars[:, :, X], state.cars[:, :, Y] = poses[..., 0], poses[..., 1]
     state.cars[:, :, _vehicle.PSI] = np.mod(poses[..., 2], 2.0 * np.pi)
     state.cars[:, :, _vehicle.V] = poses[..., 3]
-    place_cars(setup.track.arrays, state, vehicle_rows(setup.vehicles, len(poses)))
+    settle(setup.track, setup.vehicles, state)
     wrong = np.flatnonzero((state.crash[:, 0] == 1) if alone else state.crashed)
     if len(wrong):
         raise InputError(

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.envs.drive import DriveVectorEnv
+from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
+from pcs_racing.envs.match import MatchVectorEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 
 try:
@@ -28,8 +30,11 @@ KINDS: dict[str, type[Any]] = {
     "duel": DuelVectorEnv,
     "drive": DriveVectorEnv,
     "self-play": SelfPlayVectorEnv,
+    "match": MatchVectorEnv,
+    "drive-self-play": DriveHeadToHeadVectorEnv,
     "pcs_racing/Duel-v1": DuelVectorEnv,
     "pcs_racing/Drive-v1": DriveVectorEnv,
+    "pcs_racing/Match-v0": MatchVectorEnv,
 }
 """What can be made, by name."""
 
@@ -40,8 +45,9 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
     Parameters
     ----------
     kind : str
-        "duel" or "pcs_racing/Duel-v1"; "drive" or "pcs_racing/Drive-v1"; "self-play": both cars of ``num_envs / 2``
-        games belong to the learner, whose policy plays against itself.
+        "duel" or "pcs_racing/Duel-v1"; "match" or "pcs_racing/Match-v0"; "drive" or "pcs_racing/Drive-v1"; "self-play":
+        both cars of ``num_envs / 2`` games belong to the learner, whose policy plays against itself; "drive-self-play":
+        the same at the level of steering and speed.
     num_envs : int
         Number of environments; even for self-play.
     **arguments

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_reset_seed
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.over_batch import REBUILDING, OverBatch
+from pcs_racing.envs.over_batch import FILM, REBUILDING, OverBatch
 from pcs_racing.race.rendering import MODES
 
 __all__ = ["EnvState", "ScalarEnv"]
@@ -55,7 +55,7 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
     def __init__(
         self, arguments: dict[str, Any], render_mode: str | None, view: str, render_size: tuple[int, int]
     ) -> None:
-        check_rendering(render_mode, view)
+        check_rendering(render_mode, view, self.metadata["render_modes"])
         self.render_mode, self.view, self.render_size = render_mode, view, render_size
         self._arguments = arguments
         self._use(self._make_batch(arguments))
@@ -63,6 +63,7 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
         self.action_space = self.batch.action_space
         self._row = np.zeros(1, np.int64)
         self._started = self._running = False
+        self._filmed = True  # whether `render` has returned the frames of the last step
 
     def _make_batch(self, arguments: dict[str, Any]) -> Batch:
         batch: Batch = self.batch_type(1, threads=1, **arguments)
@@ -70,7 +71,7 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
 
     def _use(self, batch: Batch) -> None:
         self.batch = batch
-        self.metadata = {**type(self).metadata, "render_fps": batch.frame_rate, "codes": batch.codes}
+        self.metadata = {**type(self).metadata, "render_fps": self._frames_per_second(), "codes": batch.codes}
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -104,6 +105,8 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
             raise InputError("reset option 'state' was given with others or a seed; a state leaves nothing to choose")
         super().reset(seed=number)
         if state is None:
+            if number is not None:
+                batch.forget(self._row)
             batch.restart(self._row, [self.np_random], given)
         if batch is not self.batch:
             self.close()
@@ -113,6 +116,7 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
             self._started = self._running = True
         else:
             self.set_state(state)
+        self._filmed = False
         if self.render_mode == "human":
             self.render()
         return self._observation(), self.batch.info(0)
@@ -138,8 +142,9 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
         observations, rewards, terminated, truncated = self.batch.step(actions, [self.np_random])
         ended, late = bool(terminated[0]), bool(truncated[0])
         self._running = not (ended or late)
+        self._filmed = False
         if self.render_mode == "human":
-            self.render()
+            self._show_step()
         return observations[0], float(rewards[0]), ended, late, self.batch.info(0)
 
     def outcome(self) -> dict[str, Any]:
@@ -147,8 +152,10 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
         self._check_started()
         return words(self.batch.info(0), self.batch.codes)
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a frame (``"rgb_array"``), or show it (``"human"``).
+    def render(self) -> Any:
+        """Return a frame (``"rgb_array"``), show it (``"human"``), or return the last step's (``"rgb_array_list"``).
+
+        The frames of a step are returned once, then an empty list. Before the first step it is the frame of the moment.
 
         Raises
         ------
@@ -156,7 +163,11 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
             Before the first reset, or if the environment was made without a render mode.
         """
         renderer = self._open_renderer()
-        return self.batch.draw(renderer, 0)
+        if self.render_mode != FILM:
+            return self.batch.draw(renderer, 0)
+        frames = [] if self._filmed else list(self.batch.film(renderer, 0)) or [self.batch.draw(renderer, 0)]
+        self._filmed = True
+        return frames
 
     def close(self) -> None:
         """Close the window, if there is one."""

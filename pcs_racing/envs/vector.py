@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_whole
+from pcs_racing.base.checks import check_whole, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_reset_seed
 from pcs_racing.envs.infos import words
@@ -95,7 +95,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         check_rendering(render_mode, view)
         if max_episode_steps is not None:
             check_whole("max_episode_steps", max_episode_steps, 1)
-        episodes, rest = divmod(num_envs, players) if isinstance(num_envs, int | np.integer) else (num_envs, 0)
+        episodes, rest = divmod(num_envs, players) if is_whole(num_envs) else (num_envs, 0)
         if rest:
             raise InputError(f"num_envs is {num_envs}; it must be even: two environments belong to each game")
         self.autoreset_mode = check_autoreset_mode(autoreset_mode)
@@ -119,7 +119,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
 
     def _use(self, batch: Batch) -> None:
         self.batch = batch
-        own = {"render_fps": batch.frame_rate, "codes": batch.codes, "autoreset_mode": self.autoreset_mode}
+        own = {"render_fps": self._frames_per_second(), "codes": batch.codes, "autoreset_mode": self.autoreset_mode}
         self.metadata = {**type(self).metadata, **own}
 
     def reset(
@@ -149,7 +149,8 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             if len(rows) < batch.episodes:
                 raise InputError("all environments share track and opponent; they can't be changed with a reset_mask")
             batch = self._make_batch({**self._arguments, **changes}, batch.episodes)
-        generators = self._renewed_generators(seed)
+        generators, seeds = self._renewed_generators(seed)
+        batch.forget(np.flatnonzero([one is not None for one in seeds]))
         batch.restart(rows, [generators[i] for i in rows], given)
         if batch is not self.batch:
             self.close_extras()
@@ -207,7 +208,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             self._restart(np.flatnonzero(self._over), observations)
             self._over[:] = False
         if self.render_mode == "human":
-            self.render()
+            self._show_step()
         return observations, rewards, terminated, truncated, self._infos() | final
 
     def outcome(self) -> list[dict[str, Any]]:
@@ -279,12 +280,15 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         self._check_started()
         return np.flatnonzero(given.reshape(-1, self.players).any(axis=1))
 
-    def _renewed_generators(self, seed: int | list[int | None] | None) -> list[np.random.Generator]:
+    def _renewed_generators(
+        self, seed: int | list[int | None] | None
+    ) -> tuple[list[np.random.Generator], list[int | None]]:
         seeds = split_seeds(seed, self.batch.episodes)
-        return [
+        generators = [
             seeding.np_random(one)[0] if not self._generators or one is not None else self._generators[i]
             for i, one in enumerate(seeds)
         ]
+        return generators, seeds
 
     def _restart(self, rows: NDArray[np.int64], observations: NDArray[np.float32]) -> None:
         self.batch.restart(rows, [self._generators[i] for i in rows])
@@ -357,7 +361,7 @@ def check_autoreset_mode(mode: Any) -> AutoresetMode:
     raise InputError(f"autoreset_mode is {mode!r}; it must be one of {names}")
 
 
-def split_seeds(seed: int | list[int | None] | None, episodes: int) -> list[int | None]:
+def split_seeds(seed: Any, episodes: int) -> list[int | None]:
     """One seed for each episode, as Gymnasium's own vector environments split them: i more for episode i.
 
     Raises
@@ -367,7 +371,7 @@ def split_seeds(seed: int | list[int | None] | None, episodes: int) -> list[int 
     """
     if seed is None:
         return [None] * episodes
-    if isinstance(seed, int | np.integer):
+    if is_whole(seed):
         first = check_reset_seed(seed) or 0
         return [first + i for i in range(episodes)]
     try:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.learned import LearnedCharacteristics, register_learned
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 
@@ -81,11 +82,14 @@ class PolicyArchive:
         Share of the races behind the coordinates that ended by a crash of the policy's own fault, 0 to 1.
     explored_own_crash : ndarray, shape (E,), optional
         The same for everything that was evaluated on the way.
+    learned : LearnedCharacteristics, optional
+        Learned axes that the archive brings with it; they are registered when the archive is made.
 
     Raises
     ------
     InputError
-        If an array is not finite or has another shape, an axis has no extent, or a name is no text.
+        If an array is not finite or has another shape, an axis has no extent, a name is no text, or the name of a
+        learned axis is taken by another characteristic.
     UnknownNameError
         If a characteristic is unknown.
     """
@@ -105,6 +109,7 @@ class PolicyArchive:
     spread: Floats | None = None
     own_crash: Floats | None = None
     explored_own_crash: Floats | None = None
+    learned: LearnedCharacteristics | None = None
 
     def __post_init__(self) -> None:
         for key in ("name", "planner", "preset"):
@@ -116,6 +121,10 @@ class PolicyArchive:
             if isinstance(names, str) or not all(isinstance(name, str) for name in names) or len(names) == 0:
                 raise InputError(f"{where}: {key} is {names!r}; it must be a list of texts")
             object.__setattr__(self, key, tuple(names))
+        if self.learned is not None:
+            if not isinstance(self.learned, LearnedCharacteristics):
+                raise InputError(f"{where}: learned is {self.learned!r:.80}; it must be LearnedCharacteristics")
+            register_learned(self.learned)
         get_characteristics(self.characteristics)
         for key, value in self.settings.items():
             if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
@@ -193,6 +202,8 @@ class PolicyArchive:
         for key in ("parameters", "coordinates", "ideal", "nadir"):
             array = getattr(self, key)
             digest.update(f"{key} {array.shape};".encode() + array.astype("<f8").tobytes())
+        if self.learned is not None:
+            digest.update(self.learned.content_hash.encode())
         return digest.hexdigest()
 
     # Coordinates

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.race.kernel import DT
-from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, PROFILE, STEERING, TIME, RaceState
+from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, LATERAL, PROFILE, STEERING, TIME, RaceState
 
 __all__ = [
     "AGGRESSIVENESS",
     "BLOCKING_SHARE",
+    "CORNERING",
     "PACE",
     "RESTRAINT",
     "SMOOTHNESS",
@@ -104,6 +105,10 @@ def _blocking(segment: Segment) -> NDArray[np.float64]:
     return segment.sums[..., BLOCKING] / np.maximum(segment.sums[..., TIME], 0.5)
 
 
+def _cornering(segment: Segment) -> NDArray[np.float64]:
+    return np.sqrt(segment.sums[..., LATERAL] / np.maximum(segment.sums[..., TIME], 0.5))
+
+
 def _speed(segment: Segment) -> NDArray[np.float64]:
     return segment.sums[..., PROFILE] / np.maximum(segment.sums[..., TIME], 0.5)
 
@@ -119,6 +124,7 @@ SMOOTHNESS = Characteristic("smoothness", "rad/s", "minus the mean steering rate
 BLOCKING_SHARE = Characteristic(
     "blocking", "1", "share of the time spent just ahead and in the opponent's way", _blocking
 )
+CORNERING = Characteristic("cornering", "m/s^2", "root mean square of the lateral acceleration", _cornering)
 SPEED = Characteristic(
     "speed",
     "1",
@@ -131,18 +137,18 @@ _registered: dict[str, Characteristic] = {}
 
 
 def register_characteristic(characteristic: Characteristic) -> None:
-    """Register a characteristic under its name.
+    """Register a characteristic under its name; registering an equal one again does nothing.
 
     Raises
     ------
     InputError
         If the name is taken by another one.
     """
-    if _registered.setdefault(characteristic.name, characteristic) is not characteristic:
+    if _registered.setdefault(characteristic.name, characteristic) != characteristic:
         raise InputError(f"a characteristic named {characteristic.name!r} exists already; choose another name")
 
 
-for _characteristic in (AGGRESSIVENESS, PACE, RESTRAINT, SMOOTHNESS, BLOCKING_SHARE, SPEED):
+for _characteristic in (AGGRESSIVENESS, PACE, RESTRAINT, SMOOTHNESS, BLOCKING_SHARE, SPEED, CORNERING):
     register_characteristic(_characteristic)
 
 

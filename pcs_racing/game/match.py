@@ -272,8 +272,11 @@ class MatchGame:
         # The last step of a crash is shorter than the others and counts less.
         ticks = game.race.tick[:, None] - config.step_ticks * np.arange(config.moves + 1)
         weights = np.clip(ticks, 0, config.step_ticks) / np.maximum(game.race.tick, 1)[:, None]
-        state.own[rows, :, race] = np.einsum("bcng,bn->bcg", game.own, weights)
-        state.measured[rows, :, race] = np.einsum("bcng,bn->bcg", game.estimates, weights)
+        # Step by step, in an order that depends neither on the batch nor on the processor.
+        for step in range(config.moves + 1):
+            weight = weights[:, step, None, None]
+            state.own[rows, :, race] += weight * game.own[:, :, step]
+            state.measured[rows, :, race] += weight * game.estimates[:, :, step]
         state.leads[rows, race] = game.race.lead
         state.driven[rows, race] = game.race.tick / (config.step_ticks * (config.moves + 1))
         winner = winners(config.race, game.race)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive, check_indices
 
@@ -124,13 +125,8 @@ def check_epsilon(epsilon: Any) -> tuple[float, ...]:
     InputError
         If they are anything else.
     """
-    single = isinstance(epsilon, int | float | np.integer | np.floating)
-    try:
-        lengths = (epsilon,) if single else tuple(epsilon)
-        steps = tuple(float(e) for e in lengths)
-        valid = all(not isinstance(e, bool | str) for e in lengths) and all(0.0 < e <= 10.0 for e in steps)
-    except (TypeError, ValueError, OverflowError):
-        steps, valid = (), False
-    if not valid or not steps or len(set(steps)) != len(steps):
+    lengths = list(epsilon) if isinstance(epsilon, list | tuple | np.ndarray) else [epsilon]
+    steps = tuple(float(length) for length in lengths if is_number(length) and 0.0 < length <= 10.0)
+    if not steps or len(steps) < len(lengths) or len(set(steps)) < len(steps):
         raise InputError(f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones")
     return steps

@@ -24,7 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import is_flag
 from pcs_racing.base.errors import InputError
+from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
@@ -42,7 +44,9 @@ from pcs_racing.game.starting import DRAW, as_array, check_policies, driver_para
 from pcs_racing.game.state import GameState, empty_game, put_games
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
+from pcs_racing.race.conditions import RaceConditions
 from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
@@ -80,6 +84,10 @@ class RaceGame:
         Threads to share the races of a batch; all cores by default. It does not change the result.
     ego_planner : Planner or str, optional
         The same for car 0 (``reset(egos=...)``).
+    vehicles : tuple of two VehicleParams
+        Car 0 and car 1.
+    most_delay : float
+        Longest ``steer_delay`` of a car in a game that has cars of its own (``conditions``), s.
 
     Raises
     ------
@@ -95,6 +103,8 @@ class RaceGame:
     opponent_planner: Planner | str | None = None
     threads: int | None = None
     ego_planner: Planner | str | None = None
+    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH)
+    most_delay: float = 0.0
 
     def __post_init__(self) -> None:
         if self.config.characteristics is not None and self.config.characteristics != self.archive.characteristics:
@@ -104,7 +114,7 @@ class RaceGame:
             get_planner(planner) if isinstance(planner, str) else planner or family
             for planner in (self.ego_planner, self.opponent_planner)
         )
-        setup = RaceSetup(self.track, self.config.race_rules, (first, second))
+        setup = RaceSetup(self.track, self.config.race_rules, (first, second), self.vehicles, self.most_delay)
         theta = np.zeros((len(self.archive), setup.theta_size))
         policies = self.archive.complete(self.archive.parameters)
         width = min(theta.shape[1], policies.shape[1])  # less if neither car can drive its policies
@@ -126,6 +136,8 @@ class RaceGame:
             self.opponent_planner,
             self.threads,
             self.ego_planner,
+            self.vehicles,
+            self.most_delay,
         )
 
     def __copy__(self) -> "RaceGame":
@@ -196,6 +208,7 @@ class RaceGame:
         opponents: Policy | Sequence[Policy | None] | None = None,
         egos: Policy | Sequence[Policy | None] | None = None,
         redraw: bool = True,
+        conditions: RaceConditions = AS_THE_SETUP,
     ) -> GameState:
         """Start a batch of games and drive the step in which the players only watch.
 
@@ -221,6 +234,8 @@ class RaceGame:
         redraw : bool
             Draw a game again (up to 20 times) if it ends by a crash before the first move. A game of which start and
             policies are given is never drawn again: it is over at once.
+        conditions : RaceConditions
+            Cars and tracks of single games.
 
         Raises
         ------
@@ -249,7 +264,8 @@ class RaceGame:
             else:
                 line = (bits[:, 0] % np.uint64(len(self.start_lines))).astype(np.int64)
                 grid = Starts(self.start_lines[line], (bits[:, 1] % np.uint64(2)).astype(np.int64))
-            return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows])
+            own = conditions if conditions is AS_THE_SETUP else conditions.take(rows)
+            return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows], own)
 
         state = begin(np.arange(count), 0)
         free = drawn.any(axis=1) | (starts is None)
@@ -261,7 +277,13 @@ class RaceGame:
         return state
 
     def start(
-        self, policy: Indices, starts: Starts, noise: NDArray[np.uint64], theta: Floats, outside: NDArray[np.bool_]
+        self,
+        policy: Indices,
+        starts: Starts,
+        noise: NDArray[np.uint64],
+        theta: Floats,
+        outside: NDArray[np.bool_],
+        conditions: RaceConditions = AS_THE_SETUP,
     ) -> GameState:
         """Put the cars of B games on the grid, and drive the step in which the players only watch.
 
@@ -276,12 +298,14 @@ class RaceGame:
             Parameters of the drivers from outside.
         outside : ndarray of bool, shape (B, 2)
             Whose driver is from outside the archive.
+        conditions : RaceConditions
+            Cars and tracks of single games.
         """
-        state = self.empty_state(start_races(self.setup, starts, noise))
+        state = self.empty_state(start_races(self.setup, starts, noise, conditions))
         state.policy[:] = policy
         state.theta[:] = self.theta(policy)
         state.theta[outside] = theta[outside]
-        self._drive(state, np.ones(len(policy), np.bool_))
+        self._drive(state, np.ones(len(policy), np.bool_), conditions)
         return state
 
     def empty_state(self, races: RaceState) -> GameState:
@@ -310,8 +334,11 @@ class RaceGame:
         """
         return self.apply(state, check_moves(actions, self.move_names, (state.games, 2), ("game", "car")))
 
-    def apply(self, state: GameState, moves: Indices) -> GameState:
-        """Do what :meth:`step` does with moves that were checked already, indices in :attr:`competitor_moves`."""
+    def apply(self, state: GameState, moves: Indices, conditions: RaceConditions = AS_THE_SETUP) -> GameState:
+        """Do what :meth:`step` does with moves that were checked already, indices in :attr:`competitor_moves`.
+
+        The conditions are those of :meth:`reset`.
+        """
         new = state.copy()
         going = ~self.done(state)
         moving = going[:, None] & (state.policy != OUTSIDE)
@@ -319,7 +346,7 @@ class RaceGame:
         new.policy[:] = np.where(moving, self.next_policy(state.policy, moves), state.policy)
         new.theta[:] = np.where(moving[..., None], self.theta(new.policy), state.theta)
         new.step[:] = state.step + going
-        self._drive(new, going)
+        self._drive(new, going, conditions)
         return new
 
     def next_policy(self, policies: Indices, moves: Indices) -> Indices:
@@ -368,9 +395,9 @@ class RaceGame:
 
     # A step of driving
 
-    def _drive(self, state: GameState, going: NDArray[np.bool_]) -> None:
+    def _drive(self, state: GameState, going: NDArray[np.bool_], conditions: RaceConditions) -> None:
         """Drive a step in place, and record what can be observed of the games that went on."""
-        estimates = self._advance(state.race, state.theta)
+        estimates = self._advance(state.race, state.theta, conditions)
         self.record_step(state, np.flatnonzero(going), estimates)
 
     def record_step(self, state: GameState, rows: Indices, estimates: Floats) -> None:
@@ -392,9 +419,9 @@ class RaceGame:
         )
         state.leads[rows, now] = state.race.lead[rows]
 
-    def _advance(self, races: RaceState, theta: Floats) -> Floats:
+    def _advance(self, races: RaceState, theta: Floats, conditions: RaceConditions = AS_THE_SETUP) -> Floats:
         before = races._replace(progress=races.progress.copy(), sums=races.sums.copy(), tick=races.tick.copy())
-        advance(self.setup, races, theta, self.config.step_ticks, threads=self.threads)
+        advance(self.setup, races, theta, self.config.step_ticks, threads=self.threads, conditions=conditions)
         return self.measure(before, races)
 
     def measure(self, before: RaceState, after: RaceState) -> Floats:
@@ -435,6 +462,8 @@ def make_game(
     opponent_planner: Planner | str | None = None,
     threads: int | None = None,
     ego_planner: Planner | str | None = None,
+    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH),
+    most_delay: float = 0.0,
     **settings: Any,
 ) -> RaceGame:
     """Make a game from names.
@@ -447,7 +476,7 @@ def make_game(
         The archive, its name or its folder.
     race : GameConfig, RaceConfig, str or path
         Rules of the game; or of the race alone: a configuration, a preset's name or a YAML file.
-    opponent_planner, threads, ego_planner
+    opponent_planner, threads, ego_planner, vehicles, most_delay
         See :class:`RaceGame`.
     **settings
         Fields of :class:`GameConfig` to change.
@@ -458,7 +487,8 @@ def make_game(
         If a name is unknown or a value impossible.
     """
     rules = load_game_config(race, **settings)
-    return RaceGame(as_track(track), load_archive(archive), rules, opponent_planner, threads, ego_planner)
+    planners = opponent_planner, threads, ego_planner
+    return RaceGame(as_track(track), load_archive(archive), rules, *planners, vehicles, most_delay)
 
 
 def check_moves(
@@ -493,7 +523,7 @@ def check_moves(
         If they have another shape or type, or one is not among those that there are; game and car are named.
     """
     given = as_array(moves)
-    if isinstance(moves, list | tuple) and any(isinstance(move, bool | np.bool_) for move in moves):
+    if isinstance(moves, list | tuple) and any(is_flag(move) for move in moves):
         given = given.astype(np.bool_)  # among whole numbers numpy would take them for 0 and 1
     by = f"{player}: " if player else ""
     listed = f" ({', '.join(names)})" if len(names) <= MOST_NAMES else ""

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,19 @@ from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.planner import COMMAND_SLOTS, VIEW_SIZE, Planner, Policy
+from pcs_racing.race.conditions import RaceConditions
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.kernel import CONTROL_EVERY, DT, WORK_SIZE, KernelSettings, advance_races, fill_view
 from pcs_racing.race.state import RaceState
+from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
 
-__all__ = ["default_threads", "drive", "kernel_settings", "pad_parameters", "vehicle_rows"]
+Run = tuple[Track, int, int]  # a track, the first of the races on it, and the one after the last
+
+__all__ = ["default_threads", "drive", "kernel_settings", "pad_parameters"]
+
+AS_THE_SETUP = RaceConditions()
+"""The same cars and the same track in every race."""
 
 
 def default_threads() -> int:
@@ -35,12 +43,6 @@ def kernel_settings(config: RaceConfig, speed_range: tuple[float, float]) -> Ker
         noise_keep=float(exponential(-CONTROL_EVERY * DT / config.noise_time)),
         ittc_horizon=float(config.ittc_horizon),
     )
-
-
-def vehicle_rows(vehicles: tuple[VehicleParams, VehicleParams], races: int) -> NDArray[np.float64]:
-    """Parameters of both cars for every race, shape (races, 2, 16)."""
-    rows = np.stack([vehicle.as_row() for vehicle in vehicles])
-    return np.tile(rows, (races, 1, 1))  # writeable, or one race would compile the kernels a second time
 
 
 def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]:
@@ -61,6 +63,7 @@ def drive(
     ticks: int,
     *,
     threads: int | None = None,
+    conditions: RaceConditions = AS_THE_SETUP,
 ) -> None:
     """Drive every race of a batch on by ``ticks`` steps of 0.01 s, in place; finished races stand still.
 
@@ -82,27 +85,31 @@ def drive(
         An even number: drivers are asked every second step.
     threads : int, optional
         Threads to share the races; all cores by default, one where a driver is plain Python.
+    conditions : RaceConditions
+        Cars and tracks of single races.
 
     Raises
     ------
     InputError
-        If ``ticks`` is odd or negative, or ``theta`` does not fit the batch.
+        If ``ticks`` is odd or negative, or ``theta`` or the conditions do not fit the batch.
     """
+    cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
     if ticks < 0 or ticks % CONTROL_EVERY:
         raise InputError(f"ticks is {ticks}; it must be an even number from 0")
     if planners[0].drive is None and planners[1].drive is None:
-        _drive_compiled(track, settings, planners, vehicles, state, theta, ticks, threads)
+        _drive_compiled(runs, settings, planners, cars, state, theta, ticks, threads)
         return
     for _ in range(ticks // CONTROL_EVERY):
-        _ask_python_drivers(track, settings, planners, vehicles, state, theta)
-        _drive_compiled(track, settings, planners, vehicles, state, theta, CONTROL_EVERY, 1)
+        for run in runs:
+            _ask_python_drivers(run, settings, planners, cars, state, theta)
+        _drive_compiled(runs, settings, planners, cars, state, theta, CONTROL_EVERY, 1)
 
 
 def _drive_compiled(
-    track: Track,
+    runs: list[Run],
     settings: KernelSettings,
     planners: tuple[Planner, Planner],
-    vehicles: tuple[VehicleParams, VehicleParams],
+    cars: NDArray[np.float64],
     state: RaceState,
     theta: NDArray[np.float64],
     ticks: int,
@@ -114,12 +121,11 @@ def _drive_compiled(
         raise InputError(
             f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64 of shape {wanted}"
         )
-    cars = vehicle_rows(vehicles, races)
     size = max(1, *(planner.scratch_size for planner in planners))
 
-    def part(first: int, last: int) -> None:  # the pointers are bound below
+    def part(arrays: TrackArrays, first: int, last: int) -> None:  # the pointers are bound below
         advance_races(
-            track.arrays,
+            arrays,
             state,
             theta,
             cars,
@@ -138,35 +144,40 @@ def _drive_compiled(
     with first_call(advance_races, "the planners and the race kernel", 20) as compiling:
         plan0, control0 = planners[0].pointers()
         plan1, control1 = planners[1].pointers()
-        if compiling:
-            part(0, 0)
+        if compiling and runs:
+            part(runs[0][0].arrays, 0, 0)
     workers = min(threads or default_threads(), races)
     if workers <= 1:
-        part(0, races)
+        for track, first, last in runs:
+            part(track.arrays, first, last)
         return
-    part(0, 0)  # other types of arguments compile here, before several threads would
-    edges = np.linspace(0, races, min(races, 4 * workers) + 1).astype(int)
+    part(runs[0][0].arrays, 0, 0)  # other types of arguments compile here, before several threads would
+    parts = []
+    for track, first, last in runs:
+        pieces = min(last - first, -(-4 * workers * (last - first) // races))
+        edges = np.linspace(first, last, pieces + 1).astype(int)
+        parts += [(track.arrays, low, high) for low, high in pairwise(edges)]
     with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(part, edges[:-1], edges[1:]))
+        list(pool.map(part, *zip(*parts, strict=True)))
 
 
 def _ask_python_drivers(
-    track: Track,
+    run: Run,
     settings: KernelSettings,
     planners: tuple[Planner, Planner],
-    vehicles: tuple[VehicleParams, VehicleParams],
+    cars: NDArray[np.float64],
     state: RaceState,
     theta: NDArray[np.float64],
 ) -> None:
-    cars = vehicle_rows(vehicles, 1)[0]
+    track, first, last = run
     view = np.zeros(VIEW_SIZE)
-    for race in range(state.races):
+    for race in range(first, last):
         if state.tick[race] % CONTROL_EVERY or state.tick[race] >= settings.end_tick or state.crash[race].any():
             continue
         for car, planner in enumerate(planners):
             if planner.drive is None:
                 continue
-            fill_view(track.arrays, state, race, car, cars, settings, view)
+            fill_view(track.arrays, state, race, car, cars[race], settings, view)
             memory = state.memory[race, car]
             own = memory[COMMAND_SLOTS : COMMAND_SLOTS + planner.memory_size]
             answer = planner.drive(track, theta[race, car, : len(planner.parameters)], view.copy(), own)

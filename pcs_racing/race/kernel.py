@@ -26,10 +26,13 @@ __all__ = [
     "KernelSettings",
     "advance_races",
     "collide",
+    "count_crossing",
+    "delayed",
     "fill_view",
     "measure_ittc",
     "place_cars",
     "steering_noise",
+    "steering_sd",
     "update_progress",
 ]
 
@@ -145,9 +148,51 @@ def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignor
     _fill_moving(track.line, track.ds, state.tick[race], state.cars, state.frenet, state.progress, race, car, view)
 
 
+@inner_kernel
+def _cross_line(laps, race, car, time):  # type: ignore[no-untyped-def]
+    """Count a forward crossing of s = 0; a lap ends, unless the car has only come back after rolling backwards."""
+    laps[race, car, _state.CROSSINGS] += 1.0
+    if laps[race, car, _state.CROSSINGS] <= laps[race, car, _state.MOST_CROSSINGS]:
+        return
+    laps[race, car, _state.MOST_CROSSINGS] = laps[race, car, _state.CROSSINGS]
+    if laps[race, car, _state.MOST_CROSSINGS] > 1.0:
+        lap = time - laps[race, car, _state.CROSSED_AT]
+        best = laps[race, car, _state.BEST_LAP]
+        laps[race, car, _state.LAP_TIME] = lap
+        laps[race, car, _state.BEST_LAP] = lap if best == 0.0 else min(best, lap)
+    laps[race, car, _state.CROSSED_AT] = time
+
+
 @kernel
-def update_progress(line, ds, length, cars, frenet, progress, race):  # type: ignore[no-untyped-def]
-    """Project both cars onto the race line and add what they drove; crossing the start line changes nothing.
+def count_crossing(length, before, driven, tick, laps, race, car):  # type: ignore[no-untyped-def]
+    """Account for a control period in which a car crossed s = 0, forward or backward."""
+    if driven > 0.0:
+        share = (length - before) / driven
+        _cross_line(laps, race, car, (tick - CONTROL_EVERY * (1.0 - share)) * DT)
+    else:
+        laps[race, car, _state.CROSSINGS] -= 1.0
+
+
+@kernel(forceinline=True)
+def steering_sd(settings, vehicle):  # type: ignore[no-untyped-def]
+    """Standard deviation of the steering disturbance of a car: its own, else that of the rules."""
+    own = vehicle[_vehicle.STEER_NOISE]
+    return settings.noise_sd if own < 0.0 else own
+
+
+@kernel
+def delayed(memory, delay, tick, steering):  # type: ignore[no-untyped-def]
+    """Put a steering command in the queue at the end of a driver's memory; returns the one whose time has come."""
+    length = int(delay)
+    place = memory.shape[0] - length + (tick // CONTROL_EVERY) % length
+    due = memory[place]
+    memory[place] = steering
+    return due
+
+
+@kernel
+def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race):  # type: ignore[no-untyped-def]
+    """Project both cars onto the race line and add what they drove; crossing s = 0 only counts for the laps.
 
     Takes single arrays: handing whole named tuples to small functions costs more than their work, in reference counts.
     """
@@ -158,8 +203,10 @@ def update_progress(line, ds, length, cars, frenet, progress, race):  # type: ig
         driven = s - before
         if driven > half:
             driven -= length
+            count_crossing(length, before, driven, tick, laps, race, car)
         elif driven < -half:
             driven += length
+            count_crossing(length, before, driven, tick, laps, race, car)
         progress[race, car] += driven
         frenet[race, car, 0] = s
         frenet[race, car, 1] = d
@@ -340,7 +387,7 @@ def advance_races(  # type: ignore[no-untyped-def]
         Overwritten.
     theta : ndarray, shape (B, 2, P)
         Parameters of the two policies of each race.
-    vehicles : ndarray, shape (B, 2, 16)
+    vehicles : ndarray, shape (B, 2, 18)
         Parameter rows of the two cars of each race.
     plan0, control0, plan1, control1 : function pointers
         The planners of car 0 and car 1 (:meth:`pcs_racing.planners.planner.Planner.pointers`).
@@ -360,9 +407,9 @@ def advance_races(  # type: ignore[no-untyped-def]
     seen_distance, seen_middle, seen_stretch = track.seen_distance, track.seen_middle, track.seen_stretch
     line, ds, length = track.line, track.ds, track.length
     cars, frenet, progress, sums = state.cars, state.frenet, state.progress, state.sums
-    crash, fault, leader, overtakes = state.crash, state.fault, state.leader, state.overtakes
+    crash, fault, leader, overtakes, laps = state.crash, state.fault, state.leader, state.overtakes, state.laps
     commands, disturbances, paths, memories = state.command, state.disturbance, state.path, state.memory
-    noise_gain = settings.noise_sd * np.sqrt(1.0 - settings.noise_keep * settings.noise_keep)
+    noise_share = np.sqrt(1.0 - settings.noise_keep * settings.noise_keep)
     for start in range(first, last, GROUP):
         stop = min(start + GROUP, last)
         for race in range(start, stop):
@@ -395,10 +442,14 @@ def advance_races(  # type: ignore[no-untyped-def]
                             if tick % PLAN_EVERY == 0:
                                 plan1(track, theta[race, 1], view, memory, scratch, path)
                             control1(track, theta[race, 1], view, memory, scratch, path, command)
-                        if settings.noise_sd > 0.0:
-                            draw = steering_noise(state.seed[race], car, tick)
-                            disturbances[race, car] = settings.noise_keep * disturbances[race, car] + noise_gain * draw
+                        noise_sd = steering_sd(settings, vehicles[race, car])
+                        if noise_sd > 0.0:
+                            draw = noise_sd * noise_share * steering_noise(state.seed[race], car, tick)
+                            disturbances[race, car] = settings.noise_keep * disturbances[race, car] + draw
                             command[0] += disturbances[race, car]
+                        delay = vehicles[race, car, _vehicle.STEER_DELAY]
+                        if delay > 0.0:
+                            command[0] = delayed(memory, delay, tick, command[0])
                         set_target(work, lane, command[0], command[1])
                         work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
                 for car in range(2):
@@ -422,7 +473,7 @@ def advance_races(  # type: ignore[no-untyped-def]
                 if tick % CONTROL_EVERY == 0:
                     before = _STEERING_BEFORE + 2 * (race - start)
                     progress0, progress1 = progress[race, 0], progress[race, 1]
-                    update_progress(line, ds, length, cars, frenet, progress, race)
+                    update_progress(line, ds, length, cars, frenet, progress, laps, tick, race)
                     _measure_speed(line, ds, settings.speed_high, frenet, progress, sums, race, progress0, progress1)
                     _measure_driving(cars, frenet, progress, sums, race, params, work[before], work[before + 1])
                     if collide(

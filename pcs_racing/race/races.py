@@ -9,11 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_seed
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.car.vehicle import F1TENTH, VehicleParams
+from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
+from pcs_racing.race.conditions import RaceConditions
 from pcs_racing.race.config import PAPER, RaceConfig
-from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
+from pcs_racing.race.driving import AS_THE_SETUP, drive, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import DT, KernelSettings
 from pcs_racing.race.start_grid import Starts, place_on_grid
 from pcs_racing.race.start_places import places_of, split_places
@@ -48,17 +49,21 @@ class RaceSetup:
         Family of car 0's and car 1's policies.
     vehicles : tuple of two VehicleParams
         Car 0 and car 1.
+    most_delay : float
+        Longest ``steer_delay`` of a car in a race that has cars of its own (:class:`RaceConditions`), s.
     """
 
     track: Track
     config: RaceConfig
     planners: tuple[Planner, Planner]
     vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH)
+    most_delay: float = 0.0
 
     @property
     def memory_size(self) -> int:
-        """Numbers of memory for each car in the state."""
-        return max(planner.memory_total for planner in self.planners)
+        """Numbers of memory for each car in the state: its planner's, and the commands on their way to the steering."""
+        delay = max(self.most_delay, *(vehicle.steer_delay for vehicle in self.vehicles))
+        return max(planner.memory_total for planner in self.planners) + round(delay / COMMAND_PERIOD)
 
     @property
     def theta_size(self) -> int:
@@ -142,7 +147,9 @@ def starts_of(track: Track, config: RaceConfig, index: ArrayLike, seed: int, *, 
     return Starts(lines[(index // 2) % len(lines)], index % 2)
 
 
-def start_races(setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64]) -> RaceState:
+def start_races(
+    setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64], conditions: RaceConditions = AS_THE_SETUP
+) -> RaceState:
     """Put both cars of every race on the grid.
 
     Side by side, the two cars are centred between the walls; staggered and rolling, the rear car stands ``start_gap``
@@ -157,7 +164,7 @@ def start_races(setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64]) -> 
         raise InputError(f"there are {len(starts)} starts but {len(seeds)} seeds; give one seed for each race")
     track, config, spacing = setup.track, setup.config, setup.start_spacing
     slowest = setup.speed_range[0]
-    state = place_on_grid(track, config, spacing, slowest, setup.vehicles, starts, setup.memory_size)
+    state = place_on_grid(track, config, spacing, slowest, setup.vehicles, starts, setup.memory_size, conditions)
     state.seed[:] = seeds
     if state.crashed.any():
         i = int(np.flatnonzero(state.crashed)[0])
@@ -176,6 +183,7 @@ def advance(
     *,
     threads: int | None = None,
     ittc: bool = True,
+    conditions: RaceConditions = AS_THE_SETUP,
 ) -> None:
     """Advance every race of a batch by ``ticks`` steps of 0.01 s, in place; finished races stand still.
 
@@ -195,14 +203,26 @@ def advance(
     ittc : bool
         Whether to sample the minimum time to collision. Without it everything but the sums ``ITTC`` and
         ``ITTC_SAMPLES`` is the same, in less time.
+    conditions : RaceConditions
+        Cars and tracks of single races.
 
     Raises
     ------
     InputError
-        If ``ticks`` is odd or negative, or ``theta`` does not fit the batch.
+        If ``ticks`` is odd or negative, or ``theta`` or the conditions do not fit the batch.
     """
     settings = setup.settings if ittc else setup.settings._replace(ittc_horizon=0.0)
-    drive(setup.track, settings, setup.planners, setup.vehicles, state, theta, ticks, threads=threads)
+    drive(
+        setup.track,
+        settings,
+        setup.planners,
+        setup.vehicles,
+        state,
+        theta,
+        ticks,
+        threads=threads,
+        conditions=conditions,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,6 +265,21 @@ class RaceResult:
     def time(self) -> NDArray[np.float64]:
         """How long each race lasted, s, shape (B,)."""
         return self.state.tick.astype(np.float64) * DT
+
+    @property
+    def laps(self) -> NDArray[np.int64]:
+        """Complete laps of each car, shape (B, 2): from one forward crossing of s = 0 to the next."""
+        return self.state.lap_count
+
+    @property
+    def lap_time(self) -> NDArray[np.float64]:
+        """Time of each car's last complete lap, s, shape (B, 2); -1 if there is none."""
+        return self.state.lap_time
+
+    @property
+    def best_lap(self) -> NDArray[np.float64]:
+        """Time of each car's shortest complete lap, s, shape (B, 2); -1 if there is none."""
+        return self.state.best_lap
 
 
 def winners(config: RaceConfig, state: RaceState) -> NDArray[np.int8]:

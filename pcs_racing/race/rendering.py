@@ -17,13 +17,14 @@ from pcs_racing.base.checks import check_choice, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.packing import join_segments
+from pcs_racing.car.vehicle import LENGTH, WIDTH
 from pcs_racing.race.replay import Replay
 from pcs_racing.track.frenet import SPEED
 
 if TYPE_CHECKING:
     from pcs_racing.track.track import Track
 
-__all__ = ["MODES", "THEMES", "VIEWS", "Renderer", "replay_frames", "write_gif"]
+__all__ = ["MODES", "THEMES", "VIEWS", "Renderer", "half_sizes", "replay_frames", "write_gif"]
 
 MODES = ("rgb_array", "human")
 VIEWS = ("track", "both", "car_0", "car_1")
@@ -125,15 +126,23 @@ class Renderer:
         self.width, self.height = check_whole("width", width, 64, 4096), check_whole("height", height, 64, 4096)
         self.fps = fps
         self._colours = {name: _rgb(colour) for name, colour in _THEMES[theme].items()}
-        walls, self._line, self._line_speed, sizes = _scene(scene)
-        self._half_sizes = np.asarray(sizes if half_sizes is None else half_sizes, float)
-        self._walls = join_segments(walls)
-        corners = np.vstack([self._line, *self._walls])
-        self._low, self._high = corners.min(axis=0), corners.max(axis=0)
+        self._shown: Track | Replay | None = None
+        self.show(scene, half_sizes)
         self._font = ImageFont.load_default(16)
-        self._ground: tuple[tuple[float, ...], Image.Image] | None = None
         self._window: Any = None
         self._pygame = _import_pygame() if mode == "human" else None
+
+    def show(self, scene: Union["Track", Replay], half_sizes: np.ndarray | None = None) -> None:
+        """Draw another track or replay from now on, and cars of other half sizes if they are given."""
+        if scene is not self._shown:
+            walls, self._line, self._line_speed, self._half_sizes = _scene(scene)
+            self._walls = join_segments(walls)
+            corners = np.vstack([self._line, *self._walls])
+            self._low, self._high = corners.min(axis=0), corners.max(axis=0)
+            self._ground: tuple[tuple[float, ...], Image.Image] | None = None
+            self._shown = scene
+        if half_sizes is not None:
+            self._half_sizes = np.asarray(half_sizes, float)
 
     def render(
         self,
@@ -488,6 +497,11 @@ def write_gif(
         ),
     )
     return path
+
+
+def half_sizes(vehicles: np.ndarray) -> np.ndarray:
+    """Half length and half width, m, of cars by their parameter rows, shape (..., 18)."""
+    return 0.5 * np.asarray(vehicles)[..., [LENGTH, WIDTH]]
 
 
 def _scene(scene: Union["Track", Replay]) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:

@@ -8,14 +8,14 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.race.conditions import RaceConditions
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.driving import vehicle_rows
 from pcs_racing.race.kernel import place_cars
 from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.track import Track
 
-__all__ = ["Starts", "place_on_grid"]
+__all__ = ["Starts", "place_on_grid", "settle"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +50,7 @@ def place_on_grid(
     vehicles: tuple[VehicleParams, VehicleParams],
     starts: Starts,
     memory_size: int,
+    conditions: RaceConditions | None = None,
 ) -> RaceState:
     """Both cars of every race at their start; a race whose cars do not fit there is marked as crashed.
 
@@ -69,6 +70,8 @@ def place_on_grid(
     starts : Starts
     memory_size : int
         Numbers of memory for each driver.
+    conditions : RaceConditions, optional
+        Cars and tracks of single races.
 
     Raises
     ------
@@ -103,5 +106,19 @@ def place_on_grid(
         state.cars[rows, car, _vehicle.V] = speed
         state.cars[rows, car, _vehicle.PSI] = np.mod(pose[:, 2], 2.0 * np.pi)
         state.progress[rows, car] = -behind
-    place_cars(arrays, state, vehicle_rows(vehicles, races))
+    settle(track, vehicles, state, conditions)
     return state
+
+
+def settle(
+    track: Track,
+    vehicles: tuple[VehicleParams, VehicleParams],
+    state: RaceState,
+    conditions: RaceConditions | None = None,
+) -> None:
+    """Set the Frenet coordinates of freshly placed cars, and mark those that stand in a wall or in the other one."""
+    conditions = conditions or RaceConditions()
+    cars = conditions.rows(vehicles, state.races)
+    for on, first, last in conditions.runs(track, state.races):
+        part = RaceState._make(array[first:last] for array in state)
+        place_cars(on.arrays, part, cars[first:last])

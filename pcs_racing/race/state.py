@@ -28,6 +28,14 @@ MAX_BYTES = 1_000_000_000  # of a file
 
 ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME, PROFILE = range(len(SUMS))
 
+# Columns of ``laps``: how often a car crossed s = 0, forward less backward; the most that this has been; when it became
+# that, s; the last lap from one such moment to the next, and the shortest, s.
+CROSSINGS, MOST_CROSSINGS, CROSSED_AT, LAP_TIME, BEST_LAP = range(5)
+LAP_COLUMNS = 5
+
+NO_LAP = -1.0
+"""In place of a lap time that there is none of."""
+
 NO_CRASH, WALL_CRASH, CAR_CRASH = range(3)
 
 
@@ -67,6 +75,8 @@ class RaceState(NamedTuple):
         Car that last led by more than a car's length (-1 none yet).
     overtakes : ndarray, shape (B, 2), int64
         How often each car passed the other.
+    laps : ndarray, shape (B, 2, 5)
+        What :attr:`lap_count`, :attr:`lap_time` and :attr:`best_lap` are read from.
     """
 
     tick: NDArray[np.int64]
@@ -83,6 +93,7 @@ class RaceState(NamedTuple):
     fault: NDArray[np.int8]
     leader: NDArray[np.int8]
     overtakes: NDArray[np.int64]
+    laps: NDArray[np.float64]
 
     @property
     def races(self) -> int:
@@ -98,6 +109,27 @@ class RaceState(NamedTuple):
     def crashed(self) -> NDArray[np.bool_]:
         """Whether a race ended in a crash, shape (B,)."""
         return (self.crash != NO_CRASH).any(axis=1)
+
+    @property
+    def lap_count(self) -> NDArray[np.int64]:
+        """Complete laps of each car, shape (B, 2): from one forward crossing of s = 0 to the next."""
+        return np.maximum(self.laps[..., MOST_CROSSINGS] - 1.0, 0.0).astype(np.int64)
+
+    @property
+    def lap_time(self) -> NDArray[np.float64]:
+        """Time of each car's last complete lap, s, shape (B, 2); -1 if there is none.
+
+        The moments of crossing are interpolated between two samples, which are 0.02 s apart.
+        """
+        return self._laps_or_none(LAP_TIME)
+
+    @property
+    def best_lap(self) -> NDArray[np.float64]:
+        """Time of each car's shortest complete lap, s, shape (B, 2); -1 if there is none."""
+        return self._laps_or_none(BEST_LAP)
+
+    def _laps_or_none(self, column: int) -> NDArray[np.float64]:
+        return np.where(self.lap_count > 0, self.laps[..., column], NO_LAP)
 
     def copy(self) -> "RaceState":
         """Return an independent copy."""
@@ -121,6 +153,7 @@ def empty_state(races: int, memory_size: int) -> RaceState:
         fault=np.zeros((races, 2), np.int8),
         leader=np.full(races, -1, np.int8),
         overtakes=np.zeros((races, 2), np.int64),
+        laps=np.zeros((races, 2, LAP_COLUMNS)),
     )
 
 

@@ -49,6 +49,7 @@ _CODE = {
         *_TRACK_CODE,
         "race/calibration.py",
         "car/collision.py",
+        "race/conditions.py",
         "race/driving.py",
         "planners/planner.py",
         "planners/lattice.py",

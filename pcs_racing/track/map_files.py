@@ -3,6 +3,7 @@
 The functions do not read from the disk. Each takes the content of a file, and its path for error messages.
 """
 
+import contextlib
 import io
 import math
 import warnings
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcs_racing.base.checks import check_whole, is_number
+from pcs_racing.base.checks import check_number, check_whole, is_number
 from pcs_racing.base.errors import InputError, MapError
 from pcs_racing.base.reading import plain_yaml
 
@@ -197,14 +198,10 @@ def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str)
 
 
 def _number(file: Path, key: str, value: Any, low: float, high: float) -> float:
-    try:
-        # YAML 1.1 takes 5e-2 for a string.
-        number = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = math.nan
-    if not low <= number <= high:
-        raise MapError(f"{file}: {key} must be a number from {low:g} to {high:g}, got {value!r}")
-    return number
+    if isinstance(value, str):  # YAML 1.1 takes 5e-2 for one
+        with contextlib.suppress(ValueError):
+            value = float(value)
+    return float(check_number(f"{file}: {key}", value, low, high, error=MapError))
 
 
 def _range(file: Path, key: str, value: Any, highest: float) -> None:

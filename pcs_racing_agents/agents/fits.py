@@ -1,4 +1,4 @@
-"""Choices made on training races, as small files: a plan of moves, policies to walk to, the weights of a mixture.
+"""Choices made on training races, as small files: a plan of moves, policies to walk to.
 
 :mod:`pcs_racing_agents.tournament.fitting` makes them; the agents that follow them read them from here.
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.artifacts import ManifestFormat
-from pcs_racing.base.checks import check_text, check_whole
+from pcs_racing.base.checks import check_text, check_whole, is_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing_agents.agents.setting import Setting
@@ -31,9 +31,9 @@ __all__ = [
 FIT_FORMAT = ManifestFormat(
     "fit", ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"), "save_fit"
 )
-KINDS = {"best-schedule": list, "best-fixed": int, "best-lead-plan": dict, "psro": dict}
+KINDS = {"best-schedule": list, "best-fixed": int, "best-lead-plan": dict}
 """What kinds there are, and what a choice of each is: names of moves, the index of a policy, the index of a policy
-behind and ahead, weights by agent.
+behind and ahead.
 """
 
 
@@ -45,9 +45,8 @@ class Fit:
     ----------
     kind : str
         Name of the agent that it is for.
-    choice : list of str, int, dict of str to int, or dict of str to float
-        Names of the moves; index of the policy; indices of the policies behind and ahead; weights by name of the
-        agent.
+    choice : list of str, int, or dict of str to int
+        Names of the moves; index of the policy; indices of the policies behind and ahead.
     game : GameIdentity
         The game that it was made on; a file records no names of moves and elements.
     training : Mapping
@@ -62,7 +61,8 @@ class Fit:
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise UnknownNameError(f"fit of {self.kind!r} is unknown; there are fits of {', '.join(KINDS)}")
-        if not isinstance(self.choice, KINDS[self.kind]) or isinstance(self.choice, bool):
+        index = KINDS[self.kind] is int
+        if not (is_whole(self.choice) if index else isinstance(self.choice, KINDS[self.kind])):
             raise InputError(f"the choice of {self.kind} is {self.choice!r}; it must be {_wanted(self.kind)}")
         if not isinstance(self.game, GameIdentity):
             raise InputError(f"game is {self.game!r}; it must be a GameIdentity")
@@ -182,5 +182,4 @@ def _wanted(kind: str) -> str:
         "best-schedule": "a list of moves",
         "best-fixed": "the index of a policy",
         "best-lead-plan": "the indices of two policies, behind and ahead",
-        "psro": "weights by agent",
     }[kind]

@@ -1,27 +1,31 @@
-"""Mixtures of agents: one of several agents is drawn for each game, as in a meta-strategy or a restricted response.
+"""Mixtures of agents: one of several agents is drawn for each game, as in a meta-strategy or an average of iterations.
 
 By Kuhn's theorem a draw before the game can be replaced by draws at each decision, in which every member has the
 posterior probability of having reached the situation. So a mixture is an ordinary strategy, a function of the
 observation, whose exploitability can be measured like that of any other.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_number
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.fits import FitSource, find_fit, fit_facts
+from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_made, own
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.agents.zoo import Entry, build_member
+from pcs_racing_agents.agents.zoo import Entry
+from pcs_racing_agents.jobs.fingerprint import fingerprint
+from pcs_racing_agents.networks.network_sets import NetworkSet, list_network_sets, load_network_set
 
-__all__ = ["Mixture", "make_mixture", "psro", "restricted_response"]
+__all__ = ["Mixture", "NetworkSetSource", "from_network_set", "make_mixture"]
 
 Floats = NDArray[np.float64]
+NetworkSetSource = str | NetworkSet | None
+"""A network set, its name or folder, or None for the shipped one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,85 +107,68 @@ def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
 # Agents
 
 
-def restricted_response(
-    setting: Setting,
-    *,
-    name: str = "restricted-response",
-    seed: int = 0,
-    exploit: str | Agent = "static-q",
-    safe: str | Agent = "nash",
-    share: float = 0.5,
+def from_network_set(
+    setting: Setting, *, name: str, seed: int = 0, kind: str, networks: NetworkSetSource = None
 ) -> Agent:
-    """Draw for each game which of two agents plays it: one that exploits, or one that plays safe.
+    """Draw one of several networks for each game, and decide by its values of the moves.
 
     Parameters
     ----------
     setting : Setting
     name : str
     seed : int
-    exploit : Agent or str
-        The agent that exploits.
-    safe : Agent or str
-        The agent of the other games.
-    share : float
-        The probability of exploiting, in [0, 1].
+    kind : str
+        How the networks were made; names the shipped set (``ARCHIVE-RACE-KIND``).
+    networks : NetworkSet, str or path, optional
+        Another set: the name of a shipped one or its folder.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such set.
+    InputError
+        If its networks take other observations or belong to another archive.
     """
-    check_number(f"the share of agent {name!r}", share, 0.0, 1.0)
-    members = [build_member(member, setting, seed) for member in (exploit, safe)]
-    facts = {"mixture": f"{share:g} {members[0].name}, {1.0 - share:g} {members[1].name}"}
-    return Agent(name, make_mixture(members, [share, 1.0 - share]), setting, seed, facts)
+    source: str | NetworkSet = f"{setting.archive.name}-{setting.race}-{kind}" if networks is None else networks
+    if networks is None and source not in list_network_sets():
+        shipped = ", ".join(list_network_sets()) or "none"
+        raise UnknownNameError(
+            f"agent {name!r} needs a set of networks, and none called {source!r} is shipped (there are: {shipped}); "
+            f"make one with 'pcs-racing learn {kind}' and give it as networks=FOLDER"
+        )
+    loaded = load_network_set(source)
+    check_same_game(loaded.identity, setting.identity, f"agent {name!r}: network set {loaded.name!r}")
+    members = [
+        Agent(network.name, NetworkStrategy(network, loaded.decision, len(setting.moves)), setting, seed)
+        for network in loaded.networks
+    ]
+    trained = ", ".join(f"{key} {value}" for key, value in loaded.training.items())
+    facts = {
+        "networks": f"{loaded.name}: {len(loaded.networks)}, preset {loaded.identity.preset}",
+        "weights": ", ".join(f"{weight:.3g}" for weight in loaded.weights),
+        "decision": loaded.decision,
+        "trained on": trained or "not said",
+        "weights sha256": fingerprint([network.layers for network in loaded.networks], loaded.weights),
+    }
+    return Agent(name, make_mixture(members, loaded.weights), setting, seed, facts)
 
 
-def psro(
-    setting: Setting,
-    *,
-    name: str = "psro",
-    seed: int = 0,
-    weights: Mapping[str, float] | None = None,
-    members: Sequence[Agent] = (),
-    fit: FitSource = None,
-) -> Agent:
-    """Draw an agent for each game, with the probabilities of an equilibrium of the game of choosing agents.
-
-    Parameters
-    ----------
-    setting : Setting
-    name : str
-    seed : int
-    weights : mapping of str to float, optional
-        The probability of each agent, by name.
-    members : sequence of Agent
-        Agents given as objects instead of by name.
-    fit : Fit or path, optional
-        Weights computed by :func:`pcs_racing_agents.tournament.fitting.fit_psro`; the shipped ones by default.
-    """
-    facts: dict[str, str] = {}
-    if weights is None:
-        loaded = find_fit("psro", setting, fit)
-        weights, facts = loaded.choice, fit_facts(loaded)
-    elif fit is not None:
-        raise InputError(f"agent {name!r} got weights and a fit; give one of the two")
-    own = {member.name: member for member in members}
-    drawn = {key: value for key, value in weights.items() if value}
-    agents = [own[key] if key in own else build_member(key, setting, seed) for key in drawn]
-    mixture = make_mixture(agents, list(drawn.values()))
-    return Agent(name, mixture, setting, seed, {**facts, "mixture": _listed(mixture)})
+def _entry(kind: str, summary: str, source: str) -> Entry:
+    return Entry(from_network_set, summary, source, "networks", {"kind": kind})
 
 
-def _listed(mixture: Mixture) -> str:
-    pairs = zip(mixture.weights, mixture.members, strict=True)
-    return ", ".join(f"{weight:.3g} {member.name}" for weight, member in pairs)
-
-
-RESTRICTED_RESPONSE = Entry(
-    restricted_response,
-    "draws for each game whether to exploit a static opponent or to play an equilibrium",
-    "after restricted Nash response (Johanson et al. 2007)",
-    "agents",
+ROBUST = _entry(
+    "robust",
+    "plays a response to a pool of opponents that an opponent trained against it can exploit only a little",
+    "restricted Nash response (Johanson et al. 2007), by learned responses",
 )
-PSRO = Entry(
-    psro,
-    "draws an agent for each game, with the probabilities of an equilibrium of the game of choosing agents",
-    "meta-strategy of PSRO (Lanctot et al. 2017)",
-    "fit",
+PSRO = _entry(
+    "psro",
+    "draws a learned response for each game, with the probabilities of an equilibrium between such responses",
+    "policy-space response oracles (Lanctot et al. 2017)",
+)
+SELF_PLAY = _entry(
+    "self-play",
+    "plays the average strategy of counterfactual regret minimisation in self-play",
+    "single deep CFR (Steinberger 2019) on branched games",
 )

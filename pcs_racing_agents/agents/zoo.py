@@ -60,8 +60,7 @@ class Entry:
     source : str
         Where the idea comes from.
     needs : str
-        What must be trained before it can race: "", "fit", "network" or "table"; "agents" if its members may need
-        training.
+        What must be trained before it can race: "", "fit", "network", "networks" or "table".
     defaults : Mapping
         Options that differ from those of other entries with the same function.
     moves : bool
@@ -90,12 +89,14 @@ SHIPPED = {
     "nash": "pcs_racing_agents.agents.from_network:NASH",
     "adaptive": "pcs_racing_agents.agents.from_network:ADAPTIVE",
     "response": "pcs_racing_agents.agents.from_network:RESPONSE",
-    "restricted-response": "pcs_racing_agents.agents.mixture:RESTRICTED_RESPONSE",
+    "robust": "pcs_racing_agents.agents.mixture:ROBUST",
     "psro": "pcs_racing_agents.agents.mixture:PSRO",
+    "self-play": "pcs_racing_agents.agents.mixture:SELF_PLAY",
     "ppo": "pcs_racing_agents.agents.from_network:PPO",
     "remember": "pcs_racing_agents.agents.remember:REMEMBER",
     "receding-horizon": "pcs_racing_agents.agents.receding_horizon:RECEDING_HORIZON",
     "random-policy": "pcs_racing_agents.agents.drivers:RANDOM_POLICY",
+    "other-archive": "pcs_racing_agents.agents.drivers:OTHER_ARCHIVE",
     "lane-switcher": "pcs_racing_agents.agents.drivers:LANE_SWITCHER",
     "ppo-drive": "pcs_racing_agents.agents.drivers:PPO_DRIVE",
     "gap-follower": "pcs_racing_agents.agents.drivers:GAP_FOLLOWER",

@@ -3,7 +3,7 @@
 import argparse
 
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing_agents.cli.options import Commands, add_command, add_preset
+from pcs_racing_agents.cli.options import Commands, add_command, add_race
 from pcs_racing_agents.results.text_table import aligned
 
 __all__ = ["add"]
@@ -17,13 +17,13 @@ def add(commands: Commands) -> None:
         "list all agents and drivers, or describe one of them: options, training, strength, cost, hash",
         "pcs-racing agents",
         "pcs-racing agents best-fixed",
-        "pcs-racing agents response --archive contest --preset contest",
+        "pcs-racing agents response --archive contest --race contest",
     )
     parser.add_argument("agent", nargs="?", help="name of the agent to describe (default: list all)")
     parser.add_argument(
         "--archive", default="default", help="archive whose policies the agents drive (default: default)"
     )
-    add_preset(parser)
+    add_race(parser)
     parser.set_defaults(run=run)
 
 
@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.agents.setting import make_setting
     from pcs_racing_agents.agents.zoo import entries, names
 
-    setting = make_setting(arguments.archive, arguments.preset)
+    setting = make_setting(arguments.archive, arguments.race)
     available, listed = entries(), names(setting.archive, setting.config)
     if arguments.agent is None:
         constant = "makes the same move again and again"

@@ -14,6 +14,13 @@ from pcs_racing.game.config import GameConfig
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.learning.ppo.settings import DuelSettings, PPOSettings
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, load_response_settings
+from pcs_racing_agents.learning.robust.settings import (
+    PSROSettings,
+    RobustSettings,
+    load_psro_settings,
+    load_robust_settings,
+)
+from pcs_racing_agents.learning.self_play.settings import SelfPlaySettings, load_self_play_settings
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.synthesis.config import ArchiveConfig
@@ -24,8 +31,11 @@ __all__ = [
     "duration_text",
     "ego_seconds",
     "ppo_seconds",
+    "psro_seconds",
     "racing_seconds",
     "response_seconds",
+    "robust_seconds",
+    "self_play_seconds",
     "stage_estimates",
     "synthesis_seconds",
     "training_seconds",
@@ -124,13 +134,7 @@ def _tree(rate: float, config: GameConfig, branches: int) -> float:
 
 def synthesis_seconds(config: ArchiveConfig) -> float:
     """Estimate the processor seconds of an archive: the races of its search, its selection and its measurement."""
-    sides = 2 * len(config.tracks)
-    search = (config.scouts + config.generations * config.population) * config.opponents * config.starts
-    choice = config.candidates * config.choice_opponents * config.choice_starts
-    final = config.most * config.final_opponents * config.final_starts
-    return racing_seconds(sides * (search + choice), config.duration) + racing_seconds(
-        sides * final, config.final_duration
-    )
+    return RACING * sum(config.work.values())
 
 
 def ppo_seconds(settings: PPOSettings) -> float:
@@ -156,11 +160,36 @@ def response_seconds(settings: ResponseSettings, config: GameConfig, moves: int,
     games : int
         Number of circuits times number of opponents.
     """
-    # A game is simulated to the step of its branching, and every branch from there to the end.
-    steps = [(k + 1) + moves * (config.moves - k) for k in range(config.moves)]
-    racing = racing_seconds(settings.starts * settings.rounds * games, config.step_seconds * sum(steps))
+    racing = _branching(settings.starts * settings.rounds * games, config, moves)
     networks = 2 * settings.rounds * config.moves + settings.members
     return racing + networks * training_seconds(settings.train_settings(0))
+
+
+def _branching(games: int, config: GameConfig, moves: int) -> float:
+    """Estimate the processor seconds of games that are branched at every step, each step in games of its own."""
+    # A game is simulated to the step of its branching, and every branch from there to the end.
+    steps = [(k + 1) + moves * (config.moves - k) for k in range(config.moves)]
+    return racing_seconds(games, config.step_seconds * sum(steps))
+
+
+def robust_seconds(settings: RobustSettings, config: GameConfig, moves: int, circuits: int) -> float:
+    """Estimate the processor seconds of a robust response; arguments as for :func:`response_seconds`."""
+    learned = 1 if settings.pool_share == 1.0 else 1 + 2 * settings.rounds
+    return learned * response_seconds(settings.response(0), config, moves, circuits)
+
+
+def psro_seconds(settings: PSROSettings, config: GameConfig, moves: int, circuits: int) -> float:
+    """Estimate the processor seconds of policy-space response oracles; arguments as for :func:`response_seconds`."""
+    pairs = settings.rounds * (settings.rounds - 1) // 2
+    learning = settings.rounds * response_seconds(settings.response(0), config, moves, circuits)
+    return learning + racing_seconds(pairs * settings.races * circuits, config.horizon)
+
+
+def self_play_seconds(settings: SelfPlaySettings, config: GameConfig, moves: int, circuits: int) -> float:
+    """Estimate the processor seconds of self-play; arguments as for :func:`response_seconds`."""
+    racing = _branching(settings.starts * settings.iterations * circuits, config, moves)
+    networks = settings.iterations * settings.members
+    return racing + networks * training_seconds(settings.train_settings(1, 0))
 
 
 def stage_estimates(config: StudyConfig) -> dict[str, float]:
@@ -171,10 +200,8 @@ def stage_estimates(config: StudyConfig) -> dict[str, float]:
 
     game = config.game
     moves = AXES_MOVES + int(bool(game.stay))
-    judged = max(2, config.pairs // 4) if config.pairs else 0
-    trees, held_out = (
-        tree_seconds(game, AXES_MOVES, pairs * len(config.circuits), config.seeds) for pairs in (config.pairs, judged)
-    )
+    circuits = len(config.circuits)
+    trees = tree_seconds(game, AXES_MOVES, config.pairs * circuits, config.seeds)
     networks = training_seconds(load_train_settings(config.training)) * len(config.targets)
     pool = len(config.circuits) * len(config.response_pool)
     responses = (response_seconds(load_response_settings(name), game, moves, pool) for name in config.responses)
@@ -185,6 +212,10 @@ def stage_estimates(config: StudyConfig) -> dict[str, float]:
         len(tracks) * len(opponents) * len(arms) * config.egos * config.variants * lines * 2
         for tracks, opponents, arms, lines in config.tables.values()
     )
+    plays = [load_self_play_settings(name) for name in (config.self_play, config.sampled_cfr) if name is not None]
+    robust = None if config.robust is None else load_robust_settings(config.robust)
+    psro = None if config.psro is None else load_psro_settings(config.psro)
+    reply = response_seconds(load_response_settings(config.reply), game, moves, circuits)
     pairs = len(config.rivals) * (len(config.rivals) - 1) // 2
     rivals = pairs * config.rival_races * (len(config.tracks) + len(config.circuits))
     return {
@@ -193,8 +224,11 @@ def stage_estimates(config: StudyConfig) -> dict[str, float]:
         "networks": networks if config.pairs else 0.0,
         "blind": racing_seconds(blind, game.horizon),
         "responses": sum(responses),
+        "self-play": sum(self_play_seconds(settings, game, moves, circuits) for settings in plays),
+        "robust": 0.0 if robust is None else robust_seconds(robust, game, moves, circuits),
+        "psro": 0.0 if psro is None else psro_seconds(psro, game, moves, circuits),
         "ppo": 0.0 if config.ppo is None else ppo_seconds(load_ppo_settings(config.ppo)),
         "races": racing_seconds(tables, game.horizon),
         "rivals": racing_seconds(rivals, game.horizon),
-        "exploitability": held_out,
+        "best-replies": len(config.replies) * (reply + racing_seconds(config.reply_races, game.horizon)),
     }

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing.base.checks import check_whole
+from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.planner import Policy
@@ -31,8 +32,9 @@ def add(commands: Commands) -> None:
         commands,
         "headroom",
         "race all pairs of an archive's policies, and print what knowing the opponent is worth",
-        "pcs-racing headroom --archive contest --preset contest --out out/headroom",
-        "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --preset contest --out out/mine",
+        "pcs-racing headroom --archive contest --race contest --out out/headroom",
+        "pcs-racing headroom --archive contest --race contest --lead-plans 6 --out out/plans",
+        "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --race contest --out out/mine",
     )
     add_tracks(parser)
     parser.add_argument("--archive", default="contest", help="archive: its name or folder (default: contest)")
@@ -51,6 +53,14 @@ def add(commands: Commands) -> None:
         "--races", type=int, default=64, metavar="N", help="races of each pair on each track (default: 64)"
     )
     parser.add_argument(
+        "--lead-plans",
+        type=int,
+        default=0,
+        metavar="K",
+        help="also race all plans 'one policy while ahead, another one while behind' of K policies, evenly spaced in "
+        "the pool, against every policy: K*K*N pairs (default: 0, none)",
+    )
+    parser.add_argument(
         "--out",
         type=Path,
         required=True,
@@ -64,14 +74,19 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Race all pairs, print the table, and write files and pictures."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
+    from pcs_racing_agents.payoffs.lead_plans import lead_plan_payoffs, lead_plan_value, make_lead_plans
+    from pcs_racing_agents.payoffs.policy_pool import PolicyPool, slot_payoffs
     from pcs_racing_agents.pictures.style import save_picture
+    from pcs_racing_agents.results.csv_files import write_csv
+    from pcs_racing_agents.results.text_table import aligned
     from pcs_racing_agents.tournament.headroom_report import (
+        LEAD_NOTE,
         headroom_picture,
         headroom_text,
+        lead_plan_rows,
         track_game,
         write_headroom,
     )
-    from pcs_racing_agents.tournament.policy_pool import PolicyPool, pool_payoffs
 
     if arguments.policies:
         names, policies = list(arguments.policies), tuple(parse_policy(text) for text in arguments.policies)
@@ -87,12 +102,21 @@ def run(arguments: argparse.Namespace) -> None:
         "folds": pool.folds,
         "seed": pool.seed,
     }
+    members = members_of(len(policies), arguments.lead_plans)
+    plans = make_lead_plans(len(policies), members) if members else []
+    pairs = len(pool.pairs) + len(plans) * len(policies)
     with executor_from(arguments) as executor:
-        announce(racing_seconds(len(tracks) * len(pool.pairs) * pool.races, pool.config.duration), cores_of(arguments))
+        announce(racing_seconds(len(tracks) * pairs * pool.races, pool.config.duration), cores_of(arguments))
         with open_job(arguments.out, "headroom", settings) as job:
-            payoffs = pool_payoffs(pool, job=job, executor=executor, progress=show_progress("blocks"))
+            payoffs = slot_payoffs(pool, job=job, executor=executor, progress=show_progress("blocks"))
             games = [track_game(track.name, folds) for track, folds in zip(tracks, payoffs, strict=True)]
             print(headroom_text(games, names))
+            if plans:
+                raced = lead_plan_payoffs(pool, plans, job=job, executor=executor, progress=show_progress("lead plans"))
+                values = [lead_plan_value(folds, plans) for folds in raced]
+                rows = lead_plan_rows([track.name for track in tracks], values, names)
+                print("\n".join(["", *aligned(rows), "", LEAD_NOTE]))
+                print(f"written: {write_csv(rows, arguments.out / 'lead_plans.csv')}")
             for file in write_headroom(games, names, arguments.out):
                 print(f"written: {file}")
             if can_draw("the payoff matrix"):
@@ -100,6 +124,19 @@ def run(arguments: argparse.Namespace) -> None:
                     print(
                         f"picture: {save_picture(headroom_picture(game, names), arguments.out / f'{game.track}.png')}"
                     )
+
+
+def members_of(policies: int, count: int) -> list[int]:
+    """Return the numbers of the policies that lead plans are made of, evenly spaced in a pool.
+
+    Raises
+    ------
+    InputError
+        If ``count`` is neither 0 nor from 2 to the number of policies.
+    """
+    if check_whole("lead-plans", count, 0, policies) == 1:
+        raise InputError("lead-plans is 1; a plan of its own needs 2 policies, and 0 means no plans")
+    return [int(k) for k in np.linspace(0, policies - 1, count).round()] if count else []
 
 
 def pool_of(archive: PolicyArchive, size: int) -> tuple[list[str], tuple[Policy, ...]]:

@@ -17,7 +17,7 @@ def add(commands: Commands) -> None:
         commands,
         "match",
         "learn how an archive's policies behave and what beats them, and play matches with and without that memory",
-        "pcs-racing match --preset contest --track Pipkin Saltmere --unseen Tarnfjord --out out/match",
+        "pcs-racing match --race contest --track Pipkin Saltmere --unseen Tarnfjord --out out/match",
     )
     add_tracks(parser)
     parser.add_argument(

@@ -15,7 +15,7 @@ __all__ = [
     "TRACK_HELP",
     "Commands",
     "add_command",
-    "add_preset",
+    "add_race",
     "add_rules",
     "add_track",
     "add_tracks",
@@ -62,17 +62,15 @@ def add_tracks(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_preset(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--preset`` for the rules of the race."""
+def add_race(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--race`` for the rules of the race."""
     presets = ", ".join(PRESETS)
-    parser.add_argument(
-        "--preset", default="paper", help=f"rules of the race: {presets} or a YAML file (default: paper)"
-    )
+    parser.add_argument("--race", default="paper", help=f"rules of the race: {presets} or a YAML file (default: paper)")
 
 
 def add_rules(parser: argparse.ArgumentParser, seed: int = 0) -> None:
     """Add the options that :func:`rules` reads, and the option ``--seed`` with its default."""
-    add_preset(parser)
+    add_race(parser)
     parser.add_argument(
         "--duration", type=float, metavar="S", help="duration of a race in s (default: that of the preset, 40)"
     )
@@ -84,7 +82,7 @@ def add_rules(parser: argparse.ArgumentParser, seed: int = 0) -> None:
 def rules(arguments: argparse.Namespace) -> RaceConfig:
     """Return the race configuration that the options ask for."""
     changes = {} if arguments.duration is None else {"duration": arguments.duration}
-    return load_race_config(arguments.preset, **changes)
+    return load_race_config(arguments.race, **changes)
 
 
 def can_draw(picture: str) -> bool:

@@ -17,7 +17,7 @@ def add(commands: Commands) -> None:
         "play",
         "make the moves of one car yourself, on a local page, against an agent",
         "pcs-racing play",
-        "pcs-racing play --opponent response --archive contest --preset contest --track Pipkin",
+        "pcs-racing play --opponent response --archive contest --race contest --track Pipkin",
         "pcs-racing play --opponent lattice:pace=0.9 --no-open",
     )
     parser.add_argument(

@@ -35,7 +35,7 @@ def add(commands: Commands) -> None:
         "pcs-racing race",
         "pcs-racing race --replay race.html",
         "pcs-racing race --track Tarnfjord --ego lattice:pace=0.6 --opponent lattice --seed 3 --replay race.html",
-        'pcs-racing race --track "my maps/Spielberg" --ego lattice --opponent lattice --preset contest',
+        'pcs-racing race --track "my maps/Spielberg" --ego lattice --opponent lattice --race contest',
     )
     add_track(parser)
     parser.add_argument("--ego", default=EGO, metavar="POLICY", help=f"policy of car 0: {POLICY_HELP} (default: {EGO})")
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _command(arguments: argparse.Namespace) -> str:
     """Return the command that repeats this race; it names every option except those left to the preset."""
-    names = ("track", "ego", "opponent", "preset", "duration", "seed", "index")
+    names = ("track", "ego", "opponent", "race", "duration", "seed", "index")
     options = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
     return shlex.join(
         ["pcs-racing", "race", *(f for name, value in options.items() for f in (f"--{name}", str(value)))]

@@ -27,7 +27,7 @@ def add(commands: Commands) -> None:
         "race every pair of agents, drivers and policies against each other, and print a table",
         "pcs-racing tournament --agents cfr-argmax never-switch",
         "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher --races 40",
-        "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --preset contest --out out/mine",
+        "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --race contest --out out/mine",
     )
     add_tracks(parser)
     parser.add_argument(

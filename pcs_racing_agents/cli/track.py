@@ -17,7 +17,7 @@ from pcs_racing_agents.cli.options import (
     TRACK_HELP,
     Commands,
     add_command,
-    add_preset,
+    add_race,
     can_draw,
     output_file,
 )
@@ -107,10 +107,10 @@ def _add_calibrate(tracks: Commands) -> None:
         tracks,
         "calibrate",
         "measure the speed range and the start positions of a circuit by simulation",
-        "pcs-racing track calibrate maps/Sevenhills --preset contest --write",
+        "pcs-racing track calibrate maps/Sevenhills --race contest --write",
     )
     parser.add_argument("track", nargs="?", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK}, unless --write is given)")
-    add_preset(parser)
+    add_race(parser)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the noise (default: 0)")
     parser.add_argument(
         "--write", action="store_true", help="store the result in the file NAME_track.yaml of the map folder"
@@ -168,7 +168,7 @@ def run_generate(arguments: argparse.Namespace) -> None:
 
 def run_calibrate(arguments: argparse.Namespace) -> None:
     """Measure the crash rate over the speed and the start positions; print and store the calibration."""
-    config = load_race_config(arguments.preset)
+    config = load_race_config(arguments.race)
     if arguments.write and arguments.track is None:
         raise InputError("--write changes a map folder: say which, as in 'pcs-racing track calibrate FOLDER --write'")
     track = load_track(DEFAULT_TRACK if arguments.track is None else arguments.track)

@@ -9,7 +9,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import UTILITIES
 from pcs_racing.game.rules import RaceGame, make_game
 from pcs_racing_agents.cli.estimates import announce, cores_of, ego_seconds, tree_seconds
-from pcs_racing_agents.cli.options import Commands, add_command, add_preset, add_track
+from pcs_racing_agents.cli.options import Commands, add_command, add_race, add_track
 from pcs_racing_agents.jobs.jobs import Progress, add_executor_options, executor_from, show_progress
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.trees import StoredTrees, build_ego_trees, build_trees
@@ -29,14 +29,14 @@ def add(commands: Commands) -> None:
         "build game trees: simulate all moves of both players, for pairs of starting policies",
         "pcs-racing tree --pairs 8 --out out/trees",
         "pcs-racing tree --archive default --track Tarnfjord --pairs 20 --out out/trees",
-        "pcs-racing tree --archive default --track Tarnfjord --preset contest --pairs 10 --seeds 4 --out out/contest",
+        "pcs-racing tree --archive default --track Tarnfjord --race contest --pairs 10 --seeds 4 --out out/contest",
         "pcs-racing tree --archive default --track Tarnfjord --ego 640 --out out/ego",
     )
     parser.add_argument(
         "--archive", default="default", help="name of a shipped archive, or a folder (default: default)"
     )
     add_track(parser)
-    add_preset(parser)
+    add_race(parser)
     parser.add_argument("--moves", type=int, metavar="M", help="number of moves of each player (default: 4)")
     parser.add_argument("--step", type=float, metavar="S", help="simulated time per move in s (default: 8)")
     parser.add_argument(
@@ -131,7 +131,7 @@ def _game(arguments: argparse.Namespace) -> RaceGame:
         "stay": arguments.stay,
     }
     changes = {key: value for key, value in options.items() if value is not None}
-    return make_game(arguments.track, arguments.archive, arguments.preset, **changes)
+    return make_game(arguments.track, arguments.archive, arguments.race, **changes)
 
 
 def tree_table(trees: StoredTrees) -> str:

@@ -1,1 +1,1 @@
-"""Learning: PPO, and answers learned from branched games."""
+"""Learning: PPO, responses learned from branched games, and learned characteristics."""

@@ -2,6 +2,12 @@
 
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network, save_network
+from pcs_racing_agents.networks.network_sets import (
+    NetworkSet,
+    list_network_sets,
+    load_network_set,
+    save_network_set,
+)
 from pcs_racing_agents.networks.rows import Rows, join_rows
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.networks.targets import TARGETS, best_moves, node_targets, solve_for
@@ -10,16 +16,20 @@ from pcs_racing_agents.networks.tree_rows import tree_rows
 
 __all__ = [
     "TARGETS",
+    "NetworkSet",
     "RegretNetwork",
     "Rows",
     "TrainSettings",
     "best_moves",
     "join_rows",
+    "list_network_sets",
     "list_networks",
     "load_network",
+    "load_network_set",
     "load_train_settings",
     "node_targets",
     "save_network",
+    "save_network_set",
     "solve_for",
     "train_network",
     "tree_rows",

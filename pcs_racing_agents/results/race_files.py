@@ -157,7 +157,7 @@ class _Lines(NamedTuple):
         words, codes = self.columns[name]
         for word in words:
             if word not in allowed_words:
-                allowed = ", ".join(choice or "nothing" for choice in allowed_words)
+                allowed = ", ".join(allowed_words)
                 raise self.damaged(name, word, f"{word!r:.60}; it must be {allowed}")
         return np.array([allowed_words.index(word) for word in words], np.int64)[codes]
 

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["CRASHES", "FAULTS", "WINNERS", "Categorical", "RaceRow", "RaceTable", "concatenate_races", "narrow"]
 
-WINNERS = ("ego", "opponent", "")
+WINNERS = ("ego", "opponent", "none")
 """Words of ``RaceTable.winner``; the last one stands for -1, too."""
-CRASHES = ("", "wall", "car")
-FAULTS = ("", "ego", "opponent", "both")
+CRASHES = ("none", "wall", "car")
+FAULTS = ("none", "ego", "opponent", "both")
 
 BLOCK = 10_000  # rows that are made together
 
@@ -45,11 +45,11 @@ class RaceRow(NamedTuple):
     lead : float
         Progress of the ego minus that of the opponent at the end, m.
     winner : str
-        ``"ego"``, ``"opponent"``, or ``""`` for a tie and for a crash that pays neither.
+        ``"ego"``, ``"opponent"``, or ``"none"`` for a tie and for a crash that pays neither.
     crash : str
-        ``""``, ``"wall"`` or ``"car"``.
+        ``"none"``, ``"wall"`` or ``"car"``.
     fault : str
-        Who is to blame for the crash: ``""``, ``"ego"``, ``"opponent"`` or ``"both"``.
+        Who is to blame for the crash: ``"none"``, ``"ego"``, ``"opponent"`` or ``"both"``.
     ego_overtakes, opponent_overtakes : int
         How often each passed the other.
     duration : float
@@ -71,9 +71,9 @@ class RaceRow(NamedTuple):
     side: int = 0
     seed: int = 0
     lead: float = 0.0
-    winner: str = ""
-    crash: str = ""
-    fault: str = ""
+    winner: str = "none"
+    crash: str = "none"
+    fault: str = "none"
     ego_overtakes: int = 0
     opponent_overtakes: int = 0
     duration: float = np.nan

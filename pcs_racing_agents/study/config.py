@@ -13,6 +13,8 @@ from pcs_racing.race.config import load_race_config
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play.settings import load_self_play_settings
 from pcs_racing_agents.networks.targets import get_target
 from pcs_racing_agents.synthesis.config import load_archive_config
 
@@ -49,6 +51,19 @@ class StudyConfig(Settings):
     response_pool: tuple[str, ...] = setting(
         ("never-switch", "random-moves"), names(), "Opponents in the training of responses."
     )
+    robust: str | None = setting(
+        None, text(), 'Settings of the agent "robust", which learns against the pool of the responses; None for none.'
+    )
+    psro: str | None = setting(
+        None, text(), 'Settings of the agent "psro", whose first response is to that pool; None for none.'
+    )
+    self_play: str | None = setting(None, text(), 'Settings of the agent "self-play"; None for none.')
+    sampled_cfr: str | None = setting(
+        None,
+        text(),
+        'Settings (self-play) of counterfactual regrets from sampled games: the network of "cfr-argmax" and '
+        '"cfr-regret-matching", in place of one from full game trees; None for none.',
+    )
     fitting_games: int = setting(
         100,
         whole(2, 1_000_000),
@@ -84,6 +99,13 @@ class StudyConfig(Settings):
         "Settings (level duel) of a PPO baseline that is trained on the study's circuits, with its archive and "
         'rules; None trains none, and the agent "ppo" is then the shipped one.',
     )
+    replies: tuple[str, ...] = setting(
+        (), names(0), "Agents of the tables whose loss to a learned best reply is measured, on the training circuits."
+    )
+    reply: str = setting("best-reply", text(), "Settings of the best replies (responses): the learner's budget.")
+    reply_races: int = setting(
+        4000, whole(40, 1_000_000), "Races of each agent against its best reply, on all circuits together."
+    )
     rivals: tuple[str, ...] = setting((), names(0), "Agents of the round robin for the ratings.")
     rival_races: int = setting(100, whole(2, 2000), "Races of each pair of rivals on each circuit of the table; even.")
     seed: int = setting(0, whole(0, 2**62), "Seed of all random draws.")
@@ -93,8 +115,29 @@ class StudyConfig(Settings):
         self.game  # noqa: B018 - checks race and epsilon
         for name in self.targets:
             get_target(name)
-        for name in self.responses:
+        for name in (*self.responses, self.reply):
             load_response_settings(name)
+        for load, source in (
+            (load_robust_settings, self.robust),
+            (load_psro_settings, self.psro),
+            (load_self_play_settings, self.self_play),
+            (load_self_play_settings, self.sampled_cfr),
+        ):
+            if source is not None:
+                load(source)
+        if self.sampled_cfr is not None and "regret" in self.targets and self.pairs > 0:
+            raise ConfigError(
+                f"sampled_cfr is {self.sampled_cfr!r} and targets hold 'regret'; name one source of the regrets"
+            )
+        for name in self.replies:
+            if name not in self.every_arm:
+                raise ConfigError(
+                    f"replies hold {name!r}; they must be agents of the tables, {', '.join(self.every_arm)}"
+                )
+        if self.replies and self.reply_races < 40 * len(self.circuits):
+            raise ConfigError(
+                f"reply_races is {self.reply_races}; give at least 40 for each of {len(self.circuits)} circuits"
+            )
         if self.synthesis is not None:
             load_archive_config(self.synthesis)
         elif self.archive not in list_archives() and not os.path.isdir(self.archive):

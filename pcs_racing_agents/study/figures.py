@@ -116,8 +116,8 @@ def adaptivity_picture(table: StudyTable) -> Any:
 
 
 @picture
-def exploitability_picture(points: Sequence[ScoreAndLoss], *, unit: str = "utility") -> Any:
-    """Draw the agents' scores over their exploitability.
+def exploitability_picture(points: Sequence[ScoreAndLoss]) -> Any:
+    """Draw the agents' scores over their losses to best replies.
 
     Raises
     ------
@@ -125,16 +125,15 @@ def exploitability_picture(points: Sequence[ScoreAndLoss], *, unit: str = "utili
         If there is no agent.
     """
     if not points:
-        raise InputError("there is no agent whose score and exploitability are known")
+        raise InputError("there is no agent whose score and loss to a best reply are known")
     figure = new_figure(7.2, 4.4)
     axes = figure.subplots()
     for i, point in enumerate(points):
         colour = COLOURS[i % len(COLOURS)]
-        axes.errorbar(
-            point.loss, point.score, point.score_error, point.loss_error, "o", color=colour, ms=6, elinewidth=1.0
-        )
+        axes.plot([point.low, point.high], [point.score, point.score], color=colour, lw=1.0)
+        axes.plot(point.loss, point.score, "o", color=colour, ms=6)
     axes.margins(x=0.16, y=0.12)
-    axes.set_xlabel(f"lost to an opponent that knows it, {unit} (half the NashConv); right: easier to exploit")
+    axes.set_xlabel("loss to a learned best reply, races won; right: easier to exploit")
     axes.set_ylabel("score in races")
     tidy(axes)
     positions = [(point.loss, point.score) for point in points]

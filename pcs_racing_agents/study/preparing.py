@@ -29,7 +29,6 @@ __all__ = [
     "choose_blind",
     "learn_responses",
     "make_the_archive",
-    "play_on_circuits",
     "play_trees",
     "stored_trees",
     "train_networks",
@@ -56,42 +55,25 @@ def make_the_archive(study: Study) -> None:
 
 
 def play_trees(study: Study) -> None:
-    """Play game trees on every training circuit."""
-    if study.config.pairs > 0:
-        play_on_circuits(study, "trees", study.config.pairs, TREE_SEED)
-
-
-def play_on_circuits(study: Study, stage: str, pairs: int, seed: int) -> dict[str, StoredTrees]:
-    """Play game trees on every training circuit, in parallel.
-
-    Parameters
-    ----------
-    study : Study
-    stage : str
-        Stage whose folder gets a folder for each circuit.
-    pairs : int
-        Trees on each circuit.
-    seed : int
-        Added to the study's, and to the number of the circuit.
-    """
+    """Play game trees on every training circuit, in parallel."""
     config = study.config
-    folders = {name: study.folder / stage / name for name in config.circuits}
+    if config.pairs == 0:
+        return
     with ExitStack() as opened:
         groups = [
             opened.enter_context(
                 open_trees(
                     study.tree_game(name),
-                    folder,
-                    pairs=pairs,
+                    study.folder / "trees" / name,
+                    pairs=config.pairs,
                     seeds_per_pair=config.seeds,
-                    seed=config.seed + seed + number,
+                    seed=config.seed + TREE_SEED + number,
                     one_thread=study.executor is not None,
                 )
             )
-            for number, (name, folder) in enumerate(folders.items())
+            for number, name in enumerate(config.circuits)
         ]
         run_groups(groups, executor=study.executor, progress=study.progress("trees"), keep=False)
-    return {name: load_trees(folder, study.archive) for name, folder in folders.items()}
 
 
 def stored_trees(study: Study) -> list[StoredTrees]:

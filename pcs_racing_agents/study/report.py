@@ -18,7 +18,7 @@ from pcs_racing_agents.explain.situations import Situations, situations_text
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.text_table import is_number
 from pcs_racing_agents.study.highlights import Watched
-from pcs_racing_agents.study.report_inputs import TreeLoss, mean_losses, mean_scores, scores_and_losses
+from pcs_racing_agents.study.report_inputs import ReplyLoss, mean_scores, scores_and_losses, total_losses
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
@@ -79,10 +79,8 @@ class ReportContent:
         Loss by epoch of every network, by its name.
     reward_curves : mapping of str to sequence of Curve
         Learning curves of reinforcement learning by step (in millions): a panel for each figure.
-    losses : sequence of TreeLoss
-        Losses of agents on trees that no network was trained on.
-    loss_unit : str
-        Unit of the losses.
+    losses : sequence of ReplyLoss
+        Losses of agents to learned best replies.
     judged : StudyTable, optional
         The table whose scores are shown with the losses; by default ``table``.
     rivals : RoundRobin, optional
@@ -107,8 +105,7 @@ class ReportContent:
     epsilon: float | tuple[float, ...] = 0.5
     curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)
     reward_curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)
-    losses: Sequence[TreeLoss] = ()
-    loss_unit: str = "utility"
+    losses: Sequence[ReplyLoss] = ()
     judged: StudyTable | None = None
     rivals: RoundRobin | None = None
     situations: Sequence[Situations] = ()
@@ -156,7 +153,7 @@ def report_page(content: ReportContent) -> str:
         notes=notes,
         paper_text=paper_text,
         situations_text=situations_text,
-        losses=list(_mean_losses(content)),
+        losses=list(_total_losses(content)),
         loss_cells=_loss_cells,
         scores_and_losses=scores_and_losses(content.judged or content.table, content.losses),
         ratings=list(_ratings(content)),
@@ -183,20 +180,18 @@ def _plain(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
-def _loss_cells(loss: TreeLoss) -> tuple[str, ...]:
-    return tuple(
-        "" if np.isnan(mean) else f"{mean:.3f}" if np.isnan(error) else f"{mean:.3f} ({error:.3f})"
-        for mean, error in loss.columns
-    )
+def _loss_cells(loss: ReplyLoss) -> tuple[str, ...]:
+    shares = (f"{loss.reply_won:.3f}", f"{loss.agent_won:.3f}", f"{loss.agent_own_crash:.1%}")
+    return f"{loss.loss:+.3f}", f"[{loss.low:+.3f}, {loss.high:+.3f}]", str(loss.races), *shares
 
 
-def _mean_losses(content: ReportContent) -> Iterator[tuple[str, ...]]:
-    """Yield each agent's losses on trees, with its score in races and its rating."""
+def _total_losses(content: ReportContent) -> Iterator[tuple[str, ...]]:
+    """Yield each agent's loss on all circuits, with its score in races and its rating."""
     scores = mean_scores(content.judged or content.table)
-    for agent, loss in mean_losses(content.losses).items():
+    for agent, loss in total_losses(content.losses).items():
         rating = np.nan if content.rivals is None else content.rivals.rating(agent)[0]
         columns = (f"{scores[agent]:.3f}" if agent in scores else "", "" if np.isnan(rating) else f"{rating:+.0f}")
-        yield agent, *columns, str(loss.trees), *_loss_cells(loss)
+        yield agent, *columns, *_loss_cells(loss)
 
 
 def _ratings(content: ReportContent) -> Iterator[tuple[str, ...]]:

@@ -16,77 +16,80 @@ from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study.table import StudyTable
 
 __all__ = [
+    "ReplyLoss",
     "ScoreAndLoss",
-    "TreeLoss",
-    "mean_losses",
     "mean_scores",
     "read_curves",
     "read_losses",
     "scores_and_losses",
     "software",
+    "total_losses",
 ]
 
 Floats = NDArray[np.float64]
 
 
 class ScoreAndLoss(NamedTuple):
-    """Score and exploitability of an agent.
+    """Score of an agent in the races of a table, and its loss to a best reply.
 
     Attributes
     ----------
     name : str
-    score, score_error : float
-        Mean score and its standard error (0 where it is not known).
-    loss, loss_error : float
-        Its loss to a best response, and the standard error.
+    score : float
+        Mean over the rows of the table.
+    loss, low, high : float
+        Its loss and the interval.
     """
 
     name: str
     score: float
-    score_error: float
     loss: float
-    loss_error: float
+    low: float
+    high: float
 
 
-class TreeLoss(NamedTuple):
-    """Losses of an agent on the held-out trees of a circuit.
+class ReplyLoss(NamedTuple):
+    """Loss of an agent to a best reply that was learned against it, on one circuit or on all of them.
 
     Attributes
     ----------
-    track, agent : str
-    trees : int
-    columns : tuple of (mean, standard error)
-        Lost to a best response, lost to the equilibrium, and the utility against random moves; the errors are NaN for
-        a single tree, and so are unknown values.
+    agent, track : str
+        The track is "all" in the line of all circuits.
+    loss, low, high : float
+        In races won, with its 95 % interval.
+    races : int
+    reply_won, agent_won, agent_own_crash : float
+        Shares of the races.
     """
 
-    track: str
     agent: str
-    trees: int
-    columns: tuple[tuple[float, float], ...]
+    track: str
+    loss: float
+    low: float
+    high: float
+    races: int
+    reply_won: float
+    agent_won: float
+    agent_own_crash: float
 
 
 LARGEST = 1e100
-LOSSES = ("lost_to_best_response", "lost_to_equilibrium", "against_random")
 
 
-def read_losses(path: str | Path) -> list[TreeLoss]:
-    """Read the results of the stage "exploitability": a line for each circuit, agent and tree.
+def read_losses(path: str | Path) -> list[ReplyLoss]:
+    """Read the results of the stage "best-replies": a line for each agent and circuit.
 
     Raises
     ------
     InputError
-        If the file can't be read or lacks a column.
+        If the file can't be read, lacks a column, or holds something else than numbers.
     """
-    groups: dict[tuple[str, str], list[list[float]]] = {}
-    for row in _rows(path, ("track", "agent", *LOSSES)):
-        groups.setdefault((row["track"], row["agent"]), []).append([_number(row[name], path) for name in LOSSES])
     losses = []
-    for (track, agent), rows in groups.items():
-        values = np.array(rows)
-        errors = values.std(axis=0, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.full(3, np.nan)
-        columns = tuple(zip(values.mean(axis=0).tolist(), errors.tolist(), strict=True))
-        losses.append(TreeLoss(track, agent, len(values), columns))
+    for row in _rows(path, ReplyLoss._fields):
+        loss, low, high, races, *shares = (_number(row[name], path) for name in ReplyLoss._fields[2:])
+        if not np.isfinite((loss, low, high, races, *shares)).all():
+            raise InputError(f"{path}: a number is missing for {row['agent']!r:.80}")
+        losses.append(ReplyLoss(row["agent"], row["track"], loss, low, high, int(races), *shares))
     return losses
 
 
@@ -107,16 +110,13 @@ def read_curves(path: str | Path, *columns: str, x: str = "epoch") -> list[Curve
     ]
 
 
-def mean_losses(losses: Sequence[TreeLoss]) -> dict[str, TreeLoss]:
-    """Return the losses of each agent, means over circuits with equal weight; errors are those of the mean."""
-    means = {}
-    for agent in dict.fromkeys(loss.agent for loss in losses):
-        own = [loss for loss in losses if loss.agent == agent]
-        values = np.array([loss.columns for loss in own], np.float64)  # circuits, columns, (mean, error)
-        errors = np.sqrt((values[:, :, 1] ** 2).sum(axis=0)) / len(own)
-        columns = tuple(zip(values[:, :, 0].mean(axis=0).tolist(), errors.tolist(), strict=True))
-        means[agent] = TreeLoss(", ".join(loss.track for loss in own), agent, sum(loss.trees for loss in own), columns)
-    return means
+def total_losses(losses: Sequence[ReplyLoss]) -> dict[str, ReplyLoss]:
+    """Return the loss of each agent on all circuits together, by agent."""
+    totals: dict[str, ReplyLoss] = {}
+    for loss in losses:
+        if loss.agent not in totals or loss.track == "all":  # with a single circuit there is no such line
+            totals[loss.agent] = loss
+    return totals
 
 
 def mean_scores(table: StudyTable | None) -> dict[str, float]:
@@ -127,12 +127,12 @@ def mean_scores(table: StudyTable | None) -> dict[str, float]:
     return {arm: float(np.mean([row[arm] for row in rows])) for arm in table.arms if all(arm in row for row in rows)}
 
 
-def scores_and_losses(table: StudyTable | None, losses: Sequence[TreeLoss]) -> list[ScoreAndLoss]:
-    """Return score and exploitability of the agents with both, means over rows and circuits."""
+def scores_and_losses(table: StudyTable | None, losses: Sequence[ReplyLoss]) -> list[ScoreAndLoss]:
+    """Return score and loss of the agents with both."""
     scores = mean_scores(table)
     return [
-        ScoreAndLoss(agent, scores[agent], 0.0, loss.columns[0][0], float(np.nan_to_num(loss.columns[0][1])))
-        for agent, loss in mean_losses(losses).items()
+        ScoreAndLoss(agent, scores[agent], loss.loss, loss.low, loss.high)
+        for agent, loss in total_losses(losses).items()
         if agent in scores
     ]
 

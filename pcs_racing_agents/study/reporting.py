@@ -14,11 +14,13 @@ from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.race_files import read_results, write_results
 from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.study.config import BEST_BLIND
+from pcs_racing_agents.study.family_gains import FAMILY_HEAD, family_gains, family_rows, write_family_gains
 from pcs_racing_agents.study.highlights import KINDS, Highlight, select_highlights, watch_race
+from pcs_racing_agents.study.playing import PLAYING_SEED, REPLY_SEED
 from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
-from pcs_racing_agents.study.racing import HELD_OUT_SEED, MIXING_SEED, RIVAL_SEED, TABLE_SEED, StudyRaces, table_races
+from pcs_racing_agents.study.racing import RIVAL_SEED, TABLE_SEED, StudyRaces, table_races
 from pcs_racing_agents.study.report import ReportContent, Sheet, Watched, write_page
-from pcs_racing_agents.study.report_inputs import TreeLoss, read_curves, read_losses, software
+from pcs_racing_agents.study.report_inputs import ReplyLoss, read_curves, read_losses, software
 from pcs_racing_agents.study.situations import moves_in_situations
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import StudyTable, make_table
@@ -90,6 +92,7 @@ def _content(
         head, *rows = overview_rows(further, difference_text)
         note = f"{config.further_lines * config.egos * config.variants * 2} races of each agent in each row."
         sheets.append(Sheet("More opponents, circuits and agents", head, tuple(rows), note))
+    sheets += _families(study, study_races, judged)
     return ReportContent(
         title=f"Study: {config.race} race, archive {study.archive.name}",
         about=(
@@ -103,7 +106,6 @@ def _content(
         curves=_curves(study),
         reward_curves=_reward_curves(study),
         losses=_losses(study),
-        loss_unit="m of lead" if config.game.utility == "lead" else "utility (a win 1, a loss -1)",
         judged=judged,
         rivals=_rivals(study),
         situations=moves_in_situations(study, study_races),
@@ -113,6 +115,25 @@ def _content(
         versions=software(),
         seeds=_seeds(study),
         seconds=seconds,
+    )
+
+
+def _families(study: Study, study_races: Sequence[StudyRaces], table: StudyTable) -> Iterator[Sheet]:
+    """Write the gains by family of opponents in the widest table, and yield them as a sheet; nothing without a gain."""
+    if table.best is None or table.blind is None:
+        return
+    name = "further" if study.config.further_lines else "main"
+    races = concatenate_races(cell.races for cell in study_races if cell.table == name)
+    gains = family_gains(races, table.best, table.blind)
+    if not gains:
+        return
+    write_family_gains(gains, study.folder / "families.csv")
+    yield Sheet(
+        f"Gain by family of opponents: {table.best} minus {table.blind}",
+        FAMILY_HEAD,
+        tuple(family_rows(gains)),
+        "Mean over all races of the table against a family. Agents may learn against the families for training; those "
+        "for tests they never met.",
     )
 
 
@@ -132,7 +153,7 @@ def _curves(study: Study) -> dict[str, list[Curve]]:
     return {name: read_curves(file) for name, file in files.items() if file.is_file()}
 
 
-REWARDS = {"worth": "worth of a race", "won": "races won", "at_fault": "crashes by own fault"}
+REWARDS = {"worth": "worth of a race", "won": "races won", "fault": "crashes by own fault"}
 
 
 def _reward_curves(study: Study) -> dict[str, list[Curve]]:
@@ -154,8 +175,8 @@ def _reward_curves(study: Study) -> dict[str, list[Curve]]:
     }
 
 
-def _losses(study: Study) -> list[TreeLoss]:
-    file = study.folder / "exploitability.csv"
+def _losses(study: Study) -> list[ReplyLoss]:
+    file = study.folder / "best_replies.csv"
     return read_losses(file) if file.is_file() else []
 
 
@@ -172,13 +193,17 @@ def _seeds(study: Study) -> dict[str, int]:
     config = study.config
     seeds = {"study": config.seed}
     if config.pairs:
-        seeds |= {"trees": config.seed + TREE_SEED, "trees held out": config.seed + HELD_OUT_SEED}
+        seeds["trees"] = config.seed + TREE_SEED
     seeds["training races"] = config.seed + FITTING_SEED
     if config.responses:
         seeds["answers"] = config.seed + RESPONSE_SEED
     seeds["races of the table"] = config.seed + TABLE_SEED
+    if any((config.robust, config.psro, config.self_play, config.sampled_cfr)):
+        seeds["robust answers and self-play"] = config.seed + PLAYING_SEED
+    if config.replies:
+        seeds["best replies"] = config.seed + REPLY_SEED
     if config.rivals:
-        seeds |= {"all against all": config.seed + RIVAL_SEED, "their mixture": config.seed + MIXING_SEED}
+        seeds["all against all"] = config.seed + RIVAL_SEED
     return seeds
 
 

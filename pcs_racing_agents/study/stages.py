@@ -8,7 +8,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.optional import require
 from pcs_racing.base.reading import parse_yaml
 from pcs_racing_agents.learning.ppo.learner import check_packages
-from pcs_racing_agents.study import preparing, racing, reporting
+from pcs_racing_agents.study import playing, preparing, racing, reporting
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.synthesis.config import load_archive_config
@@ -36,6 +36,11 @@ def _torch_for_networks(config: StudyConfig) -> None:
 
 def _torch_for_responses(config: StudyConfig) -> None:
     if config.responses:
+        require("torch", extra="learning")
+
+
+def _torch_for_playing(config: StudyConfig) -> None:
+    if config.replies or any((config.robust, config.psro, config.self_play, config.sampled_cfr)):
         require("torch", extra="learning")
 
 
@@ -74,7 +79,7 @@ class Stage(NamedTuple):
     always: bool = False
 
 
-LEARNED = ("networks", "blind", "responses", "ppo")
+LEARNED = ("networks", "blind", "responses", "robust", "psro", "self-play", "ppo")
 
 STAGES = (
     Stage("archive", (), "searches policies", preparing.make_the_archive, _synthesis),
@@ -93,11 +98,14 @@ STAGES = (
         preparing.learn_responses,
         _torch_for_responses,
     ),
+    Stage("self-play", ("archive",), "lets both cars learn", playing.play_against_itself, _torch_for_playing),
+    Stage("robust", ("blind",), "learns robust answers to opponents", playing.learn_robust_agent, _torch_for_playing),
+    Stage("psro", ("blind",), "learns answers to answers", playing.learn_psro_agent, _torch_for_playing),
     Stage("ppo", ("archive",), "trains the PPO baseline", preparing.train_ppo_baseline, _ppo),
     Stage("races", LEARNED, "drives the races of the table", racing.race_tables),
     Stage("rivals", LEARNED, "lets agents race all against all", racing.race_rivals),
-    Stage("exploitability", LEARNED, "judges agents on trees that no network has seen", racing.judge_on_trees),
-    Stage("report", ("races", "rivals", "exploitability"), "writes results.csv and report.html", _report, always=True),
+    Stage("best-replies", LEARNED, "trains a best reply to each agent", playing.measure_replies, _torch_for_playing),
+    Stage("report", ("races", "rivals", "best-replies"), "writes results.csv and report.html", _report, always=True),
 )
 """All stages, in the order in which they run."""
 

@@ -29,6 +29,9 @@ NETWORK_AGENTS = {
 }
 """Targets of the networks of the zoo's agents."""
 
+SET_AGENTS = ("robust", "psro", "self-play")
+"""Agents of the zoo with a set of networks."""
+
 
 @dataclass(frozen=True)
 class Study:
@@ -72,7 +75,7 @@ class Study:
         return load_track(name)
 
     def network(self, kind: str) -> Path:
-        """Return the folder of a network that this study trains."""
+        """Return the folder of a network, or of a set of networks, that this study trains."""
         return self.folder / "networks" / kind
 
     def agent(self, name: str) -> Competitor:
@@ -92,6 +95,8 @@ class Study:
             options = {"network": self.network(self.config.responses[0]), "blind": self.agent("best-fixed")}
         elif kind is not None and self.network(kind).is_dir():
             options = {"network": self.network(kind)}
+        elif name in SET_AGENTS and self.network(name).is_dir():
+            options = {"networks": self.network(name)}
         elif name in BEST_BLIND:
             options = {"fit": self.folder / "blind" / f"{name}.yaml"}
         return build(name, self.setting, seed=seed, **options)

@@ -24,6 +24,7 @@ __all__ = [
     "StudyTable",
     "TableRow",
     "make_table",
+    "matched_scores",
 ]
 
 Floats = NDArray[np.float64]
@@ -249,7 +250,7 @@ def _row(
     if arms[0] not in raced:
         raise InputError(f"{label}: {arms[0]!r} did not race; there is nothing to compare with")
     first = raced[arms[0]]
-    scores = {arm: _scores(first, races, f"{label}, {arm}") for arm, races in raced.items()}
+    scores = {arm: matched_scores(first, races, f"{label}, {arm}") for arm, races in raced.items()}
     egos, opponents = first.variants.T.astype(np.int64)
     lines = np.unique(first.start_s, return_inverse=True)[1].astype(np.int64)
     labels = (egos, opponents)
@@ -281,8 +282,14 @@ def _row(
     )
 
 
-def _scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
-    """Return the scores of an arm in the order of the base's races."""
+def matched_scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
+    """Return the scores of an arm in the order of the races of another arm.
+
+    Raises
+    ------
+    InputError
+        If the arms did not drive the same races; the message begins with the label.
+    """
     columns = [(table.variants, table.start_s, table.side) for table in (first, races)]
     if all(np.array_equal(column, other_column) for column, other_column in zip(*columns, strict=True)):
         return races.score

@@ -20,7 +20,7 @@ from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import package_version
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveProgress
-from pcs_racing_agents.synthesis.config import ArchiveConfig
+from pcs_racing_agents.synthesis.config import HEADROOM_SETTINGS, ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import Evaluation, summarise
 from pcs_racing_agents.synthesis.indicators import hypervolume
 from pcs_racing_agents.synthesis.pareto_archive import Scale
@@ -136,8 +136,10 @@ def _top_tenth(values: Floats, by: Floats) -> float:
 
 
 def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
-    """Every setting of a synthesis as a text or a number."""
+    """Every setting of a synthesis that matters, as a text or a number."""
     values = {**plain_settings(config), "characteristics": list(config.axes)}
+    if config.choose != "headroom":
+        values = {key: value for key, value in values.items() if key not in HEADROOM_SETTINGS}
     texts = {key: ", ".join(map(str, value)) for key, value in values.items() if isinstance(value, list)}
     return {key: "none" if value is None else texts.get(key, value) for key, value in values.items()}
 

@@ -3,14 +3,15 @@
 1. **Search.** Some policies at random (scouts) set the scale; then an optimiser proposes generation after generation,
    and every policy is raced in the same scenarios (Algorithm 1 of the paper).
 2. **Choice.** The best of everything evaluated are raced again, in other scenarios. Policies that crash too often, that
-   another one clearly beats, or that nearly coincide with another one are left out.
+   another one clearly beats, or that nearly coincide with another one are left out. As an option, candidates race each
+   other instead, and a pool that holds a game is kept (:mod:`pcs_racing_agents.synthesis.headroom_choice`).
 3. **Measurement.** What is left is raced in new scenarios once more; these races alone give the coordinates, since the
    best of many noisy values is too good to be true.
+4. **Judgement**, of a pool that was chosen for headroom only: its headroom in new races.
 """
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from pcs_racing_agents.synthesis.archive_report import write_archive
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveCallback, PolicyRaces
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import summarise
+from pcs_racing_agents.synthesis.headroom_choice import choose_for_headroom, judge_headroom
 from pcs_racing_agents.synthesis.indicators import hypervolume
 from pcs_racing_agents.synthesis.mo_cma_es import latin_hypercube
 from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
@@ -75,9 +77,9 @@ def make_archive(
     """
     folder = Path(folder)
     family = get_planner(config.planner)
-    hashes = {name: load_track(name).content_hash for name in config.tracks}
+    hashes = {name: load_track(name).content_hash for name in (*config.tracks, *(config.judging_tracks or ()))}
     search, choice, final = stage_scenarios(config)
-    scouts, optimiser = _roots(config)[3:]
+    scouts, optimiser, payoffs, judging = _roots(config)[3:]
     _check_folder(folder)
     settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
     with open_job(folder / "job", "archive", settings) as job:
@@ -100,8 +102,10 @@ def make_archive(
             reference=REFERENCE,
             step_size=config.step_size,
         )
-        candidates, notes = choose(races, choice)
+        candidates, notes = choose(races, choice, _number(payoffs))
         kept, raced, more = measure(races, candidates, final)
+        if config.choose == "headroom":
+            more = {**more, **judge_headroom(races, kept, _number(judging))}
         content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
         notes = {**notes, **more, "track_hashes": content}
         return write_archive(folder, config, races.explored(), races.scale, kept, raced, races.history, notes)
@@ -120,7 +124,7 @@ def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenar
     def drawn(root: np.random.SeedSequence, opponents: int, starts: int, duration: float) -> Scenarios:
         return draw_scenarios(
             config.tracks,
-            replace(config.rules, duration=float(duration)),
+            config.rules_of(duration),
             draw_policies(get_planner(config.planner), opponents, root, config.fixed),
             config.axes,
             planner=config.planner,
@@ -137,8 +141,8 @@ def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenar
 
 
 def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
-    """Roots of the three stages, of the scouts and of the optimiser."""
-    return np.random.SeedSequence(config.seed).spawn(5)
+    """Roots of the three stages, of the scouts, of the optimiser, and of the payoffs in choice and judgement."""
+    return np.random.SeedSequence(config.seed).spawn(7)
 
 
 def draw_policies(family: Planner, count: int, root: np.random.SeedSequence, fixed: Sequence[str] = ()) -> Floats:
@@ -168,8 +172,17 @@ def _check_folder(folder: Path) -> None:
             raise InputError(f"{folder} holds {others[0]} but no run of a synthesis; choose a new or an empty folder")
 
 
-def choose(races: PolicyRaces, scenarios: Scenarios) -> tuple[Floats, Notes]:
-    """Race the best policies of a search again in new scenarios, and choose among them.
+def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats, Notes]:
+    """Choose among the policies of a search, by new races.
+
+    Parameters
+    ----------
+    races : PolicyRaces
+        The search, done.
+    scenarios : Scenarios
+        In which candidates for a front race again.
+    seed : int
+        Root of the races between candidates for a pool with headroom.
 
     Returns
     -------
@@ -190,6 +203,22 @@ def choose(races: PolicyRaces, scenarios: Scenarios) -> tuple[Floats, Notes]:
             f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the races of "
             f"{config.duration:g} s, or lie below least; raise crash_limit or lower least"
         )
+    if config.choose == "headroom":
+        parameters, notes = choose_for_headroom(races, allowed, seed)
+    else:
+        parameters, notes = _choose_front(races, allowed, scenarios)
+    return parameters, {
+        "search_over_crash_limit": int(crashing.sum()),
+        "search_hypervolume": hypervolume(races.scale(explored.coordinates[rows[~crashing[rows]]]), REFERENCE),
+        "search_hypervolume_without_crash_limit": hypervolume(races.scale(explored.coordinates[rows]), REFERENCE),
+        **notes,
+    }
+
+
+def _choose_front(races: PolicyRaces, allowed: NDArray[np.int64], scenarios: Scenarios) -> tuple[Floats, Notes]:
+    """Race the best of the allowed policies again in new scenarios, and choose those that none clearly beats."""
+    config = races.config
+    theta, explored = races.explored()
     order = allowed[spread_first(_unit(explored.coordinates[allowed]), 0.5 * config.spacing, config.candidates)]
     raced = races.race("choice", "choice", scenarios, theta[order])
     remeasured = summarise(raced)
@@ -199,9 +228,6 @@ def choose(races: PolicyRaces, scenarios: Scenarios) -> tuple[Floats, Notes]:
     last = races.history[-1]
     races.note("choice", last.generation, last.hypervolume, len(distinct), remeasured)
     return theta[order[distinct]], {
-        "search_over_crash_limit": int(crashing.sum()),
-        "search_hypervolume": hypervolume(races.scale(explored.coordinates[rows[~crashing[rows]]]), REFERENCE),
-        "search_hypervolume_without_crash_limit": hypervolume(races.scale(explored.coordinates[rows]), REFERENCE),
         "choice_candidates": len(order),
         "choice_outside_limits": len(order) - len(within_limits),
         "choice_beaten": len(within_limits) - len(not_beaten),
@@ -212,8 +238,8 @@ def choose(races: PolicyRaces, scenarios: Scenarios) -> tuple[Floats, Notes]:
 def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tuple[Floats, Arrays, Notes]:
     """Race policies in new scenarios, sort them by the first axis, and leave out what does not belong in an archive.
 
-    That is: those that crash too often after all, and those that another one clearly beats after all. What is left out
-    adds nothing to the front, so this makes the front look no better than it is.
+    That is: those that crash too often after all, and of a front those that another one clearly beats after all. These
+    add nothing to the front, so this makes the front look no better than it is.
 
     Returns
     -------
@@ -229,12 +255,15 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
         raced = races.race("measurement", "measurement", scenarios, parameters)
         measured = summarise(raced)
         within_limits = np.flatnonzero(measured.own_crash <= limit)
-        kept = within_limits[~_beaten(races.config, raced, within_limits)]
+        kept = within_limits
+        if races.config.choose == "pareto":
+            kept = within_limits[~_beaten(races.config, raced, within_limits)]
         kept = kept[np.argsort(measured.coordinates[kept, 0], kind="stable")]
-    if len(kept) < 2:
+    fewest = 2 if races.config.choose == "pareto" else 3
+    if len(kept) < fewest:
         raise InputError(
-            f"{len(kept)} policies remain below the crash limit of {limit:.0%}; an archive needs 2 at least: raise "
-            "crash_limit, or search longer"
+            f"{len(kept)} policies remain below the crash limit of {limit:.0%}; an archive needs {fewest} at least: "
+            "raise crash_limit, or search longer"
         )
     last = races.history[-1]
     races.note("measurement", last.generation, last.hypervolume, len(kept), measured)

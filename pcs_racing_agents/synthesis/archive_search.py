@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.diverse import greedy_map, similarity
 from pcs_racing_agents.synthesis.evaluate import Evaluation, join, on_worker, summarise
@@ -40,7 +41,8 @@ class ArchiveProgress(NamedTuple):
     Attributes
     ----------
     stage : str
-        What was done last: ``"search"``, ``"choice"`` or ``"measurement"``.
+        What was done last: ``"search"``, ``"choice"``, ``"measurement"`` or, of policies chosen for headroom,
+        ``"judgement"``.
     generation, generations : int
         Generations done, and asked for.
     evaluations : int
@@ -138,14 +140,22 @@ class PolicyRaces:
 
     def race(self, stage: str, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
         """Race policies, given by the parameters that vary, or read what an earlier run of the job has left."""
-
-        def progress(done: int, total: int, _: str) -> None:
-            if stage != "search":
-                self.callback(self.history[-1]._replace(stage=stage, done=self._done(stage, done / total)))
-
         parameters = self._complete(parameters)
         tasks = [(scenarios, parameters[first : first + BLOCK]) for first in range(0, len(parameters), BLOCK)]
+        progress = None if stage == "search" else self.progress(stage)
         return join(self.job.run(name, on_worker(self.executor), tasks, executor=self.executor, progress=progress))
+
+    def payoffs(self, stage: str, pool: PolicyPool) -> Floats:
+        """Race all pairs of a pool, or read what an earlier run of the job has left, shape (T, F, N, N)."""
+        return pool_payoffs(pool, name=stage, job=self.job, executor=self.executor, progress=self.progress(stage))
+
+    def progress(self, stage: str) -> Progress:
+        """Return a callback for the tasks of a stage."""
+
+        def progress(done: int, total: int, _: str) -> None:
+            self.callback(self.history[-1]._replace(stage=stage, done=self._done(stage, done / total)))
+
+        return progress
 
     def _complete(self, parameters: Floats) -> Floats:
         """Return policies with those parameters, too, that do not vary."""
@@ -180,7 +190,8 @@ class PolicyRaces:
 
     def _done(self, stage: str, share: float) -> float:
         """Return the share of all racing that is done after a share of a stage."""
-        search, choice, measurement = self.config.work
-        raced = search if stage != "search" else self.evaluations / self.config.evaluations * search
-        raced += {"search": 0.0, "choice": share * choice, "measurement": choice + share * measurement}[stage]
-        return raced / (search + choice + measurement)
+        work = self.config.work
+        if stage == "search":
+            share *= self.evaluations / self.config.evaluations
+        earlier = list(work)[: list(work).index(stage)]
+        return (sum(work[name] for name in earlier) + share * work[stage]) / sum(work.values())

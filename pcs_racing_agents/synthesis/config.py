@@ -1,6 +1,7 @@
 """Settings of the synthesis of an archive."""
 
 from dataclasses import dataclass
+from math import comb
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,12 @@ from pcs_racing_agents.synthesis.optimisers import METHODS
 
 __all__ = ["ArchiveConfig", "list_archive_configs", "load_archive_config"]
 
+CHOICES = ("pareto", "headroom")
+"""How policies are chosen for an archive: those that none clearly beats, or a pool that holds a game."""
+
 KIND = "archive"
+HEADROOM_SETTINGS = ("groups", "payoff_races", "judging_races", "judging_tracks")
+"""Settings that only matter with ``choose: headroom``."""
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
 _SECONDS = number(0.1, 3600.0)
@@ -99,6 +105,12 @@ class ArchiveConfig(Settings):
         checked(_numbers),
         "Smallest coordinate of a policy in the archive, one for each axis; None for no limit.",
     )
+    choose: str = setting(
+        "pareto",
+        choice(CHOICES),
+        "Rule of the selection: policies that no other one clearly beats on the axes (the paper), or a pool with much "
+        "headroom, chosen from the payoffs of all pairs of candidates.",
+    )
     candidates: int = setting(240, whole(2, 10_000), "Policies that race again in the selection.")
     choice_opponents: int = setting(8, whole(1, 1000), "Opponents in the selection.")
     choice_starts: int = setting(2, whole(1, 1000), "Start lines on each track in the selection.")
@@ -107,6 +119,23 @@ class ArchiveConfig(Settings):
         number(0.0, 10.0),
         "A policy is dominated if another one is better on all axes by more than this number of standard errors of the "
         "difference.",
+    )
+    groups: int = setting(
+        4,
+        whole(1, 1000),
+        "With choose: headroom, groups of candidates along the first axis from which equally many policies are taken.",
+    )
+    payoff_races: int = setting(
+        16, whole(4, 100_000), "With choose: headroom, races of each pair of candidates on each track."
+    )
+    judging_races: int = setting(
+        64,
+        whole(4, 100_000),
+        "With choose: headroom, races of each pair of the chosen policies on each track, whose headroom the manifest "
+        "states.",
+    )
+    judging_tracks: tuple[str, ...] | None = setting(
+        None, names(), "With choose: headroom, circuits without a say in the choice on which it is judged, too."
     )
     spacing: float = setting(
         0.015,
@@ -138,6 +167,8 @@ class ArchiveConfig(Settings):
                 )
         if self.fewest > self.most:
             raise ConfigError(f"fewest is {self.fewest}, above most, {self.most}")
+        if self.choose == "headroom":
+            self._check_headroom()
         if self.refresh_generations and max(self.refresh_generations) >= self.generations:
             raise ConfigError(
                 f"refresh_generations is {self.refresh_generations!r}; it must be a list of different generations from "
@@ -152,10 +183,30 @@ class ArchiveConfig(Settings):
                 f"least is {self.least!r}; it must be a list of numbers, one for each of {', '.join(self.axes)}"
             )
 
+    def _check_headroom(self) -> None:
+        """Check what only the choice for headroom needs."""
+        if not 3 <= self.most <= self.candidates:
+            raise ConfigError(
+                f"most is {self.most}; a pool chosen for headroom holds 3 policies at least, and no more than there "
+                f"are candidates, {self.candidates}"
+            )
+        if self.groups > self.most:
+            raise ConfigError(f"groups is {self.groups}, above most, {self.most}")
+        for key in ("payoff_races", "judging_races"):
+            if getattr(self, key) % 4:
+                raise ConfigError(f"{key} is {getattr(self, key)}; it must be a multiple of 4")
+        both = set(self.tracks) & set(self.judging_tracks or ())
+        if both:
+            raise ConfigError(f"judging_tracks names {sorted(both)[0]!r}, which has a say in the choice")
+
     @property
     def rules(self) -> RaceConfig:
         """Rules of the races, with the duration of those of the search."""
-        return load_race_config(self.preset, duration=float(self.duration))
+        return self.rules_of(self.duration)
+
+    def rules_of(self, duration: float) -> RaceConfig:
+        """Rules of the races, with another duration."""
+        return load_race_config(self.preset, duration=float(duration))
 
     @property
     def search_crash_limit(self) -> float:
@@ -186,14 +237,20 @@ class ArchiveConfig(Settings):
         return len(self.tracks) * self.opponents * self.starts * 2
 
     @property
-    def work(self) -> tuple[float, float, float]:
-        """Seconds of racing in the search, the choice and the measurement, at most."""
+    def work(self) -> dict[str, float]:
+        """Seconds of racing in each stage, at most."""
         races = 2 * len(self.tracks)
-        return (
-            self.evaluations * self.races * self.duration,
-            self.candidates * races * self.choice_opponents * self.choice_starts * self.duration,
-            self.most * races * self.final_opponents * self.final_starts * self.final_duration,
-        )
+        work = {
+            "search": self.evaluations * self.races * self.duration,
+            "choice": self.candidates * races * self.choice_opponents * self.choice_starts * self.duration,
+            "measurement": self.most * races * self.final_opponents * self.final_starts * self.final_duration,
+        }
+        if self.choose == "headroom":
+            judging = len(self.tracks) + len(self.judging_tracks or ())
+            pairs, chosen = comb(self.candidates, 2), comb(self.most, 2)
+            work["choice"] = pairs * len(self.tracks) * self.payoff_races * self.final_duration
+            work["judgement"] = chosen * judging * self.judging_races * self.final_duration
+        return work
 
 
 def list_archive_configs() -> list[str]:

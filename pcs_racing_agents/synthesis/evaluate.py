@@ -17,7 +17,7 @@ from pcs_racing.track.track import as_track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies
 
-__all__ = ["Evaluation", "PolicyTask", "evaluate", "join", "on_worker", "race_policies", "summarise"]
+__all__ = ["Evaluation", "PolicyTask", "evaluate", "join", "on_worker", "race_pieces", "race_policies", "summarise"]
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ PolicyTask: TypeAlias = tuple[Scenarios, Floats]
 
 
 class Evaluation(NamedTuple):
-    """Coordinates and own crashes of K policies.
+    """Coordinates, own crashes and wins of K policies.
 
     Attributes
     ----------
@@ -38,11 +38,14 @@ class Evaluation(NamedTuple):
         Share of the races that ended by a crash of the policy's own fault.
     spread : ndarray, shape (K, G)
         Standard error of the coordinates, were the races drawn again.
+    won : ndarray, shape (K,)
+        Share of the races that the policy won.
     """
 
     coordinates: Floats
     own_crash: Floats
     spread: Floats
+    won: Floats
 
 
 def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
@@ -60,12 +63,36 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     InputError
         If a characteristic is not finite.
     """
+    raced = race_pieces(task, threads)
+    values = raced.pop("values")
+    begun = ~np.isnan(values[..., 0])
+    totals = np.zeros((*values.shape[:2], values.shape[3]))
+    for piece in range(values.shape[2]):
+        totals += np.where(begun[:, :, piece, None], values[:, :, piece], 0.0)
+    return {"totals": totals, "pieces": begun.sum(axis=2).astype(np.int16), **raced}
+
+
+def race_pieces(task: PolicyTask, threads: int | None = None) -> Arrays:
+    """Race some policies in some scenarios, and measure every piece of every race.
+
+    Returns
+    -------
+    dict of ndarray
+        ``values`` (k, R, S, G): characteristics of the policy in each of the S pieces of a race; NaN in pieces that
+        the race did not begin. The others as :func:`race_policies` returns them.
+
+    Raises
+    ------
+    InputError
+        If a characteristic is not finite.
+    """
     scenarios, parameters = task
     axes = get_characteristics(scenarios.characteristics)
     planner = get_planner(scenarios.planner)
     count, races = len(parameters), len(scenarios)
-    totals = np.zeros((count, races, len(axes)))
-    pieces, winner = np.zeros((count, races), np.int16), np.zeros((count, races), np.int8)
+    number = round(scenarios.config.duration / scenarios.segment_seconds)
+    values = np.full((count, races, number, len(axes)), np.nan)
+    winner = np.zeros((count, races), np.int8)
     own_crash, crashed = np.zeros((count, races), np.bool_), np.zeros((count, races), np.bool_)
     length = round(scenarios.segment_seconds * 100.0)
     for index, source in enumerate(scenarios.tracks):
@@ -78,24 +105,23 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
             state = start_races(setup, Starts(scenarios.start_s[which], scenarios.side[which]), scenarios.seed[which])
             rivals = scenarios.opponents[scenarios.opponent[which]]
             theta = np.ascontiguousarray(np.stack([parameters[ego], rivals], axis=1))
-            for _ in range(round(scenarios.config.duration / scenarios.segment_seconds)):
+            for piece in range(number):
                 before = state.copy()
                 advance(setup, state, theta, length, threads=threads)
-                piece = Segment.between(before, state, scenarios.segment_seconds)
-                begun = piece.time > 0.0
-                values = measure(piece, axes)[:, 0]
-                if not np.isfinite(values[begun]).all():
-                    row, axis = np.argwhere(~np.isfinite(values) & begun[:, None])[0]
+                segment = Segment.between(before, state, scenarios.segment_seconds)
+                begun = segment.time > 0.0
+                measured = measure(segment, axes)[:, 0]
+                if not np.isfinite(measured[begun]).all():
+                    row, axis = np.argwhere(~np.isfinite(measured) & begun[:, None])[0]
                     raise InputError(
-                        f"characteristic {axes[axis].name!r} is {values[row, axis]} in race {which[row]} of policy "
+                        f"characteristic {axes[axis].name!r} is {measured[row, axis]} in race {which[row]} of policy "
                         f"{ego[row]}; it must be finite"
                     )
-                totals[ego, which] += np.where(begun[:, None], values, 0.0)
-                pieces[ego, which] += begun
+                values[ego, which, piece] = np.where(begun[:, None], measured, np.nan)
             own_crash[ego, which] = state.fault[:, 0] == 1
             crashed[ego, which] = state.crashed
             winner[ego, which] = winners(scenarios.config, state)
-    return {"totals": totals, "pieces": pieces, "own_crash": own_crash, "crashed": crashed, "winner": winner}
+    return {"values": values, "own_crash": own_crash, "crashed": crashed, "winner": winner}
 
 
 def summarise(raced: Arrays) -> Evaluation:
@@ -109,7 +135,7 @@ def summarise(raced: Arrays) -> Evaluation:
     coordinates = totals.sum(axis=1) / pieces.sum(axis=1)[:, None]
     residuals = totals - coordinates[:, None] * pieces[..., None]
     spread = np.sqrt(races / max(races - 1, 1) * (residuals**2).sum(axis=1)) / pieces.sum(axis=1)[:, None]
-    return Evaluation(coordinates, raced["own_crash"].mean(axis=1), spread)
+    return Evaluation(coordinates, raced["own_crash"].mean(axis=1), spread, (raced["winner"] == 0).mean(axis=1))
 
 
 def evaluate(

@@ -1,9 +1,9 @@
 """Fits on training races: the best blind agents of three kinds, and the equilibrium mixture of agents.
 
 Blind agents are an open-loop sequence of moves, a fixed policy, and a lead plan (a policy behind and one ahead). Every
-candidate drives the same training races (common random numbers), which reduces the noise of their differences. A result
-is a :class:`pcs_racing_agents.agents.fits.Fit`, a small file for the agents "best-schedule", "best-fixed",
-"best-lead-plan" and "psro".
+candidate drives the same training races (common random numbers), which reduces the noise of their differences. A blind
+agent's result is a :class:`pcs_racing_agents.agents.fits.Fit`, a small file for the agents "best-schedule",
+"best-fixed" and "best-lead-plan".
 """
 
 from collections.abc import Callable, Sequence
@@ -29,7 +29,15 @@ from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
 
-__all__ = ["OBJECTIVES", "TrainingRaces", "fit_best_fixed", "fit_best_lead_plan", "fit_best_schedule", "fit_psro"]
+__all__ = [
+    "OBJECTIVES",
+    "MetaStrategy",
+    "TrainingRaces",
+    "fit_best_fixed",
+    "fit_best_lead_plan",
+    "fit_best_schedule",
+    "fit_psro",
+]
 
 Choices = tuple[int, ...]
 
@@ -276,19 +284,34 @@ def fit_best_lead_plan(
     return make_fit("best-lead-plan", choice, setting, training.facts(scores[best], len(scores)))
 
 
+class MetaStrategy(NamedTuple):
+    """An equilibrium of the zero-sum game in which both players choose one of N agents.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (N,)
+        Probability of each agent.
+    payoffs : ndarray, shape (N, N)
+        Mean excess of each agent's objective over each other's.
+    """
+
+    weights: NDArray[np.float64]
+    payoffs: NDArray[np.float64]
+
+
 def fit_psro(
     training: TrainingRaces,
     members: Sequence[Agent],
     *,
+    known: MetaStrategy | None = None,
     job: Job | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
-) -> Fit:
+) -> MetaStrategy:
     """Find the equilibrium probabilities of agents, in the zero-sum game in which both players choose an agent.
 
     The payoff of one agent against another is its mean objective minus the other's, over the same races from both
-    sides of the grid (empirical game of PSRO, Lanctot et al. 2017). A best response to the mixture can be added to the
-    members, and the fit repeated.
+    sides of the grid (empirical game of PSRO, Lanctot et al. 2017).
 
     Parameters
     ----------
@@ -296,21 +319,26 @@ def fit_psro(
         Its opponents are not used.
     members : sequence of Agent
         At least two.
+    known : MetaStrategy, optional
+        Of the first members: their payoffs are taken from it.
     job, executor, progress
         As for :func:`fit_best_schedule`.
 
     Raises
     ------
     InputError
-        If there are fewer than two members, or two of one name.
+        If there are fewer than two members, two of one name, or fewer than are known.
     """
     from pcs_racing_agents.tournament.meta_game import zero_sum_equilibrium
 
     names = [member.name for member in members]
     if len(members) < 2 or len(set(names)) < len(names):
         raise InputError(f"members are {', '.join(names) or 'nobody'}; psro needs at least two, with different names")
+    first = 0 if known is None else len(known.payoffs)
+    if first > len(members):
+        raise InputError(f"payoffs of {first} agents are known, and there are {len(members)} members; give all of them")
     setting = training.setting
-    pairs = list(combinations(range(len(members)), 2))
+    pairs = [(i, j) for i, j in combinations(range(len(members)), 2) if j >= first]
     games_and_schedules = []
     for track in training.tracks:
         schedule = draw_schedule(track, setting.config.race_rules, training.races, training.seed)
@@ -319,16 +347,15 @@ def fit_psro(
         schedule_pairing(game, members[i], members[j], schedule, training.seed)
         for (i, j), (game, schedule) in product(pairs, games_and_schedules)
     ]
-    played = play_pairings(pairings, name="psro", job=job, executor=executor, progress=progress)
+    name = f"psro-{first}-{len(members)}"
+    played = play_pairings(pairings, name=name, job=job, executor=executor, progress=progress)
     excess = [_excess(games, training.objective) for games in played]
     payoffs = np.zeros((len(members), len(members)))
+    if known is not None:
+        payoffs[:first, :first] = known.payoffs
     for (i, j), value in zip(pairs, np.reshape(excess, (len(pairs), -1)).mean(axis=1), strict=True):
         payoffs[i, j], payoffs[j, i] = value, -value
-    weights = zero_sum_equilibrium(payoffs).row
-    shares = {name: round(float(weight), 6) for name, weight in zip(names, weights, strict=True)}
-    facts = training.facts(0.0, len(members))
-    facts = {key: value for key, value in facts.items() if key not in ("opponents", "reached")}
-    return make_fit("psro", shares, setting, {**facts, "least excess": round(float((weights @ payoffs).min()), 4)})
+    return MetaStrategy(zero_sum_equilibrium(payoffs).row, payoffs)
 
 
 def _excess(games: PlayedGames, objective: str) -> float:

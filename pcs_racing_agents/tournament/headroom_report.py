@@ -7,30 +7,49 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
-from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned
-from pcs_racing_agents.tournament.headroom import (
+from pcs_racing_agents.payoffs.headroom import (
     CyclicPlane,
     Headroom,
+    SlotHeadroom,
     cyclic_planes,
     headroom,
     jackknife_error,
     ratings,
+    slot_headroom,
     transitive_share,
 )
+from pcs_racing_agents.payoffs.lead_plans import LeadPlanValue
+from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
+from pcs_racing_agents.results.csv_files import write_csv
+from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.tournament.meta_game import zero_sum_equilibrium
 
-__all__ = ["TrackGame", "headroom_picture", "headroom_text", "track_game", "write_headroom"]
+__all__ = [
+    "LEAD_NOTE",
+    "TrackGame",
+    "headroom_picture",
+    "headroom_text",
+    "lead_plan_rows",
+    "track_game",
+    "write_headroom",
+]
 
 Floats = NDArray[np.float64]
 
-HEAD = ("track", "H", "low", "opponents", "pool", "transitive", "cycles", "strength", "noise", "equilibrium")
+HEAD = (
+    "track", "H", "low", "opponents", "pool", "in slot", "slot", "transitive", "cycles", "strength", "noise",
+    "equilibrium",
+)  # fmt: skip
+LEAD_HEAD = ("track", "lead plan", "error", "then H", "error", "ahead", "behind")
 NOTE = """H: what knowing the opponent before the start is worth, in races won, over the best fixed policy; low: a bound
-from below; opponents, pool: standard errors over opponents and over draws of the pool; transitive: share of the
-payoffs' variance that ratings explain, noise removed; cycles: planes of rock, paper and scissors stronger than noise;
-strength, noise: singular value of the first plane, and what noise alone reaches in 95 of 100 draws; equilibrium:
-policies with more than 1 % of the probability"""
+from below; opponents, pool: standard errors over opponents and over draws of the pool; in slot: H for a driver that
+knows its place on the grid, over the best fixed policy of each place; slot: what choosing by the place alone is worth;
+transitive: share of the payoffs' variance that ratings explain, noise removed; cycles: planes of rock, paper and
+scissors stronger than noise; strength, noise: singular value of the first plane, and what noise alone reaches in 95 of
+100 draws; equilibrium: policies with more than 1 % of the probability"""
+LEAD_NOTE = """lead plan: what the best plan "this policy while ahead, that one while behind" wins over the best fixed
+policy; then H: what knowing the opponent is worth to a driver with such plans, over the best of them; errors: over
+opponents"""
 
 
 class TrackGame(NamedTuple):
@@ -41,8 +60,9 @@ class TrackGame(NamedTuple):
     track : str
         Name of the circuit.
     payoffs : ndarray, shape (F, N, N)
-        See :func:`pcs_racing_agents.tournament.policy_pool.pool_payoffs`.
+        Mean over both slots of the grid.
     headroom : Headroom
+    slots : SlotHeadroom
     transitive_share : float
     planes : list of CyclicPlane
         The strongest first.
@@ -53,17 +73,27 @@ class TrackGame(NamedTuple):
     track: str
     payoffs: Floats
     headroom: Headroom
+    slots: SlotHeadroom
     transitive_share: float
     planes: list[CyclicPlane]
     equilibrium: Floats
 
 
-def track_game(track: str, payoffs: Floats) -> TrackGame:
-    """Return the statistics of the payoffs on one circuit."""
+def track_game(track: str, slots: Floats) -> TrackGame:
+    """Return the statistics of the payoffs on one circuit.
+
+    Parameters
+    ----------
+    track : str
+    slots : ndarray, shape (F, 2, N, N)
+        See :func:`pcs_racing_agents.payoffs.policy_pool.slot_payoffs`.
+    """
+    payoffs = slots.mean(axis=1)
     return TrackGame(
         track=track,
         payoffs=payoffs,
         headroom=headroom(payoffs),
+        slots=slot_headroom(slots),
         transitive_share=transitive_share(payoffs),
         planes=cyclic_planes(payoffs),
         equilibrium=zero_sum_equilibrium(payoffs.mean(axis=0)).row,
@@ -79,14 +109,15 @@ def headroom_text(games: Sequence[TrackGame], names: Sequence[str]) -> str:
         gains = np.mean([estimate.gains for estimate in estimates], axis=0)
         error = float(gains.std(ddof=1) / np.sqrt(len(gains)))
         pool = jackknife_error(np.mean([estimate.without for estimate in estimates], axis=0))
-        rows.append(("mean", *_signed(value, low), f"{error:.3f}", f"{pool:.3f}", "", "", "", "", ""))
+        places = _signed(*(np.mean([getattr(game.slots, key) for game in games]) for key in ("value", "slot_alone")))
+        rows.append(("mean", *_signed(value, low), f"{error:.3f}", f"{pool:.3f}", *places, "", "", "", "", ""))
     best = [f"{game.track}: the best fixed policy is {names[game.headroom.best_fixed]}" for game in games]
     return "\n".join([*aligned(rows), "", *best, "", NOTE])
 
 
 def write_headroom(games: Sequence[TrackGame], names: Sequence[str], folder: Path) -> list[Path]:
     """Write ``headroom.csv``, a line for each circuit, and ``payoffs.csv``, a line for each two policies."""
-    lines = [(*HEAD[:5], "best_fixed"), *(_plain_row(game, names) for game in games)]
+    lines = [(*HEAD[:5], "in_slot", "slot", "best_fixed"), *(_plain_row(game, names) for game in games)]
     pairs: list[tuple[object, ...]] = [("track", "policy", "opponent", "payoff", "error")]
     for game in games:
         mean = game.payoffs.mean(axis=0)
@@ -97,6 +128,21 @@ def write_headroom(games: Sequence[TrackGame], names: Sequence[str], folder: Pat
             if i != j
         ]
     return [write_csv(lines, folder / "headroom.csv"), write_csv(pairs, folder / "payoffs.csv")]
+
+
+def lead_plan_rows(
+    tracks: Sequence[str], values: Sequence[LeadPlanValue], names: Sequence[str]
+) -> list[tuple[str, ...]]:
+    """Return the table of the best lead plans, a row for each circuit and its heading."""
+    rows: list[tuple[str, ...]] = [LEAD_HEAD]
+    for track, value in zip(tracks, values, strict=True):
+        gain, left = _signed(value.value, value.headroom)
+        errors = f"{value.opponents_error:.3f}", f"{value.headroom_error:.3f}"
+        rows.append((track, gain, errors[0], left, errors[1], *(names[policy] for policy in value.best)))
+    if len(values) > 1:
+        means = _signed(*(np.mean([getattr(value, key) for value in values]) for key in ("value", "headroom")))
+        rows.append(("mean", means[0], "", means[1], "", "", ""))
+    return rows
 
 
 @picture
@@ -142,6 +188,7 @@ def _row(game: TrackGame) -> tuple[str, ...]:
         *_signed(estimate.value, estimate.low),
         f"{estimate.opponents_error:.3f}",
         f"{estimate.pool_error:.3f}",
+        *_signed(game.slots.value, game.slots.slot_alone),
         f"{game.transitive_share:.2f}",
         str(sum(plane.strength > plane.noise for plane in game.planes)),
         f"{plane.strength:.2f}",
@@ -152,9 +199,12 @@ def _row(game: TrackGame) -> tuple[str, ...]:
 
 def _plain_row(game: TrackGame, names: Sequence[str]) -> tuple[object, ...]:
     estimate = game.headroom
-    numbers = (estimate.value, estimate.low, estimate.opponents_error, estimate.pool_error)
+    numbers = (
+        estimate.value, estimate.low, estimate.opponents_error, estimate.pool_error, game.slots.value,
+        game.slots.slot_alone,
+    )  # fmt: skip
     return (game.track, *(f"{number:.6f}" for number in numbers), names[estimate.best_fixed])
 
 
-def _signed(*values: float) -> tuple[str, ...]:
+def _signed(*values: Any) -> tuple[str, ...]:
     return tuple(f"{value:+.3f}" for value in values)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_whole
+from pcs_racing.base.checks import check_whole, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.competitor import competitor_name
@@ -177,7 +177,7 @@ def cross_pairing(
 
 
 def _variants(noun: str, requested: int | Sequence[int], available: int, seed: int, stream: int) -> NDArray[np.int64]:
-    if isinstance(requested, int | np.integer) and not isinstance(requested, bool):
+    if is_whole(requested):
         if requested < 1:
             raise InputError(f"{noun} is {requested}; a pairing needs at least one variant")
         generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))

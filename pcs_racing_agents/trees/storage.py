@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_whole
+from pcs_racing.base.checks import check_whole, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.identity import GameIdentity, game_identity
@@ -173,7 +173,7 @@ def stored_identity(settings: Mapping[str, Any]) -> GameIdentity:
 
 
 def _checked_pairs(archive: PolicyArchive, pairs: int | ArrayLike, seed: int) -> NDArray[np.int64]:
-    if isinstance(pairs, int | np.integer):
+    if is_whole(pairs):
         return choose_pairs(archive, int(pairs), seed)
     array = np.asarray(pairs)
     if array.ndim != 2 or array.shape[1] != 2 or len(array) == 0 or array.dtype.kind not in "iu":

@@ -13,6 +13,7 @@ import pettingzoo
 import pcs_racing
 from pcs_racing import PolicyArchive, get_planner, load_race_config, load_track, parse_policy
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.envs import drive_head_to_head as drive_head_to_head_module
 from pcs_racing.envs.head_to_head_match import parallel_env as head_to_head_match_env
 from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing.race.driving import pad_parameters
@@ -157,6 +158,31 @@ def head_to_head(name: str) -> Values:
     return out
 
 
+def drive_head_to_head(name: str) -> Values:
+    """Two seconds of a race of two agents, with and without a lidar."""
+    out: Values = {}
+    for what, options in {
+        "paper": {},
+        "contest": {"race": "contest", "beams": 16, "see_opponent": "in sight", "win_reward": 1.0, "time_left": True},
+    }.items():
+        made = getattr(pettingzoo, "make", None)
+        maker = drive_head_to_head_module.parallel_env
+        env = made("parallel", name, track=TRACK, **options) if made is not None else maker(track=TRACK, **options)
+        first, _ = env.reset(seed=5)
+        seen, rewards = [[first[agent] for agent in env.possible_agents]], []
+        for action in actions(100, 2):
+            observation, reward, _, _, _ = env.step(dict(zip(env.possible_agents, action, strict=True)))
+            seen.append([observation[agent] for agent in env.possible_agents])
+            rewards.append([reward[agent] for agent in env.possible_agents])
+            if not env.agents:
+                break
+        out[f"values {what} observations"] = np.array(seen)
+        out[f"values {what} rewards"] = np.array(rewards)
+        out[f"values {what} state"] = env.state()
+        out[f"values {what} elements"] = np.array([element.name for element in env.unwrapped.elements])
+    return out
+
+
 def match(name: str) -> Values:
     """Three matches at once to their ends: policies alone, and the moves of the races as well."""
     out: Values = {}
@@ -215,6 +241,7 @@ _BY_NAME: dict[str, Callable[[str], Values]] = {
     "Duel": duel,
     "Match": match,
     "head_to_head": head_to_head,
+    "drive_head_to_head": drive_head_to_head,
     "head_to_head_match": head_to_head_match,
 }
 

@@ -21,7 +21,7 @@ from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.results.race_files import NEEDED, read_results
 from pcs_racing_agents.study.config import StudyConfig
-from pcs_racing_agents.study.report_inputs import LOSSES, read_curves, read_losses
+from pcs_racing_agents.study.report_inputs import ReplyLoss, read_curves, read_losses
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.trees import EgoTrees, load_ego_trees, load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
@@ -82,14 +82,16 @@ def test_a_level_that_is_a_list(tmp_path):
 
 @pytest.mark.parametrize("number", ["nan", "inf", "1e300"])
 def test_tables_with_numbers_that_are_none(tmp_path, number):
-    races = dict.fromkeys(NEEDED, "0") | {"winner": "ego", "crash": "", "fault": "", "start_s": number}
+    races = dict.fromkeys(NEEDED, "0") | {"winner": "ego", "crash": "none", "fault": "none", "start_s": number}
     (tmp_path / "results.csv").write_text(",".join(races) + "\n" + ",".join(races.values()) + "\n")
     with pytest.raises(InputError):
         read_results(tmp_path / "results.csv")
 
 
 def test_tables_that_are_infinite_or_empty(tmp_path):
-    (tmp_path / "losses.csv").write_text(f"track,agent,{','.join(LOSSES)}\nPipkin,a,inf,1,1\n")
+    (tmp_path / "losses.csv").write_text(
+        f"{','.join(ReplyLoss._fields)}\na,Pipkin{',inf' * (len(ReplyLoss._fields) - 2)}\n"
+    )
     with pytest.raises(InputError, match="'inf'"):
         read_losses(tmp_path / "losses.csv")
     (tmp_path / "empty.csv").write_text("")

@@ -1,11 +1,11 @@
 """Build the arrays of a track for compiled kernels from a grid and a race line, after a check of both."""
 
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import MapError
@@ -48,8 +48,7 @@ def check_grid(
     grid = np.ascontiguousarray(occupied)
     if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 8:
         raise MapError(f"{label}: the grid must be a boolean array of at least 8 x 8, got {grid.dtype} {grid.shape}")
-    if not (math.isfinite(resolution) and 0.0 < resolution <= 1.0):
-        raise MapError(f"{label}: resolution must be in (0, 1] metres per cell, got {resolution}")
+    check_number(f"{label}: resolution", resolution, most=1.0, above=0.0, error=MapError)
     corner = np.asarray(origin, dtype=np.float64).ravel()
     if corner.shape != (2,) or not (np.abs(corner) <= 1e6).all():
         raise MapError(f"{label}: origin must be two coordinates in metres, got {origin!r}")

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
 
@@ -30,8 +31,7 @@ def checked_grid(
     grid = np.ascontiguousarray(occupied)
     if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 3:
         raise MapError(f"the grid is a {grid.dtype} array of shape {grid.shape}: a boolean (H, W) array is needed")
-    if not (np.isfinite(resolution) and resolution > 0.0):
-        raise MapError(f"resolution is {resolution!r}: it must be a positive number of metres per cell")
+    check_number("resolution", resolution, above=0.0, error=MapError)
     corner = np.asarray(origin, dtype=np.float64)[:2]
     if corner.shape != (2,) or not np.isfinite(corner).all():
         raise MapError(f"origin is {origin!r}: it must begin with two finite coordinates in metres")

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
+from pcs_racing.base.checks import check_number
 from pcs_racing.base.elementary import headings, lengths
-from pcs_racing.base.errors import InputError, MapError
+from pcs_racing.base.errors import MapError
 from pcs_racing.base.optional import require
 from pcs_racing.track.building.clearance import checked_grid, corridor, room_at, wall_clearance
 from pcs_racing.track.building.curves import checked_curve, curve_length, first_crossing, resample, smooth
@@ -81,11 +82,10 @@ def minimum_curvature_raceline(
     """
     require("clarabel")
     grid, resolution, corner = checked_grid(occupied, resolution, origin)
-    for name, value, least in (("clearance", clearance, 0.0), ("spacing", spacing, 1e-3), ("rounds", rounds, 1)):
-        if not (math.isfinite(value) and value >= least):
-            raise InputError(f"{name} is {value!r}: it must be a number of at least {least}")
-    if not (math.isfinite(length_weight) and length_weight >= 0.0):
-        raise InputError(f"length_weight is {length_weight!r}: it must be a number of at least 0")
+    check_number("clearance", clearance, 0.0)
+    check_number("spacing", spacing, 1e-3)
+    check_number("rounds", rounds, 1)
+    check_number("length_weight", length_weight, 0.0)
     start = checked_curve(centerline, "centre line")
     grid, corner = _crop(grid, resolution, corner, start)
     room = distance_to_walls(~grid, resolution)

@@ -1,9 +1,8 @@
 """The fastest speed along a closed line that the tyres, the brakes and the motor allow."""
 
-import math
-
 import numpy as np
 
+from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import InputError
 
@@ -58,8 +57,7 @@ def speed_profile(
     """
     limits = {"lateral": lateral, "braking": braking, "acceleration": acceleration, "top_speed": top_speed}
     for name, value in limits.items():
-        if not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"{name} is {value!r}: it must be a positive, finite number")
+        check_number(name, value, above=0.0)
     kappa = np.asarray(kappa, dtype=np.float64)
     if kappa.ndim != 1 or kappa.size == 0:
         raise InputError(f"kappa has shape {kappa.shape}: one curvature for each sample of the line is needed")

@@ -55,7 +55,7 @@ class Score(NamedTuple):
         Shares of the races.
     crashed : float
         Share that ended in a crash by any fault.
-    at_fault : float
+    fault : float
         Share that ended in a crash by the learner's fault.
     lead : float
         Mean lead at the end, m.
@@ -67,7 +67,7 @@ class Score(NamedTuple):
     won: float
     lost: float
     crashed: float
-    at_fault: float
+    fault: float
     lead: float
 
 
@@ -90,7 +90,7 @@ def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: Race
         won=float(np.mean(winner == 0)),
         lost=float(np.mean(winner == 1)),
         crashed=float(np.mean(race.crashed)),
-        at_fault=float(np.mean(race.fault[:, 0] == 1)),
+        fault=float(np.mean(race.fault[:, 0] == 1)),
         lead=float(np.mean(race.lead)),
     )
 
@@ -120,7 +120,7 @@ def score_table(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> 
         mean = mean_score(
             {matchup: score for matchup, score in scores.items() if group in (None, matchup[:2])}, weights
         )
-        shares = [f"{share:.1%}" for share in (mean.won, mean.lost, mean.crashed, mean.at_fault)]
+        shares = [f"{share:.1%}" for share in (mean.won, mean.lost, mean.crashed, mean.fault)]
         name = " ".join(group) if group else "all"
         table.append([name, f"{mean.worth:.3f}", f"{mean.error:.3f}", *shares, f"{mean.lead:.1f} m"])
     return "\n".join(aligned(table, left=1))
@@ -192,7 +192,7 @@ def evaluation_curves(curves: Sequence[EvaluationCurve], weights: Mapping[str, i
         How often each opponent is met.
     """
     panels: dict[str, list[Curve]] = {}
-    for key, title in (("worth", "worth of a race"), ("won", "races won"), ("at_fault", "crashes by own fault")):
+    for key, title in (("worth", "worth of a race"), ("won", "races won"), ("fault", "crashes by own fault")):
         for curve in curves:
             means = [mean_score(scores, weights) for scores in curve.scores]
             error = np.array([mean.error for mean in means]) if key == "worth" else None

@@ -1,12 +1,15 @@
 """Learned responses: networks trained on branched races, in which every move is tried with the same noise."""
 
+from pcs_racing_agents.learning.responses.best_reply import BestReply, best_reply
 from pcs_racing_agents.learning.responses.branches import Branches, branch_games
 from pcs_racing_agents.learning.responses.ensemble import merge_networks
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response, load_response_settings
 
 __all__ = [
+    "BestReply",
     "Branches",
     "ResponseSettings",
+    "best_reply",
     "branch_games",
     "learn_response",
     "load_response_settings",

@@ -18,7 +18,7 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.base.settings import Settings, choice, load_settings, number, setting, whole, wholes
-from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing.game.identity import game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import ConstantStrategy
@@ -26,10 +26,10 @@ from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
-from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.branches import WORTH, branch_games
 from pcs_racing_agents.learning.responses.ensemble import merge_networks
-from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows, train_network
+from pcs_racing_agents.learning.responses.kept_networks import train_kept
+from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.tournament.games import game_between
 
@@ -45,7 +45,8 @@ class ResponseSettings(Settings):
     starts: int = setting(
         1024,
         whole(4, 1_000_000),
-        "Games branched at every step of a round, on each circuit and against each opponent of the pool.",
+        "Games branched at every step of a round, on each circuit: against each opponent of the pool or, where the "
+        "opponents have shares, against all of them together.",
     )
     rounds: int = setting(
         2,
@@ -120,7 +121,9 @@ def learn_response(
     settings: ResponseSettings,
     job: Job,
     *,
+    shares: Sequence[float] | None = None,
     name: str = "adaptive",
+    part: str = "",
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> RegretNetwork:
@@ -131,14 +134,19 @@ def learn_response(
     games : sequence of RaceGame
         One on each circuit, all of one archive and one set of rules.
     pool : sequence of Competitor
-        Opponents, all met equally often on all circuits.
+        Opponents.
     setting : Setting
         Archive and rules, as agents know them.
     settings : ResponseSettings
     job : Job
-        Stores branches, so that a stopped run can be resumed.
+        Stores branches and networks, so that a stopped run can be resumed.
+    shares : sequence of float, optional
+        How often each opponent is met, in any unit. By default each is met ``settings.starts`` times; with shares,
+        all together are.
     name : str
         Of the network.
+    part : str
+        Beginning of the names of this work in the job, where the job learns several networks.
     executor : Executor, optional
     progress : callable, optional
 
@@ -150,10 +158,11 @@ def learn_response(
     Raises
     ------
     InputError
-        If the games differ in archive, moves or rules.
+        If the games differ in archive, moves or rules, or shares do not fit the pool.
     """
     if len(games) == 0 or len(pool) == 0:
         raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")
+    starts = _starts(settings.starts, len(pool), shares)
     identity = game_identity(games[0])
     # Opponents always have the move "stay"; the learner only has the moves that the rules offer.
     probabilities = (np.arange(len(setting.moves)) < len(identity.moves)) / len(identity.moves)
@@ -165,13 +174,10 @@ def learn_response(
     rows: list[Rows] = []
     network: RegretNetwork | None = None
 
-    def fit(members: int) -> RegretNetwork:
-        learn = partial(_learn, join_rows(rows), identity, name)
+    def fit(members: int, place: str) -> RegretNetwork:
         member_settings = [settings.train_settings(i) for i in range(members)]
-        networks = dict(
-            run_tasks(numbered_tasks(learn, member_settings), in_other_processes(executor), f"learning {name}")
-        )
-        return merge_networks([networks[i] for i in range(members)], name)
+        networks = train_kept(job, f"{place}-networks", join_rows(rows), identity, member_settings, name, executor)
+        return merge_networks(networks, name)
 
     steps = games[0].config.moves
     for round_ in range(settings.rounds):
@@ -179,34 +185,45 @@ def learn_response(
         for step in reversed(range(steps)):
             # In the first pass the branches of the last step have no later moves, so any continuation does.
             continuation = random_moves if network is None else _follow(network, setting)
-            tasks = _tasks(len(games), len(pool), settings, step, round_)
+            tasks = _tasks(len(games), starts, settings.seed, step, round_)
             work = partial(_branch, arenas, pool, behaviours, continuation, settings.worth, len(identity.moves))
-            networks = job.run(f"round-{round_}-step-{step}", work, tasks, executor=executor, progress=progress)
-            rows += [_rows(arrays, task) for arrays, task in zip(networks, tasks, strict=True) if len(arrays["game"])]
+            place = f"{part}round-{round_}-step-{step}"
+            branched = job.run(place, work, tasks, executor=executor, progress=progress)
+            rows += [_rows(arrays, task) for arrays, task in zip(branched, tasks, strict=True) if len(arrays["game"])]
             last = round_ == settings.rounds - 1 and step == 0
-            network = fit(settings.members if last else min(settings.members, 2))
+            network = fit(settings.members if last else min(settings.members, 2), place)
     assert network is not None
     rest = {key: value for key, value in network.training.items() if key != "rows"}
     summary = {"rows": sum(len(block) for block in rows), "worth": settings.worth, **rest}
     return replace(network, training=summary)
 
 
-def _learn(rows: Rows, identity: GameIdentity, name: str, settings: TrainSettings) -> RegretNetwork:
-    return train_network(rows, identity, settings, name=name, target="advantage")[0]
+def _starts(total: int, opponents: int, shares: Sequence[float] | None) -> list[int]:
+    """Return the number of games against each opponent."""
+    if shares is None:
+        return [total] * opponents
+    weights = np.asarray(shares, np.float64)
+    if weights.shape != (opponents,) or not np.isfinite(weights).all() or (weights < 0.0).any() or not weights.any():
+        raise InputError(
+            f"shares are {list(shares)}; they must be finite, 0 or above and not all 0, one for each of "
+            f"{opponents} opponents"
+        )
+    ends = np.rint(total * np.cumsum(weights) / weights.sum()).astype(int)
+    return np.diff(ends, prepend=0).tolist()
 
 
 def _follow(network: RegretNetwork, setting: Setting) -> Agent:
     return Agent(network.name, NetworkStrategy(network, "argmax", len(setting.moves)), setting, 0)
 
 
-def _tasks(games: int, opponents: int, settings: ResponseSettings, step: int, round_: int) -> list[BranchTask]:
+def _tasks(games: int, starts: Sequence[int], seed: int, step: int, round_: int) -> list[BranchTask]:
     tasks = []
     for i in range(games):
-        for j in range(opponents):
-            spawn = np.random.SeedSequence(settings.seed, spawn_key=(i, j, step, round_))
+        for j, count in enumerate(starts):
+            spawn = np.random.SeedSequence(seed, spawn_key=(i, j, step, round_))
             root = int(spawn.generate_state(1, np.uint64)[0] >> np.uint64(1))
-            for first in range(0, settings.starts, BLOCK):
-                tasks.append(BranchTask(i, j, step, round_, first, min(first + BLOCK, settings.starts), root))
+            for first in range(0, count, BLOCK):
+                tasks.append(BranchTask(i, j, step, round_, first, min(first + BLOCK, count), root))
     return tasks
 
 

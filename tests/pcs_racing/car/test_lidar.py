@@ -213,7 +213,7 @@ def test_impossible_lidars_are_refused(oval, values, name):
 
 
 def test_a_lidar_needs_a_track():
-    with pytest.raises(InputError, match="track must be a Track"):
+    with pytest.raises(InputError, match="must be a Track"):
         Lidar("Spielberg")
 
 

@@ -218,7 +218,7 @@ def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_o
         env.reset(seed=4)
         put(env, ((47.0, 0.1), (24.0, 0.0)), (3.0, 0.0))
         env.batch.state.seed[:] = 8
-    settings = alone.batch._settings
+    settings = alone.batch.setup.settings
     done = False
     for k in range(60):
         command = action(0.02, 4.0) if k < 8 else action(0.35, 5.0)

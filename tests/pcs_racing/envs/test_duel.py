@@ -1,16 +1,21 @@
 import copy
 import inspect
+import itertools
 import pickle
 import re
+import sys
+import types
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import vector as vector_wrappers
 
 from pcs_racing import InputError, UnknownNameError, get_planner
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.registration import register_environments
+from pcs_racing.envs.video import RecordRaces
 from pcs_racing.game.rules import make_game
 
 SHORT = {"step_seconds": 1.0, "moves": 3}
@@ -328,7 +333,7 @@ def test_a_window_follows_the_game(monkeypatch):
     env = DuelEnv(render_mode="human", **SHORT)
     env.reset(seed=0)
     env.step(0)
-    assert len(shown) == 2
+    assert len(shown) == 1 + 7  # the start, then a frame for each 0.16 s of a step of 1 s
     assert (shown[0] != shown[1]).any()
     env.close()
     with pytest.raises(InputError, match="render_mode is None"):
@@ -366,3 +371,78 @@ def test_states_of_something_else_are_refused():
 def test_in_self_play_there_is_no_other_opponent():
     with pytest.raises(InputError, match="opponent is 'random-moves'; both cars belong to players here"):
         SelfPlayVectorEnv(2, opponent="random-moves", **SHORT)
+
+
+# Videos
+
+
+@pytest.fixture
+def videos(monkeypatch):
+    """What would be written by moviepy: frames and their rate of each video."""
+    written = []
+
+    class Clip:
+        def __init__(self, frames, fps):
+            written.append((list(frames), fps))
+
+        def write_videofile(self, path, logger=None):
+            pass
+
+    names = ("moviepy", "moviepy.video", "moviepy.video.io", "moviepy.video.io.ImageSequenceClip")
+    for name in names:
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    monkeypatch.setattr(sys.modules[names[-1]], "ImageSequenceClip", Clip, raising=False)
+    return written
+
+
+def test_a_video_shows_25_moments_of_each_second_that_was_raced(videos, tmp_path):
+    env = gym.make("pcs_racing/Duel-v1", render_mode="rgb_array_list", render_size=(120, 80), **SHORT)
+    assert env.metadata["render_fps"] == 25
+    env = RecordRaces(env, str(tmp_path / "videos"), episode_trigger=lambda episode: episode == 1)
+    for _ in range(2):
+        env.reset(seed=3)
+        over = False
+        while not over:
+            *_, over, _, info = env.step(0)
+    env.close()
+    (frames, fps) = videos[0]
+    driven = info["time"] - SHORT["step_seconds"]  # the first step was only watched
+    assert len(videos) == 1
+    assert fps == 25
+    assert len(frames) - 1 == pytest.approx(25 * driven, abs=2)
+    assert all(frame.shape == (80, 120, 3) for frame in frames)
+    changes = [(one != other).any() for one, other in itertools.pairwise(frames)]
+    assert np.mean(changes) > 0.95
+
+
+def test_the_frames_of_a_step_are_returned_once(tmp_path):
+    env = DuelEnv(render_mode="rgb_array_list", render_size=(120, 80), **SHORT)
+    env.reset(seed=0)
+    assert [frame.shape for frame in env.render()] == [(80, 120, 3)]
+    assert env.render() == []
+    env.step(1)
+    kept = env.get_state()
+    frames = env.render()
+    assert len(frames) == 25
+    assert env.render() == []
+    np.testing.assert_array_equal(
+        env.get_state().batch[0].race.cars, kept.batch[0].race.cars
+    )  # filming changes nothing
+    still = DuelEnv(render_mode="rgb_array", render_size=(120, 80), **SHORT)
+    still.reset(seed=0)
+    still.step(1)
+    assert still.render().shape == (80, 120, 3)
+    with pytest.raises(InputError, match="render_mode"):
+        DuelEnv(render_mode="ansi", **SHORT)
+
+
+def test_gymnasiums_own_video_of_many_games_has_all_of_them(videos, tmp_path):
+    envs = gym.make_vec("pcs_racing/Duel-v1", num_envs=2, render_mode="rgb_array", render_size=(120, 80), **SHORT)
+    envs = vector_wrappers.RecordVideo(envs, str(tmp_path / "videos"), video_aspect_ratio=(3, 1))
+    envs.reset(seed=0)
+    for _ in range(2):
+        envs.step(envs.action_space.sample())
+    envs.close()
+    (frames, fps) = videos[0]
+    assert fps == 1
+    assert [frame.shape for frame in frames] == [(80, 240, 3)] * 3

@@ -14,9 +14,10 @@ from repository import REPOSITORY
 
 import pcs_racing
 from pcs_racing import GameConfig, InputError, PolicyArchive, UnknownNameError, load_archive, load_track, make_game
-from pcs_racing.envs import head_to_head, registration
-from pcs_racing.envs.head_to_head import AGENTS, HeadToHeadEnv, HeadToHeadState
+from pcs_racing.envs import registration
+from pcs_racing.envs.head_to_head import AGENTS, HeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
+from pcs_racing.envs.parallel import ParallelState
 from pcs_racing.game.observation import observation_table
 
 with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
@@ -90,7 +91,7 @@ def test_seeds():
 def test_rendering(monkeypatch):
     pytest.importorskip("pygame", reason="the extra 'window' is not installed")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setattr(head_to_head, "WINDOW_FPS", 1000.0)
+    monkeypatch.setitem(HeadToHeadEnv.metadata, "render_fps", 1000.0)
     render_test(lambda **options: pcs_racing.env(**FAST, render_size=(160, 120), **options))
 
 
@@ -309,7 +310,7 @@ def test_an_impossible_moment_is_one_clear_error_and_changes_nothing(env, harm, 
     before = env.get_state()
     with pytest.raises(InputError, match=message):
         env.set_state(harm(before))
-    assert isinstance(before, HeadToHeadState)
+    assert isinstance(before, ParallelState)
     twin = HeadToHeadEnv(**FAST)
     twin.set_state(before)
     assert flat(env.step({"car_0": 1, "car_1": 1})) == flat(twin.step({"car_0": 1, "car_1": 1}))
@@ -349,7 +350,7 @@ def test_frames_of_the_last_step(monkeypatch):
     before = env.render()
     env.step({"car_0": 0, "car_1": 1})
     frames = list(env.frames())
-    assert len(frames) == 5  # a second
+    assert len(frames) == env.metadata["render_fps"] == 25  # a second
     assert all(frame.shape == (80, 120, 3) and frame.dtype == np.uint8 for frame in frames)
     assert not np.array_equal(frames[0], before)
     state = env.batch.state.race
@@ -372,8 +373,8 @@ def test_frames_of_the_last_step(monkeypatch):
         ({"car_0": True, "car_1": 0}, "type bool"),
         ({"car_0": [0], "car_1": 0}, "whole numbers"),
         ({"car_0": None, "car_1": 0}, "type object"),
-        ({"car_0": 0}, "must hold a move for each of car_0, car_1"),
-        ([0, 1], "must hold a move for each of car_0, car_1"),
+        ({"car_0": 0}, "must hold an action for each of car_0, car_1"),
+        ([0, 1], "must hold an action for each of car_0, car_1"),
     ],
 )
 def test_an_impossible_action_is_one_clear_error(env, actions, message):
@@ -391,7 +392,7 @@ def test_steps_at_the_wrong_time_are_one_clear_error(env):
     with pytest.raises(InputError, match="not begun; call reset"):
         env.state()
     episode(env, 0)
-    with pytest.raises(InputError, match="the game is over; call reset"):
+    with pytest.raises(InputError, match="the episode is over; call reset"):
         env.step({"car_0": 0, "car_1": 0})
 
 

@@ -12,6 +12,7 @@ import pettingzoo
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from repository import REPOSITORY
 
 from pcs_racing import ConfigError, InputError, PolicyArchive, get_planner
 from pcs_racing.envs.head_to_head_match import HeadToHeadMatchEnv, env, parallel_env
@@ -413,7 +414,7 @@ def test_frames_show_the_whole_race(short):
     first = both.render()
     both.step({"car_0": 5, "car_1": 0})
     frames = list(both.frames())
-    assert len(frames) == 6  # a race of a second, in two steps of half a second
+    assert len(frames) == 26  # a race of a second, in two steps of half a second
     assert (frames[-1] != first).any()
     both.close()
 
@@ -452,3 +453,10 @@ def test_impossible_actions_are_refused(short):
     envs.reset(seed=0)
     with pytest.raises(InputError, match="environment 1: move 7"):
         envs.step(np.array([0, 7]))
+
+
+def test_the_example_of_its_page_runs(capsys):
+    page = (REPOSITORY / "docs" / "environments.md").read_text(encoding="utf-8")
+    example = page.partition("\n## Matches\n")[2].split("```python\n")[1].split("```")[0]
+    exec(compile(example, "environments.md", "exec"), {})
+    assert re.search(r"races won of 3 (win|tie|loss)", capsys.readouterr().out)

@@ -19,7 +19,7 @@ from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 
 DUEL = {"step_seconds": 0.2, "moves": 2}
 DRIVE = {"opponent": None, "duration": 0.3}
-IDS = {"pcs_racing/Duel-v1": DUEL, "pcs_racing/Drive-v1": DRIVE}
+IDS = {"pcs_racing/Duel-v1": DUEL, "pcs_racing/Drive-v1": DRIVE, "pcs_racing/Match-v0": DUEL}
 
 
 def action(envs):

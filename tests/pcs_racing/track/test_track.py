@@ -170,7 +170,7 @@ def _break(values, what):
         ("zero width", "0.0 m wide to the right"),
         ("few points", "has 9 different points: at least 10"),
         ("kink", "race line has a kink at"),
-        ("resolution", r"resolution must be in \(0, 1\]"),
+        ("resolution", "resolution is nan; it must be a number above 0 up to 1"),
         ("grid of numbers", "boolean array"),
         ("origin", "origin must be two coordinates"),
     ],

@@ -135,7 +135,7 @@ def test_the_command_tells_the_same(capsys):
     for line in facts_of("cfr-argmax", make_setting("default", "paper")):
         assert f"- {line}\n" in out
     assert "With archive default in the paper race:" in out
-    assert main(["agents", "cfr-argmax", "--archive", "contest", "--preset", "contest"]) == 0
+    assert main(["agents", "cfr-argmax", "--archive", "contest", "--race", "contest"]) == 0
     assert "Network: contest-contest-regret" in capsys.readouterr().out
     assert main(["agents", "ppo", "--archive", "contest"]) == 0
     assert "- Not shipped for this game." in capsys.readouterr().out

@@ -8,13 +8,8 @@ from pcs_racing_agents.agents.fits import Fit, find_fit, load_fit, make_fit, sav
 from pcs_racing_agents.agents.zoo import build
 
 PLAN = ["stay", "restraint +", "aggressiveness -", "stay"]
-CHOICES = {
-    "best-schedule": PLAN,
-    "best-fixed": 3,
-    "best-lead-plan": {"behind": 7, "ahead": 2},
-    "psro": {"never-switch": 0.25, "random-moves": 0.75},
-}
-OPTIONS = {"best-schedule": "moves", "best-fixed": "target", "best-lead-plan": "targets", "psro": "weights"}
+CHOICES = {"best-schedule": PLAN, "best-fixed": 3, "best-lead-plan": {"behind": 7, "ahead": 2}}
+OPTIONS = {"best-schedule": "moves", "best-fixed": "target", "best-lead-plan": "targets"}
 
 
 @pytest.mark.parametrize("kind", CHOICES)
@@ -38,12 +33,12 @@ def test_a_fit_of_another_game_is_refused(setting, archive):
     with pytest.raises(InputError, match="was made for archive"):
         find_fit("best-fixed", make_setting(fewer, setting.config), fit)
     with pytest.raises(InputError, match="is one of 'best-fixed'"):
-        find_fit("psro", setting, fit)
+        find_fit("best-schedule", setting, fit)
     for kind, option in OPTIONS.items():
         with pytest.raises(InputError, match=f"agent '{kind}' got .* and a fit"):
             build(kind, setting, fit=fit, **{option: CHOICES[kind]})
     with pytest.raises(UnknownNameError, match="none is shipped for archive 'toy' and rules 'paper'"):
-        find_fit("psro", setting)
+        find_fit("best-schedule", setting)
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,14 @@
 import numpy as np
 import pytest
+from zoo_games import untrained
 
-from pcs_racing import InputError
+from pcs_racing import InputError, UnknownNameError
 from pcs_racing_agents.agents import Agent, make_setting
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.from_network import from_network
-from pcs_racing_agents.agents.mixture import make_mixture, psro, restricted_response
+from pcs_racing_agents.agents.mixture import make_mixture
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.networks import NetworkSet, save_network_set
 
 
 def on_the_way(chances: np.ndarray, table: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:
@@ -52,15 +55,29 @@ def test_a_member_that_would_not_have_come_here_is_out(setting, game):
     np.testing.assert_array_equal(mixture.probabilities(game.observation(stayed)[:, 0]), [[0, 0, 0, 0, 1]] * 4)
 
 
-def test_mixtures_by_name(setting, seen):
-    blend = restricted_response(setting, exploit="always-restraint+", safe="never-switch", share=0.25)
-    np.testing.assert_allclose(blend.probabilities(seen[0]), [[0, 0, 0.25, 0, 0.75]] * 40)
-    assert blend.facts["mixture"] == "0.25 always-restraint+, 0.75 never-switch"
-    own = always(setting, "aggressiveness -", name="mine")
-    drawn = psro(setting, weights={"mine": 3.0, "never-switch": 1.0, "nobody": 0.0}, members=[own])
-    np.testing.assert_allclose(drawn.probabilities(seen[0]), [[0, 0.75, 0, 0, 0.25]] * 40)
-    moves = np.concatenate([drawn.predict(rows)[0] for rows in seen[:1]])
-    assert 0.5 < np.mean(moves == 1) < 0.95
+def test_a_set_of_networks_is_played_as_the_mixture_of_its_members(setting, seen, tmp_path):
+    networks = tuple(untrained(setting, "advantage", seed) for seed in (1, 2, 3))
+    known = NetworkSet("three", networks, np.array([1.0, 2.0, 1.0]), "regret-matching", {"rounds": 3})
+    folder = save_network_set(known, tmp_path / "three")
+    agent = build("self-play", setting, networks=str(folder))
+    rule = {"kind": "any", "decision": "regret-matching"}
+    members = [from_network(setting, name=network.name, network=network, **rule) for network in networks]
+    by_hand = make_mixture(members, [0.25, 0.5, 0.25])
+    for rows in seen[:-1]:
+        np.testing.assert_array_equal(agent.probabilities(rows), by_hand(rows))
+    assert agent.facts["weights"] == "0.25, 0.5, 0.25"
+    assert agent.facts["trained on"] == "rounds 3"
+    assert agent.content_hash == build("self-play", setting, networks=known).content_hash
+    other = NetworkSet("three", networks[::-1], np.array([3.0, 2.0, 1.0]), "regret-matching")
+    assert agent.content_hash != build("self-play", setting, networks=other).content_hash
+
+
+@pytest.mark.parametrize("name", ["robust", "psro", "self-play"])
+def test_without_a_set_of_networks_the_error_says_how_to_make_one(setting, name):
+    with pytest.raises(UnknownNameError, match=f"'toy-paper-{name}'.*pcs-racing learn {name}"):
+        build(name, setting)
+    with pytest.raises(UnknownNameError, match="'nowhere'"):
+        build(name, setting, networks="nowhere")
 
 
 def test_bad_mixtures_are_refused(setting, archive):
@@ -73,7 +90,3 @@ def test_bad_mixtures_are_refused(setting, archive):
     other = never_switch(make_setting(archive, "contest"))
     with pytest.raises(InputError, match="different archives or rules"):
         make_mixture([stay, other], [1, 1])
-    with pytest.raises(InputError, match="'lane-switcher' makes no moves"):
-        restricted_response(setting, exploit="lane-switcher", safe=stay)
-    with pytest.raises(InputError, match=r"share of agent 'restricted-response' is 1\.5"):
-        restricted_response(setting, exploit=stay, safe=stay, share=1.5)

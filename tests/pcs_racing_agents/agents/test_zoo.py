@@ -4,11 +4,12 @@ from repository import REPOSITORY
 from zoo_games import made_up_behaviours, untrained
 
 import pcs_racing_agents
-from pcs_racing import InputError, UnknownNameError, make_game
-from pcs_racing_agents.agents import Agent, Decider, Driver, make, names, parse_agent, register_agent, zoo
+from pcs_racing import InputError, UnknownNameError, load_archive, make_game
+from pcs_racing_agents.agents import Agent, Decider, Driver, make, make_setting, names, parse_agent, register_agent, zoo
 from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.describe import describe
 from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, options
+from pcs_racing_agents.networks import NetworkSet
 
 
 def learned(name: str, setting) -> dict:
@@ -17,13 +18,14 @@ def learned(name: str, setting) -> dict:
         "best-schedule": {"moves": ["stay"] * 4},
         "best-fixed": {"target": 3},
         "best-lead-plan": {"targets": {"behind": 3, "ahead": 5}},
-        "psro": {"weights": {"never-switch": 1.0, "random-moves": 1.0}},
         "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
         "remember": {"table": made_up_behaviours(setting)},
-        "restricted-response": {"exploit": "random-moves", "safe": "never-switch"},
     }
     if name in SHIPPED and entries()[name].needs == "network" and name != "adaptive":
         return {"network": untrained(setting)}
+    if name in SHIPPED and entries()[name].needs == "networks":
+        networks = tuple(untrained(setting, "advantage", seed) for seed in (1, 2))
+        return {"networks": NetworkSet("untrained", networks, np.ones(2), "regret-matching")}
     return given.get(name, {})
 
 
@@ -35,7 +37,9 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
         created = build(name, setting, seed=3, **learned(name, setting))
         assert created.name == name
         if isinstance(created, Driver):
-            assert name in ("random-policy", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit")
+            assert name in (
+                *("random-policy", "other-archive", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit"),
+            )
             continue
         if name == "receding-horizon":
             assert isinstance(created, Decider)
@@ -99,8 +103,14 @@ def test_agents_as_text(setting):
     assert len(parse_agent("lane-switcher", setting).policies) == 20
     (only,) = parse_agent("lane-switcher:4", setting).policies
     assert only.name == "lane-switcher:4"
-    drawn = parse_agent("restricted-response:exploit=random-moves,safe=never-switch,share=0.5", setting)
-    assert drawn.facts["mixture"] == "0.5 random-moves, 0.5 never-switch"
+    other = parse_agent("other-archive:archive=contest", setting)
+    assert len(other.policies) == len(load_archive("contest"))
+    adaptive = parse_agent(
+        "adaptive:network=contest-contest-gain,blind=never-switch,margin=0.5", make_setting("contest", "contest")
+    )
+    assert (adaptive.facts["keeps to"], adaptive.facts["margin"]) == ("never-switch", "0.5")
+    with pytest.raises(InputError, match="archive 'contest' is that of the game"):
+        build("other-archive", make_setting("contest", "contest"), archive="contest")
     for text in ("best-fixed:3", "best-fixed:target=3,target=4", "best-fixed:name=x", "best-fixed:target=[1"):
         with pytest.raises(InputError, match="agent 'best-fixed"):
             parse_agent(text, setting)

@@ -107,7 +107,7 @@ def test_a_tournament_prints_the_table_and_writes_the_results(run, tmp_path):
     out_folder = tmp_path / "a b" / "results"
     policies = ["lattice", "lattice:pace=0.9", "lane-switcher:3"]
     arguments = ["--track", "Pipkin", "--policies", *policies, "--races", 4, *SHORT]
-    code, out, err = run("tournament", *arguments, "--preset", "contest", "--out", out_folder)
+    code, out, err = run("tournament", *arguments, "--race", "contest", "--out", out_folder)
     assert code == 0
     assert "12 races of 4 s, preset contest, on Pipkin; seed 0" in out
     assert all(out.count(f" {policy} ") or f"\n{policy} " in out for policy in policies)
@@ -159,7 +159,7 @@ def test_a_tournament_without_a_folder_prints_its_table_and_writes_nothing(run, 
 def test_rules_from_a_file(run, tmp_path):
     rules = tmp_path / "rules.yaml"
     rules.write_text("preset: contest\nname: sprint\nduration: 2.0\n")
-    code, out, _ = run("race", "--track", "Pipkin", *PAIR, "--preset", rules)
+    code, out, _ = run("race", "--track", "Pipkin", *PAIR, "--race", rules)
     assert code == 0
     assert "preset sprint" in out
 
@@ -207,11 +207,11 @@ def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, copied):
     before = yaml.safe_load(file.read_text())
     before.pop("calibration")
     file.write_text(yaml.safe_dump(before))
-    code, out, _ = run("track", "calibrate", copied, "--preset", "contest")
+    code, out, _ = run("track", "calibrate", copied, "--race", "contest")
     assert code == 0
     assert "Pipkin, contest: speed range" in out
     assert load_track(copied).calibration == {}  # nothing is kept unless asked for
-    run("track", "calibrate", copied, "--preset", "contest", "--write")
+    run("track", "calibrate", copied, "--race", "contest", "--write")
     own = load_track(copied).calibration["contest"]
     assert own == load_track("Pipkin").calibration["contest"]
     low, high = own.speed_range
@@ -238,7 +238,7 @@ def test_policies_lists_every_planner_and_parameter(run):
         (["race", "--track", "no/such folder", *PAIR], "no/such folder"),
         (["race", "--track", "Pipkin", "--ego", "latice", "--opponent", "lattice"], "did you mean 'lattice'?"),
         (["race", "--track", "Pipkin", "--ego", "lattice:pace=nan", "--opponent", "lattice"], "must be finite"),
-        (["race", "--track", "Pipkin", *PAIR, "--preset", "cup"], "race settings 'cup' are unknown"),
+        (["race", "--track", "Pipkin", *PAIR, "--race", "cup"], "race settings 'cup' are unknown"),
         (["race", "--track", "Pipkin", *PAIR, "--duration", "-1"], "duration is -1.0"),
         (["race", "--track", "Pipkin", *PAIR, "--seed", "-1"], "seed is -1"),
         (["race", "--track", "Pipkin", *PAIR, "--index", "-1"], "index is -1"),

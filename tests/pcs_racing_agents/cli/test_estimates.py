@@ -12,6 +12,8 @@ from pcs_racing_agents.cli.estimates import announce, cores_of, duration_text, s
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses import load_response_settings
+from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.study import load_study_config
 from pcs_racing_agents.synthesis.config import load_archive_config
@@ -91,11 +93,28 @@ def test_an_answer_counts_branches_to_the_end_of_the_game_and_its_networks():
     assert estimates.response_seconds(settings, PAPER, 4, 9) == pytest.approx(racing * estimates.RACING + networks)
 
 
+def test_robust_answers_count_their_responses_and_self_play_its_iterations():
+    robust = load_robust_settings("default")
+    each = estimates.response_seconds(robust.response(0), PAPER, 4, 2)
+    assert estimates.robust_seconds(robust, PAPER, 4, 2) == pytest.approx((1 + 2 * robust.rounds) * each)
+    assert estimates.robust_seconds(replace(robust, pool_share=1.0), PAPER, 4, 2) == pytest.approx(each)
+    psro = load_psro_settings("default", rounds=3, races=10)
+    races = estimates.racing_seconds(3 * 10 * 2, 40.0)
+    assert estimates.psro_seconds(psro, PAPER, 4, 2) == pytest.approx(3 * each + races)
+    play = load_self_play_settings("default", iterations=2)
+    one = estimates.self_play_seconds(replace(play, iterations=1), PAPER, 4, 2)
+    assert estimates.self_play_seconds(play, PAPER, 4, 2) == pytest.approx(2 * one)
+
+
 def test_a_study_is_estimated_stage_by_stage():
-    paper = load_study_config("paper")
+    paper = load_study_config("paper", robust="default", psro="default", self_play="default", replies=("response",))
     stages = stage_estimates(paper)
     assert all(seconds > 0.0 for seconds in stages.values())
-    assert stages["trees"] == 4 * stages["exploitability"]
+    twice = stage_estimates(
+        replace(paper, replies=("response", "never-switch"), sampled_cfr="default", targets=("nash",))
+    )
+    assert twice["best-replies"] == 2 * stages["best-replies"]
+    assert twice["self-play"] == 2 * stages["self-play"]
     doubled = stage_estimates(replace(paper, lines=2 * paper.lines, further_lines=2))
     assert doubled["races"] == 2 * stages["races"]
     bare = stage_estimates(load_study_config("contest-second"))

@@ -87,7 +87,7 @@ def test_all_races_of_an_agent_are_summarised(folder, tmp_path, capsys):
 
 def test_two_agents_race_as_in_a_tournament(saved, capsys):
     arguments = ["explain", "--agents", "random-moves", "never-switch", "--track", "Pipkin", "--duration", "5"]
-    arguments += ["--archive", str(saved), "--races", "4", "--seed", "2", "--preset", "contest"]
+    arguments += ["--archive", str(saved), "--races", "4", "--seed", "2", "--race", "contest"]
     assert main([*arguments, "--index", "3"]) == 0
     captured = capsys.readouterr().out
     assert captured.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")

@@ -27,12 +27,24 @@ def test_it_prints_the_table_and_writes_files_and_a_picture(tmp_path, capsys):
     assert (out / "Tarnfjord.png").stat().st_size > 10_000
 
 
+def test_lead_plans_are_raced_when_asked_for(tmp_path, capsys):
+    out = tmp_path / "plans"
+    assert main(["headroom", *POOL, *SHORT, "--lead-plans", "2", "--out", str(out)]) == 0
+    assert "lead plan:" in capsys.readouterr().out
+    with open(out / "lead_plans.csv", newline="") as file:
+        (row,) = list(csv.DictReader(file))
+    assert row["track"] == "Tarnfjord"
+    assert {row["ahead"], row["behind"]} <= {"lattice:pace=0.2", "lattice:pace=0.5", "lattice:pace=1.0"}
+
+
 @pytest.mark.parametrize(
     ("wrong", "value"),
     [
         (["--size", "2"], "2"),
         (["--size", "1000"], "1000"),
         (["--races", "33"], "33"),
+        (["--lead-plans", "1"], "1"),
+        (["--lead-plans", "17"], "17"),
         (["--archive", "nobody's"], "nobody's"),
     ],
 )

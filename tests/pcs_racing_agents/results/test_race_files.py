@@ -12,8 +12,8 @@ from pcs_racing_agents.results.races import RaceRow
 EXAMPLE = """\
 preset,ego,opponent,track,race,start_s,side,seed,lead,winner,crash,fault,ego_overtakes,opponent_overtakes,duration,\
 ego_variant,opponent_variant,ego_path,opponent_path,ego_moves,opponent_moves
-paper,a,"b, c",Oval,0,12.5000,0,7,-1.2346,opponent,,,0,1,40.0000,3,0,3; 5; 5,,pace +; stay,
-paper,"b, c",a,Oval,1,12.5000,1,7,0.0000,,car,both,2,0,3.1000,0,3,,3,,
+paper,a,"b, c",Oval,0,12.5000,0,7,-1.2346,opponent,none,none,0,1,40.0000,3,0,3; 5; 5,,pace +; stay,
+paper,"b, c",a,Oval,1,12.5000,1,7,0.0000,none,car,both,2,0,3.1000,0,3,,3,,
 """
 
 
@@ -86,7 +86,7 @@ def test_seeds_may_be_larger_than_any_number_of_the_machine(tmp_path, rows):
         ("lead", "far", "line 7 (race 5), is damaged: lead is 'far'; it must be a number from"),
         ("lead", "nan", "lead is 'nan'"),
         ("lead", "inf", "lead is 'inf'"),
-        ("winner", "me", "winner is 'me'; it must be ego, opponent, nothing"),
+        ("winner", "me", "winner is 'me'; it must be ego, opponent, none"),
         ("crash", "tree", "crash is 'tree'"),
         ("fault", "nobody", "fault is 'nobody'"),
         ("side", "2", "side is '2'; it must be a number from 0 to 1"),

@@ -30,9 +30,9 @@ def ratings():
 
 
 POINTS = [
-    ScoreAndLoss("one", 0.5, 0.0, 0.2, 0.01),
-    ScoreAndLoss("two", 0.5, 0.01, 0.2, 0.0),
-    ScoreAndLoss("three", 0.4, 0.0, 0.9, 0.0),
+    ScoreAndLoss("one", 0.5, 0.2, 0.1, 0.3),
+    ScoreAndLoss("two", 0.5, 0.2, 0.15, 0.25),
+    ScoreAndLoss("three", 0.4, 0.4, 0.3, 0.5),
 ]
 PAYOFFS = np.array([[np.nan, 0.9], [0.1, np.nan]])
 
@@ -42,7 +42,7 @@ DRAWINGS = {
     "adaptivity": lambda table: figures.adaptivity_picture(table),
     "curves": lambda table: figures.curves_picture({str(n): curves(n) for n in range(5)}),
     "rewards": lambda table: figures.curves_picture({"ppo": curves()}, x_label="steps", y_label="reward", log=False),
-    "exploitability": lambda table: figures.exploitability_picture(POINTS, unit="m of lead"),
+    "exploitability": lambda table: figures.exploitability_picture(POINTS),
     "payoffs": lambda table: figures.payoffs_picture(["one", "two"], PAYOFFS),
     "ratings": lambda table: figures.ratings_picture(ratings()),
 }

@@ -20,7 +20,7 @@ from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
 from pcs_racing_agents.study.report import Picture, ReportContent, Sheet, report_page, write_page
 from pcs_racing_agents.study.report_inputs import (
-    TreeLoss,
+    ReplyLoss,
     software,
 )
 from pcs_racing_agents.study.table import make_table
@@ -39,7 +39,7 @@ def content(archive, watched) -> ReportContent:
         blind="best-fixed",
         seen={"Tarnfjord"},
     )
-    losses = [TreeLoss("Tarnfjord", "our-best", 2, ((0.2, 0.01), (0.1, 0.01), (0.3, 0.02)))]
+    losses = [ReplyLoss("our-best", "Tarnfjord", 0.2, 0.1, 0.3, 400, 0.7, 0.3, 0.05)]
     return ReportContent(
         title=f"A study {NASTY}",
         about=f"{NASTY}\n\nSecond paragraph.",
@@ -51,7 +51,7 @@ def content(archive, watched) -> ReportContent:
             ("a", NASTY),
             race_table(
                 RaceRow(ego="a", opponent=NASTY, winner=winner, start_s=start)
-                for winner, start in (("ego", 1.0), ("ego", 1.0), ("", 2.0), ("opponent", 2.0))
+                for winner, start in (("ego", 1.0), ("ego", 1.0), ("none", 2.0), ("opponent", 2.0))
             ),
         ),
         situations=[
@@ -157,15 +157,12 @@ def test_races_can_be_read_back(tmp_path, parsed, watched):
 
 
 def test_strong_and_safe_stand_beside_each_other(content, parsed):
-    """The table of exploitability tells the score in races, too."""
+    """The table of losses to best replies tells the score in races, too."""
     judged = replace(content.table, rows=content.table.rows[:1])
     page = report_page(ReportContent("", losses=content.losses, judged=judged, rivals=content.rivals))
     (score,) = [arm.score for arm in judged.rows[0].arms if arm.arm == "our-best"]
     assert f'<th class="name">our-best</th><td>{score:.3f}</td>' in page
-    unknown = [content.losses[0]._replace(columns=((0.2, np.nan), (np.nan, np.nan), (0.3, 0.02)))]
-    assert '<td>0.200</td><td class="word"></td><td>0.300 (0.020)</td>' in report_page(
-        ReportContent("", losses=unknown)
-    )
+    assert "<td>+0.200</td><td>[+0.100, +0.300]</td><td>400</td>" in page
 
 
 def test_without_rows_of_the_paper_nothing_is_said_of_it(content):

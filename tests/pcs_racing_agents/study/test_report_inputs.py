@@ -6,43 +6,48 @@ from toy_races import toy_races
 
 from pcs_racing import InputError
 from pcs_racing_agents.study.report_inputs import (
-    TreeLoss,
-    mean_losses,
+    ReplyLoss,
     mean_scores,
     read_curves,
     read_losses,
     scores_and_losses,
+    total_losses,
 )
 from pcs_racing_agents.study.table import make_table
 
 
-def test_losses_are_means_over_trees(tmp_path):
-    path = tmp_path / "exploitability.csv"
-    head = "track,agent,tree,lost_to_best_response,lost_to_equilibrium,off_in_self_play,against_random\n"
-    path.write_text(head + "Oval,a,0,1.0,0.5,0,2\nOval,a,1,3.0,0.5,0,4\nOval,b,0,1,1,1,1\n")
-    first, second = read_losses(path)
-    assert first == TreeLoss("Oval", "a", 2, ((2.0, 1.0), (0.5, 0.0), (3.0, 1.0)))
-    assert np.isnan(second.columns[0][1])
+def test_losses_to_best_replies_are_read_and_stand_beside_the_score(tmp_path):
+    path = tmp_path / "best_replies.csv"
+    head = ",".join(("agent", "track", *ReplyLoss._fields[2:])) + "\n"
+    lines = ("a,Oval,0.1,0,0.2,400,0.6,0.4,0.05", "a,Hut,0.3,0.2,0.4,400,0.8,0.2,0", "a,all,0.2,0.1,0.3,800,0.7,0.3,0")
+    path.write_text(head + "\n".join(lines) + "\nb,Oval,-0.1,-0.2,0,40,0.4,0.6,0\n")
+    losses = read_losses(path)
+    assert losses[0] == ReplyLoss("a", "Oval", 0.1, 0.0, 0.2, 400, 0.6, 0.4, 0.05)
+    totals = total_losses(losses)
+    assert {name: (total.track, total.loss) for name, total in totals.items()} == {
+        "a": ("all", 0.2),
+        "b": ("Oval", -0.1),
+    }
     table = make_table(toy_races(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
-    (place,) = scores_and_losses(table, [first, second])
-    assert (place.name, place.loss, place.loss_error) == ("a", 2.0, 1.0)
+    (place,) = scores_and_losses(table, losses)
+    assert (place.name, place.loss, place.low, place.high) == ("a", 0.2, 0.1, 0.3)
     assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))
-    assert scores_and_losses(None, [first]) == []
+    assert scores_and_losses(None, losses) == []
     assert mean_scores(table)["c"] == pytest.approx(np.mean([row.arms[1].score for row in table.rows]))
     assert mean_scores(
         replace(table, rows=(*table.rows, replace(table.rows[0], arms=table.rows[0].arms[:1])))
     ).keys() == {"a"}
-    both = mean_losses(
-        [first, second, first._replace(track="Elsewhere", columns=((4.0, 0.0), (np.nan, np.nan), (3.0, 1.0)))]
-    )
-    assert both["a"].columns[0] == (3.0, 0.5)
-    assert np.isnan(both["a"].columns[1][0])
-    assert (both["a"].trees, both["a"].track) == (4, "Oval, Elsewhere")
-    path.write_text(head.replace("agent", "name"))
-    with pytest.raises(InputError, match="no column 'agent'"):
+
+
+@pytest.mark.parametrize(("wrong", "value"), [("much", "'much'"), ("", "'a'"), ("inf", "'inf'")])
+def test_files_without_losses_are_refused(tmp_path, wrong, value):
+    path = tmp_path / "best_replies.csv"
+    head = ",".join(("agent", "track", *ReplyLoss._fields[2:])) + "\n"
+    path.write_text(head.replace("agent,", "name,", 1))
+    with pytest.raises(InputError, match="'agent'"):
         read_losses(path)
-    path.write_text(head + "Oval,a,0,much,0,0,0\n")
-    with pytest.raises(InputError, match="'much' where a number should be"):
+    path.write_text(f"{head}a,Oval,{wrong},0,0.2,400,0.6,0.4,0.05\n")
+    with pytest.raises(InputError, match=value):
         read_losses(path)
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import re
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,13 +18,26 @@ from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.jobs import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
-from pcs_racing_agents.networks import load_network
+from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.reporting import best_blind
 from pcs_racing_agents.study.run import stages_to_run
 from pcs_racing_agents.study.stages import stage_seconds
 from pcs_racing_agents.study.study import Study
+
+HERE = Path(__file__).parent
+
+
+def settings_file(name: str, text: str) -> str:
+    """A file of settings; one may name another by its path."""
+    file = Path(tempfile.mkdtemp(prefix="tiny-study-")) / f"{name}.yaml"
+    file.write_text(text, encoding="utf-8")
+    return str(file)
+
+
+LEARNER = settings_file("learner", "starts: 16\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 3\n")
+SELF_PLAY = settings_file("self_play", "iterations: 2\nstarts: 16\nhidden: [8]\nepochs: 3\n")
 
 TINY = load_study_config(
     "quick",
@@ -32,7 +46,11 @@ TINY = load_study_config(
     circuits=("Pipkin",),
     tracks=("Pipkin",),
     pairs=3,
-    targets=("regret",),
+    targets=("advantage",),
+    robust=settings_file("robust", f"rounds: 1\nlearner: {LEARNER}\n"),
+    psro=settings_file("psro", f"rounds: 2\nraces: 4\nlearner: {LEARNER}\n"),
+    self_play=SELF_PLAY,
+    sampled_cfr=SELF_PLAY,
     fitting_games=2,
     fixed_targets=2,
     opponents=("never-switch", "lane-switcher"),
@@ -42,8 +60,11 @@ TINY = load_study_config(
     lines=1,
     further_lines=1,
     further_opponents=("random-moves",),
-    further_arms=("ppo",),
-    ppo=str(Path(__file__).with_name("ppo_tiny.yaml")),
+    further_arms=("ppo", "robust", "psro", "self-play"),
+    replies=("cfr-argmax", "self-play"),
+    reply=LEARNER,
+    reply_races=40,
+    ppo=str(HERE / "ppo_tiny.yaml"),
     rivals=("never-switch", "cfr-argmax", "ppo", "lane-switcher"),
     rival_races=2,
 )
@@ -59,7 +80,7 @@ def finished(tmp_path_factory):
 
 def test_a_study_leaves_its_results(finished):
     lines = (finished.folder / "results.csv").read_text(encoding="utf-8").splitlines()
-    main, further = 2 * 5 * 8, 3 * 6 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
+    main, further = 2 * 6 * 8, 3 * 10 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
     assert len(lines) == 1 + main + further
     assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
     page = (finished.folder / "report.html").read_text(encoding="utf-8")
@@ -69,14 +90,35 @@ def test_a_study_leaves_its_results(finished):
     assert not list(finished.folder.rglob("seconds.txt"))
 
 
-def test_every_agent_is_judged_also_such_as_stay(finished):
-    with open(finished.folder / "exploitability.csv", newline="", encoding="utf-8") as file:
+def test_what_agents_lose_to_best_replies_is_measured_and_reported(finished):
+    with open(finished.folder / "best_replies.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert {row["agent"] for row in rows} == {*TINY.every_arm, "equilibrium", "random moves"}
-    for row in rows:
-        if row["agent"] not in BEST_BLIND:  # whose moves, and so whether they stay, depend on the training races
-            assert (row["lost_to_equilibrium"] == "") == (row["agent"] == "never-switch")
-        assert float(row["lost_to_best_response"]) >= -1e-6
+    assert [(row["agent"], row["track"], row["races"]) for row in rows] == [
+        ("cfr-argmax", "Pipkin", "40"),
+        ("self-play", "Pipkin", "40"),
+    ]
+    page = (finished.folder / "report.html").read_text(encoding="utf-8")
+    assert f"<td>{float(rows[0]['loss']):+.3f}</td>" in page
+
+
+def test_gains_are_shown_by_family_of_opponents(finished):
+    with open(finished.folder / "families.csv", newline="", encoding="utf-8") as file:
+        rows = {row["family"]: row for row in csv.DictReader(file)}
+    assert {name: row["use"] for name, row in rows.items()} == {
+        "archive": "training",
+        "random moves": "training",
+        "lane switcher": "test",
+    }
+    assert "Gain by family of opponents" in (finished.folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_agents_that_learned_by_playing_are_those_of_the_study(finished):
+    for name in ("robust", "psro", "self-play"):
+        networks = load_network_set(finished.network(name))
+        assert finished.agent(name).facts["networks"].startswith(f"{networks.name}: {len(networks.networks)}")
+    regrets = load_network(finished.network("regret"))
+    assert (regrets.target, regrets.training["sampled"]) == ("regret", True)
+    assert "sampled True" in finished.agent("cfr-argmax").facts["trained on"]
 
 
 def test_the_report_tells_which_move_was_made_when(finished):
@@ -112,11 +154,18 @@ def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
         run_study(TINY, other, only=NAMES[: NAMES.index("races")], executor=executor, quiet=True)
         for file in sorted(other.rglob("*.npz"))[::3]:
             file.unlink()  # as if the run had been killed before they were there
-        for stage in ("trees", "networks", "blind", "responses", "ppo"):
+        for stage in ("trees", "networks", "blind", "responses", "robust", "psro", "self-play", "ppo"):
             (other / stage / "done.yaml").unlink()
         run_study(TINY, other, executor=executor, quiet=True)
     one, two = without_times(finished.folder), without_times(other)
-    assert {"results.csv", "table.csv", "exploitability.csv", "rivals.csv", "networks/ppo/curve.csv"} < set(one)
+    assert {
+        "results.csv",
+        "table.csv",
+        "best_replies.csv",
+        "families.csv",
+        "rivals.csv",
+        "networks/ppo/curve.csv",
+    } < set(one)
     assert [name for name in sorted({*one, *two}) if one.get(name) != two.get(name)] == []
 
 
@@ -145,11 +194,12 @@ def test_what_was_found_can_be_shipped(finished, tmp_path):
     fits = tmp_path / "pcs_racing_agents" / "agents" / "fits"
     fits.mkdir(parents=True)
     load_tool("ship_study").ship(Study(config, finished.folder), tmp_path)
+    kinds = ("advantage", "gain", "psro", "regret", "robust", "self-play")
     assert sorted(path.name for path in (tmp_path / "networks").iterdir()) == [
-        "default-paper-gain",
-        "default-paper-regret",
+        f"default-paper-{kind}" for kind in kinds
     ]
-    assert len(list(fits.glob("default-paper-best-*.yaml"))) == 2
+    assert load_network_set(tmp_path / "networks" / "default-paper-psro").name == "default-paper-psro"
+    assert len(list(fits.glob("default-paper-best-*.yaml"))) == 3
 
 
 def test_the_command_goes_on_in_the_folder_and_says_where_the_results_are(finished, tmp_path, capsys):
@@ -185,7 +235,7 @@ def test_the_gain_is_over_the_blind_agent_that_won_more_training_races(finished,
         reached = 0.7 if name == better else 0.6
         save_fit(replace(fit, training={**fit.training, "reached": reached}), tmp_path / "blind" / f"{name}.yaml")
     assert best_blind(other) == better
-    assert best_blind(replace(other, config=replace(TINY, arms=("never-switch", "quick")))) is None
+    assert best_blind(replace(other, config=replace(TINY, arms=("never-switch", "quick"), replies=()))) is None
 
 
 def test_the_table_names_the_blind_agent_that_it_compares_with(finished):
@@ -208,6 +258,10 @@ def test_the_table_names_the_blind_agent_that_it_compares_with(finished):
         ({"tracks": ("Pipkin", "Pipkin")}, "name each once"),
         ({"ppo": "drive"}, "ppo is 'drive'"),
         ({"ppo": "nowhere"}, "ppo settings 'nowhere' are unknown"),
+        ({"robust": "nowhere"}, "robust settings 'nowhere' are unknown"),
+        ({"sampled_cfr": "cfr"}, "name one source of the regrets"),
+        ({"replies": ("lane-switcher",)}, "replies hold 'lane-switcher'"),
+        ({"replies": ("cfr-argmax",), "reply_races": 40, "circuits": ("Tarnfjord", "Pipkin")}, "reply_races is 40"),
         ({"lunch": 1}, "unknown study setting 'lunch'"),
     ],
 )

@@ -13,5 +13,4 @@ def test_the_code_runs(number, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     run_block(BLOCKS[number])
     out = capsys.readouterr().out
-    assert "search 2 " in out
-    assert "measurement 2 " in out
+    assert ("search 2 " in out and "measurement 2 " in out) if number == 0 else "chosen: [" in out

@@ -102,13 +102,20 @@ def test_policies_do_not_disturb_each_other(scenarios, raced):
 
 def test_the_spread_is_that_of_a_mean_over_races():
     """Where each race has as many pieces: the textbook's standard error; and as good where crashes cut races short."""
+
+    def nobody(policies: int) -> dict[str, np.ndarray]:
+        """Races without a winner."""
+        return {"winner": np.full((policies, 50), -1)}
+
     rng = np.random.default_rng(0)
     totals = rng.normal(3.0, 2.0, (4, 50, 1))
-    whole = summarise({"totals": totals, "pieces": np.full((4, 50), 2), "own_crash": np.zeros((4, 50), bool)})
+    whole = summarise(
+        {"totals": totals, "pieces": np.full((4, 50), 2), "own_crash": np.zeros((4, 50), bool), **nobody(4)}
+    )
     np.testing.assert_allclose(whole.spread[:, 0], (totals[..., 0] / 2.0).std(axis=1, ddof=1) / np.sqrt(50.0))
     pieces = rng.integers(1, 3, (4000, 50))
     values = rng.normal(3.0, 2.0, (4000, 50, 1)) + 3.0 * (pieces[..., None] - 1)
-    cut = summarise({"totals": values, "pieces": pieces, "own_crash": np.zeros((4000, 50), bool)})
+    cut = summarise({"totals": values, "pieces": pieces, "own_crash": np.zeros((4000, 50), bool), **nobody(4000)})
     assert cut.spread.mean() == pytest.approx(cut.coordinates.std(), rel=0.06)
 
 
@@ -116,7 +123,7 @@ def test_a_refreshed_set_of_opponents(scenarios):
     fresh = scenarios.against(policies(3, 9))
     np.testing.assert_array_equal(fresh.start_s, scenarios.start_s)
     assert (fresh.opponents != scenarios.opponents).any()
-    with pytest.raises(InputError, match=r"opponents have shape \(2, 16\); these races need \(3, 16\)"):
+    with pytest.raises(InputError, match=r"opponents have shape \(2, 17\); these races need \(3, 17\)"):
         scenarios.against(policies(2))
 
 
@@ -124,8 +131,8 @@ def test_a_refreshed_set_of_opponents(scenarios):
     ("change", "message"),
     [
         ({"tracks": []}, "there are no tracks"),
-        ({"opponents": np.zeros((0, 16))}, r"there are no opponents"),
-        ({"opponents": np.zeros((3, 2))}, r"opponents has shape \(3, 2\); it must have \(any, 16\)"),
+        ({"opponents": np.zeros((0, 17))}, r"there are no opponents"),
+        ({"opponents": np.zeros((3, 2))}, r"opponents has shape \(3, 2\); it must have \(any, 17\)"),
         ({"segment_seconds": 3.0}, "a race of 4 s is no multiple of segment_seconds, 3 s"),
         ({"segment_seconds": 0.0}, "no multiple of segment_seconds, 0 s"),
         ({"starts": 0}, "start_lines is 0"),
@@ -149,7 +156,7 @@ def test_impossible_races(oval, change, message):
 
 
 def test_policies_of_the_wrong_shape(scenarios):
-    with pytest.raises(InputError, match=r"parameters has shape \(2, 3\); it must have \(any, 16\)"):
+    with pytest.raises(InputError, match=r"parameters has shape \(2, 3\); it must have \(any, 17\)"):
         evaluate(scenarios, np.zeros((2, 3)))
 
 

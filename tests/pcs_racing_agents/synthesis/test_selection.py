@@ -26,7 +26,8 @@ def test_the_first_layer_is_what_no_other_point_beats(points):
 
 def raced(totals, pieces=None):
     pieces = np.full(totals.shape[:2], 2) if pieces is None else pieces
-    return {"totals": totals, "pieces": pieces, "own_crash": np.zeros(totals.shape[:2], bool)}
+    nobody = np.full(totals.shape[:2], -1)
+    return {"totals": totals, "pieces": pieces, "own_crash": np.zeros(totals.shape[:2], bool), "winner": nobody}
 
 
 def test_errors_of_differences_are_those_of_paired_means():

@@ -91,14 +91,15 @@ def test_fits_repeat_and_go_on(training, tmp_path):
 def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(oval, short):
     names = ("always-aggressiveness+", "always-restraint+", "never-switch", "random-moves")
     members = [build(name, short) for name in names]
-    fit = fit_psro(TrainingRaces((oval,), (members[0],), short, races=10), members)
-    assert set(fit.choice) == set(names)
-    assert sum(fit.choice.values()) == pytest.approx(1.0, abs=1e-5)
-    assert fit.training["least excess"] >= -1e-4  # nobody beats the mixture on these races
-    agent = build("psro", short, fit=fit)
-    seen = np.zeros((1, len(short.elements)), np.float32)
-    seen[0, 5] = 1.0
-    assert agent.probabilities(seen).sum() == pytest.approx(1.0)
+    training = TrainingRaces((oval,), (members[0],), short, races=10)
+    meta = fit_psro(training, members)
+    assert meta.weights.sum() == pytest.approx(1.0)
+    np.testing.assert_array_equal(meta.payoffs, -meta.payoffs.T)
+    assert (meta.weights @ meta.payoffs).min() >= -1e-6  # nobody beats the mixture on these races
+    again = fit_psro(training, members, known=fit_psro(training, members[:3]))
+    np.testing.assert_array_equal(again.payoffs, meta.payoffs)
+    with pytest.raises(InputError, match="payoffs of 4 agents are known"):
+        fit_psro(training, members[:2], known=meta)
 
 
 def test_bad_input(training, oval, short):

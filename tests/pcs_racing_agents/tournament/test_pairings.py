@@ -79,7 +79,7 @@ def test_races_of_a_pairing_in_words(contest, zoo):
     assert {(row.ego, row.opponent, row.track, row.seed) for row in rows} == {
         ("random-moves", "random-policy", "oval", 5)
     }
-    scores = [1.0 if row.winner == "ego" else 0.5 if row.winner == row.crash == "" else 0.0 for row in rows]
+    scores = [1.0 if row.winner == "ego" else 0.5 if row.winner == row.crash == "none" else 0.0 for row in rows]
     np.testing.assert_array_equal(scores, races.score)
 
 

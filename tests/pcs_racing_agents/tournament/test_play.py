@@ -76,7 +76,7 @@ def test_a_row_tells_the_game_again(mixed, archive):
                 assert path[0] == variant
             for policy, move, there in zip(path, moves, path[1:], strict=False):
                 assert setting.table[policy, setting.move(move)] == there
-        assert (row.crash != "") == (row.duration < 6.0) == (row.fault != "")
+        assert (row.crash != "none") == (row.duration < 6.0) == (row.fault != "none")
 
 
 def test_a_race_of_a_tournament_can_be_watched(tournament, mixed):
@@ -147,7 +147,7 @@ def test_a_table_of_races_reads_like_rows_and_takes_a_tenth_of_their_memory(mixe
         races[48]
     assert [row.ego for row in rows] == [races.agents.words[code] for code in races.agents.codes[:, 0]]
     assert races.score.tolist() == [
-        1.0 if row.winner == "ego" else 0.5 if row.winner == row.crash == "" else 0.0 for row in rows
+        1.0 if row.winner == "ego" else 0.5 if row.winner == row.crash == "none" else 0.0 for row in rows
     ]
     columns = [races.path, races.moves.codes, races.agents.codes, races.fault, races.overtakes, races.variants]
     assert {column.dtype.itemsize for column in columns} == {1}

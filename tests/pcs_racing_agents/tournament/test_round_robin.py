@@ -16,7 +16,7 @@ NAMES = ("paper", "rock", "scissors")
 def table(ego, opponent, winner, crashed, line):
     """Races given by their columns."""
     return race_table(
-        RaceRow(ego=one, opponent=other, winner=who, crash="car" if crash else "", start_s=float(start))
+        RaceRow(ego=one, opponent=other, winner=who, crash="car" if crash else "none", start_s=float(start))
         for one, other, who, crash, start in zip(ego, opponent, winner, crashed, line, strict=True)
     )
 
@@ -25,7 +25,7 @@ def cycle(races: int = 20):
     """Rock beats scissors beats paper beats rock; some ties, and crashes that pay neither."""
     ego = ["paper", "rock", "scissors"] * races
     opponent = ["rock", "scissors", "paper"] * races
-    winner = (["ego"] * 3 * (races - 4)) + ["opponent"] * 3 + [""] * 9
+    winner = (["ego"] * 3 * (races - 4)) + ["opponent"] * 3 + ["none"] * 9
     crashed = [False] * 3 * (races - 1) + [True] * 3
     line = [i // 6 for i in range(3 * races)]
     return table(ego, opponent, winner, crashed, line)
@@ -52,7 +52,7 @@ def test_a_rating_sees_no_cycle_and_the_rest_does():
 
 def test_the_ratings_are_those_of_rate():
     races = cycle()
-    won = np.array([{"ego": 1.0, "opponent": -1.0, "": 0.0}[row.winner] for row in races])
+    won = np.array([{"ego": 1.0, "opponent": -1.0, "none": 0.0}[row.winner] for row in races])
     expected = rate([row.ego for row in races], [row.opponent for row in races], won, unpaid=races.crashed)
     result = round_robin(NAMES, races, seed=3)
     assert result.ratings.strength == pytest.approx(expected.strength)

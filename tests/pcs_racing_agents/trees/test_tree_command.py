@@ -59,7 +59,7 @@ def test_ego_trees_are_played(run, small, tmp_path):
         (["--epsilon", "0"], r"epsilon is \(0.0,\); it must be a number in \(0, 10\]"),
         (["--seeds", "3"], "seeds_per_pair is 3, but there is no steering noise"),
         (["--moves", "9"], "a tree of 9 moves with 4 choices for each player has"),
-        (["--preset", "nope"], "race settings 'nope' are unknown"),
+        (["--race", "nope"], "race settings 'nope' are unknown"),
     ],
 )
 def test_impossible_options_end_in_one_line(run, small, tmp_path, options, message):

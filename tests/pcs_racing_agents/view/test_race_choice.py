@@ -25,12 +25,12 @@ def columns_of(races):
 
 def test_outcomes_are_told_by_agent():
     columns = columns_of([
-        ("a", "b", "t", 3, "ego", "", "", "1; 2"),
-        ("a", "b", "t", 3, "ego", "", "", "1; 1"),
+        ("a", "b", "t", 3, "ego", "none", "none", "1; 2"),
+        ("a", "b", "t", 3, "ego", "none", "none", "1; 1"),
         ("a", "b", "t", -3, "opponent", "wall", "ego", "1; 1"),
-        ("a", "b", "t", 1, "", "car", "both", "1; 1"),
-        ("a", "b", "t", 0, "", "", "", "1; 1"),
-        ("a", "b", "t", 1, "", "car", "", "1; 1"),
+        ("a", "b", "t", 1, "none", "car", "both", "1; 1"),
+        ("a", "b", "t", 0, "none", "none", "none", "1; 1"),
+        ("a", "b", "t", 1, "none", "car", "none", "1; 1"),
     ])  # fmt: skip
     of_a = [
         "a win by switching",
@@ -51,8 +51,8 @@ def test_agents_and_outcomes_take_turns_and_the_typical_comes_first():
     for pair in (("a", "b"), ("a", "c"), ("b", "c")):
         for track in ("s", "t"):
             for lead in rng.permutation(np.arange(-10, 11)).tolist():
-                winner = "ego" if lead > 0 else "opponent" if lead < 0 else ""
-                races.append((*pair, track, lead, winner, "", "", "1; 2" if lead % 2 else "1; 1"))
+                winner = "ego" if lead > 0 else "opponent" if lead < 0 else "none"
+                races.append((*pair, track, lead, winner, "none", "none", "1; 2" if lead % 2 else "1; 1"))
     columns = columns_of(races)
     picks = choose_races(columns, 12)
     assert [pick.why for pick in picks[:3]] == ["a: a win by switching", "b: a win by switching", "a: a loss"]
@@ -90,11 +90,11 @@ def test_as_many_as_asked_for_each_of_them_once(given_races, count):
 
 
 def test_nothing_is_chosen_where_nothing_is_wanted():
-    assert choose_races(columns_of([("a", "b", "t", 3, "ego", "", "", "1; 2")]), 0) == []
+    assert choose_races(columns_of([("a", "b", "t", 3, "ego", "none", "none", "1; 2")]), 0) == []
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 10, 17])
 def test_leads_come_from_the_middle(count):
-    columns = columns_of([("a", "b", "t", lead + 1, "ego", "", "", "1; 2") for lead in range(count)])
+    columns = columns_of([("a", "b", "t", lead + 1, "ego", "none", "none", "1; 2") for lead in range(count)])
     order = [pick.race for pick in choose_races(columns, count) if pick.why.startswith("a")]
     assert order[0] == (count - 1) // 2

@@ -32,7 +32,7 @@ def test_packing_loses_nothing_that_is_shown(races):
             assert values[f"overtakes{car}"][number] == overtakes
             assert values[f"variants{car}"][number] == variant
             assert values[f"switches{car}"][number] == races.switches[number, car]
-        assert ("", "ego", "opponent")[int(values["winner"][number])] == row.winner
+        assert ("none", "ego", "opponent")[int(values["winner"][number])] == row.winner
         assert ("", "wall", "car")[int(values["crash"][number])] == row.crash
         assert ("", "ego", "opponent", "both")[int(values["fault"][number])] == row.fault
 

@@ -138,7 +138,7 @@ def test_judging_is_racing_under_the_rules(drive_settings):
     assert {cell.race for cell in scores} == {"short"}
     mean = mean_score(scores, drive_settings.opponents)
     assert mean.races == 4
-    assert mean.worth == pytest.approx(mean.won - max(mean.lost, mean.at_fault), abs=0.51)
+    assert mean.worth == pytest.approx(mean.won - max(mean.lost, mean.fault), abs=0.51)
 
 
 def test_environments_are_shared_out():

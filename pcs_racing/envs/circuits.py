@@ -1,0 +1,137 @@
+"""Which circuit each episode of a batch is driven on: always the same, one of several, or a generated one."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.starting import random_bits
+from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits
+from pcs_racing.track.track import Track, as_track
+
+__all__ = ["Circuits", "is_circuits"]
+
+RANDOM = "random"
+
+
+def is_circuits(source: Any) -> bool:
+    """Whether a value has a type that the argument ``track`` of an environment may have."""
+    if isinstance(source, list | tuple):
+        return len(source) > 0 and all(isinstance(one, str | PathLike | Track) for one in source)
+    return isinstance(source, str | PathLike | Track | RandomCircuits)
+
+
+class Circuits:
+    """The circuits of a batch of episodes.
+
+    Parameters
+    ----------
+    source : str, Path, Track, a list of these, "random" or RandomCircuits
+        Of a list, one is drawn for each episode. With "random", or the settings of random circuits, each environment
+        gets a newly generated circuit after so many episodes; the next one is built while this one is driven. It
+        follows from the number that the environment's generator draws when it begins, and from how many episodes it has
+        had since.
+    episodes : int
+
+    Attributes
+    ----------
+    number : ndarray of int, shape (episodes,)
+        Number of each episode's circuit: its index in the list, or that of the random circuit.
+
+    Raises
+    ------
+    InputError
+        If it is none of these, or a circuit can't be had.
+    """
+
+    def __init__(self, source: Any, episodes: int) -> None:
+        if not is_circuits(source):
+            raise InputError(
+                f"track is {source!r:.200}; it must be a circuit's name, its folder, a Track, a list of these, "
+                f"{RANDOM!r} or RandomCircuits"
+            )
+        self.number = np.zeros(episodes, np.int64)
+        self._keys = np.zeros(episodes, np.uint64)
+        self._past = np.full(episodes, -1)  # episodes since the key was drawn
+        random = RandomCircuits() if source == RANDOM else source if isinstance(source, RandomCircuits) else None
+        self._builder = None if random is None else CircuitBuilder(random, episodes)
+        listed = source if isinstance(source, list | tuple) else [source]
+        self._listed: list[Track] = [] if random is not None else [as_track(one) for one in listed]
+
+    @property
+    def several(self) -> bool:
+        """Whether episodes may be on different circuits."""
+        return len(self._listed) != 1
+
+    @property
+    def codes(self) -> Mapping[int, str]:
+        """Names of the circuits by their numbers."""
+        return _RandomNames() if self._builder else {i: track.name for i, track in enumerate(self._listed)}
+
+    def track(self, number: int) -> Track:
+        """Return a circuit by its number."""
+        return self._listed[number] if self._builder is None else self._builder.get(int(number))
+
+    def forget(self, rows: NDArray[np.int64]) -> None:
+        """Let the circuits of some episodes begin anew, as their generators do."""
+        self._past[rows] = -1
+
+    def draw(self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> None:
+        """Draw the circuits of new episodes, each from its own generator; with a single circuit nothing is drawn."""
+        if self._builder is None:
+            if self.several:
+                self.number[rows] = [generator.integers(len(self._listed)) for generator in generators]
+            return
+        for row, generator in zip(rows, generators, strict=True):
+            if self._past[row] < 0:
+                self._keys[row] = generator.integers(2**63)
+            self._past[row] += 1
+            self.number[row] = self._nth(row, 0)
+        for shift in (0, 1):  # all that are needed now, before any that will be
+            for row in rows:
+                self._builder.ahead(self._nth(row, shift))
+
+    def _nth(self, row: int, shift: int) -> int:
+        """Number of the circuit that an environment is on, or of one that follows it."""
+        settings = self._builder.settings  # type: ignore[union-attr]
+        turn = int(self._past[row]) // settings.episodes + shift
+        return int(random_bits(self._keys[row : row + 1], turn)[0, 0] % np.uint64(settings.count))
+
+    def get_state(self) -> tuple[NDArray[Any], ...]:
+        """Return copies of all that changes."""
+        return self.number.copy(), self._keys.copy(), self._past.copy()
+
+    def set_state(self, state: tuple[NDArray[Any], ...]) -> None:
+        """Continue from what `get_state` returned.
+
+        Raises
+        ------
+        InputError
+            If it is of other circuits.
+        """
+        number, keys, past = state
+        least, most = 0, len(self._listed) - 1 if self._builder is None else self._builder.settings.count - 1
+        if np.shape(number) != self.number.shape or not ((number >= least) & (number <= most)).all():
+            raise InputError(f"the state's circuits {number!r:.200} are not those of this environment")
+        self.number[:], self._keys[:], self._past[:] = number, keys, past
+
+    def close(self) -> None:
+        """Stop building circuits."""
+        if self._builder is not None:
+            self._builder.close()
+
+
+class _RandomNames(Mapping[int, str]):
+    """Names of random circuits by their numbers."""
+
+    def __getitem__(self, number: int) -> str:
+        return f"random-{number}"
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(())
+
+    def __len__(self) -> int:
+        return 0

@@ -1,0 +1,141 @@
+"""Obstacles that are drawn for each episode: how many, how large, and where they may stand."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.checks import is_number, is_whole
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.settings import Settings, checked, load_settings, number, setting
+from pcs_racing.track.frenet import LEFT, RIGHT
+from pcs_racing.track.obstacles import BOX
+from pcs_racing.track.track import Track
+
+__all__ = ["Obstacles", "load_obstacles", "obstacles_option"]
+
+MOST = 20
+TRIES = 50  # places that are tried for an obstacle before it is left out
+BEFORE_START, AFTER_START = 3.0, 8.0  # m around the start that stay free
+
+
+def _count(value: Any) -> tuple[int, int]:
+    pair = [value, value] if is_whole(value) else value
+    if not isinstance(pair, list | tuple) or len(pair) != 2 or not all(map(is_whole, pair)):
+        pair = [1, 0]
+    if not 0 <= pair[0] <= pair[1] <= MOST:
+        raise InputError(f"count is {value!r}; it must be a whole number or [low, high], from 0 to {MOST}")
+    return int(pair[0]), int(pair[1])
+
+
+def _size(value: Any) -> tuple[float, float]:
+    pair = [value, value] if is_number(value) else value
+    fine = isinstance(pair, list | tuple) and len(pair) == 2 and all(map(is_number, pair))
+    if not fine or not 0.05 <= pair[0] <= pair[1] <= 2.0:
+        raise InputError(f"size is {value!r}; it must be [low, high] with 0.05 <= low <= high <= 2")
+    return float(pair[0]), float(pair[1])
+
+
+@dataclass(frozen=True)
+class Obstacles(Settings):
+    """Boxes that stand on the track during an episode; their place, heading and sides are drawn uniformly."""
+
+    count: tuple[int, int] = setting(
+        (1, 3), checked(_count, f"from 0 to {MOST}"), "How many there are: a number, or the fewest and the most."
+    )
+    size: tuple[float, float] = setting(
+        (0.2, 0.4), checked(_size, "from 0.05 to 2"), "Length of a side, or the shortest and the longest, m."
+    )
+    passage: float = setting(
+        1.0, number(0.4, 10.0), "Width that stays free between a box and the wall on one of its sides, m."
+    )
+    apart: float = setting(5.0, number(0.0, 1000.0), "Distance between two boxes along the race line, m.")
+
+    def draw(self, track: Track, starts: Sequence[float], generator: np.random.Generator) -> NDArray[np.float64]:
+        """Draw the boxes of an episode, shape (K, 5); an obstacle that finds no room is left out.
+
+        Parameters
+        ----------
+        track : Track
+        starts : sequence of float
+            Arc lengths at which the cars stand, m: from 3 m before them to 8 m after them no box is put.
+        generator : Generator
+        """
+        line, length = track.arrays.line, track.length
+        boxes: list[list[float]] = []
+        places: list[float] = []
+        for _ in range(int(generator.integers(self.count[0], self.count[1] + 1))):
+            for _ in range(TRIES):
+                s, across, heading = generator.random(3) * (length, 1.0, np.pi)
+                sides = self.size[0] + (self.size[1] - self.size[0]) * generator.random(2)
+                sample = line[int(s / track.arrays.ds) % len(line)]
+                reach = 0.5 * float(np.hypot(*sides))
+                d = -sample[RIGHT] + across * (sample[LEFT] + sample[RIGHT])
+                free = max(sample[LEFT] - d, sample[RIGHT] + d) - reach
+                near = min((abs(_around(s - other, length)) for other in places), default=np.inf)
+                away = all(not -BEFORE_START <= _around(s - start, length) <= AFTER_START for start in starts)
+                if free >= self.passage and near >= self.apart and away:
+                    x, y, along = track.to_cartesian([s, d])
+                    boxes.append([x, y, float(np.mod(along + heading, 2.0 * np.pi)), *sides])
+                    places.append(s)
+                    break
+        return np.array(boxes).reshape(-1, len(BOX))
+
+
+def _around(s: float, length: float) -> float:
+    """An arc length on a closed line as the shorter way, from minus to plus half the length."""
+    return float(np.mod(s + 0.5 * length, length) - 0.5 * length)
+
+
+def load_obstacles(source: Obstacles | Mapping[str, Any] | int | str | Path | None) -> Obstacles | None:
+    """Return settings of obstacles: themselves, a mapping or a YAML file of them, or their number; None for none.
+
+    Raises
+    ------
+    ConfigError
+        If a setting is unknown or impossible.
+
+    Examples
+    --------
+    >>> load_obstacles(3).count
+    (3, 3)
+    """
+    if source is None or isinstance(source, Obstacles):
+        return source
+    if is_whole(source):
+        return Obstacles(count=source)  # type: ignore[arg-type]
+    if isinstance(source, Mapping):
+        if not all(isinstance(name, str) for name in source):
+            raise ConfigError(f"obstacles are {source!r:.200}; they must be a mapping of settings")
+        return load_settings("obstacles", Obstacles(), None, **source)
+    return load_settings("obstacles", Obstacles(), source)  # type: ignore[arg-type]
+
+
+def obstacles_option(options: Mapping[str, Any], episodes: int) -> Sequence[NDArray[np.float64]] | None:
+    """Read the option "obstacles" of a reset: boxes (x, y, heading, length, width), for all episodes or for each.
+
+    Raises
+    ------
+    InputError
+        If it is anything else.
+    """
+    given = options.get("obstacles")
+    if given is None:
+        return None
+    try:
+        boxes = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        boxes = np.full(1, np.nan)
+    if boxes.size == 0:
+        boxes = np.empty((0, len(BOX)))
+    if boxes.ndim == 2:
+        boxes = np.broadcast_to(boxes, (episodes, *boxes.shape))
+    if boxes.ndim != 3 or boxes.shape[::2] != (episodes, len(BOX)) or not np.isfinite(boxes).all():
+        raise InputError(
+            f"reset option 'obstacles' is {given!r:.80}; it must be boxes ({', '.join(BOX)}), finite numbers of shape "
+            f"(K, {len(BOX)}) or ({episodes}, K, {len(BOX)})"
+        )
+    return list(boxes)

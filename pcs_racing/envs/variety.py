@@ -1,0 +1,176 @@
+"""What differs from episode to episode of a batch: circuit, obstacles, cars, sensors."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.car.vehicle import load_vehicles
+from pcs_racing.envs.circuits import Circuits
+from pcs_racing.envs.obstacles import load_obstacles
+from pcs_racing.envs.randomization import load_randomization
+from pcs_racing.race.conditions import RaceConditions, vehicle_rows
+from pcs_racing.race.driving import AS_THE_SETUP
+from pcs_racing.track.obstacles import BOX, with_obstacles
+from pcs_racing.track.track import Track
+
+__all__ = ["Variety"]
+
+
+class Variety:
+    """Circuits, cars and what is drawn about them, of a batch of episodes.
+
+    Parameters
+    ----------
+    episodes : int
+    track : see :class:`pcs_racing.envs.circuits.Circuits`
+    vehicle : see :func:`pcs_racing.car.vehicle.load_vehicles`
+    randomize : see :func:`pcs_racing.envs.randomization.load_randomization`
+    obstacles : see :func:`pcs_racing.envs.obstacles.load_obstacles`
+
+    Attributes
+    ----------
+    circuits : Circuits
+    cars : tuple of two VehicleParams
+        As they are where nothing is drawn.
+    randomization : Randomization
+    vehicles : ndarray, shape (episodes, 2, 18)
+        Parameter rows of the cars of each episode.
+    drawn : dict of ndarray, shape (episodes,)
+        What was drawn for each episode, by name.
+    boxes : list of ndarray, shape (K, 5)
+        Obstacles of each episode (:data:`pcs_racing.track.obstacles.BOX`).
+
+    Raises
+    ------
+    InputError
+        If an argument is impossible.
+    """
+
+    def __init__(self, episodes: int, track: Any, vehicle: Any, randomize: Any, obstacles: Any) -> None:
+        self.cars = load_vehicles(vehicle)
+        self.randomization = load_randomization(randomize)
+        self.circuits = Circuits(track, episodes)
+        self.vehicles = vehicle_rows(self.cars, episodes)  # never read-only, which would be another type to compile
+        self.drawn = {name: np.zeros(episodes) for name in self.randomization.names}
+        self.obstacles = load_obstacles(obstacles)
+        self.boxes = [np.empty((0, len(BOX)))] * episodes
+        self._tracks: list[Track | None] = [None] * episodes  # with obstacles on them
+        self._blocked = False  # whether there was an obstacle yet
+
+    @property
+    def codes(self) -> dict[str, Mapping[int, str]]:
+        """Words of those infos that are codes."""
+        return {"track": self.circuits.codes} if self.circuits.several else {}
+
+    def track(self, episode: int) -> Track:
+        """Return the circuit of an episode, with its obstacles."""
+        return self._tracks[episode] or self.circuits.track(int(self.circuits.number[episode]))
+
+    def place_obstacles(
+        self,
+        rows: NDArray[np.int64],
+        starts: NDArray[np.float64],
+        generators: Sequence[np.random.Generator],
+        given: Sequence[NDArray[np.float64]] | None,
+    ) -> None:
+        """Put obstacles on the circuits of new episodes: given ones, or drawn ones away from where the cars start.
+
+        Parameters
+        ----------
+        rows : ndarray of int
+        starts : ndarray, shape (len(rows), 2)
+            Arc lengths at which the cars start, m.
+        generators : sequence of Generator
+        given : sequence of ndarray, shape (K, 5), optional
+            Boxes of each episode, in place of drawn ones.
+
+        Raises
+        ------
+        InputError
+            If a given box is impossible.
+        """
+        if given is None and self.obstacles is None and not self._blocked:
+            return
+        for i, row in enumerate(rows):
+            self._tracks[row], self.boxes[row] = None, np.empty((0, len(BOX)))
+            if given is None and self.obstacles is None:
+                continue
+            track = self.track(row)
+            if given is not None:
+                boxes = given[i]
+            else:
+                boxes = self.obstacles.draw(track, starts[i], generators[i])  # type: ignore[union-attr]
+            self._stand(int(row), track, boxes)
+
+    def _stand(self, row: int, track: Track, boxes: NDArray[np.float64]) -> None:
+        if len(boxes):
+            self._blocked = True
+            self._tracks[row], self.boxes[row] = with_obstacles(track, boxes), np.array(boxes)
+
+    def draw(self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> None:
+        """Draw what belongs to new episodes, each from its own generator."""
+        self.circuits.draw(rows, generators)
+        if not self.drawn:
+            return
+        for row, generator in zip(rows, generators, strict=True):
+            values = self.randomization.draw(generator)
+            for name, value in values.items():
+                self.drawn[name][row] = value
+            for car, vehicle in enumerate(self.cars):
+                self.vehicles[row, car] = self.randomization.apply(vehicle, values).as_row()
+
+    def conditions(self, rows: NDArray[np.int64]) -> RaceConditions:
+        """Cars and tracks of some episodes, for a batch that holds these alone."""
+        vehicles = np.ascontiguousarray(self.vehicles[rows]) if self.drawn else None
+        tracks = None
+        if self._blocked and any(self._tracks[row] is not None for row in rows):
+            tracks = tuple(self.track(row) for row in rows)
+        return AS_THE_SETUP if vehicles is None and tracks is None else RaceConditions(vehicles, tracks)
+
+    def groups(self, rows: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
+        """Numbers of the circuits of some episodes, and which of ``rows`` are on each, as indices in ``rows``."""
+        if not self.circuits.several:
+            return [(0, np.arange(len(rows)))]
+        numbers = self.circuits.number[rows]
+        return [(int(number), np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
+
+    def infos(self) -> dict[str, NDArray[Any]]:
+        """What was drawn for each episode, as numbers."""
+        infos = {"track": self.circuits.number.copy()} if self.circuits.several else {}
+        if self.obstacles is not None:
+            infos["obstacles"] = np.array([len(boxes) for boxes in self.boxes])
+        return {**infos, **{name: values.copy() for name, values in self.drawn.items()}}
+
+    def info(self, episode: int) -> dict[str, Any]:
+        """What was drawn for one episode, as numbers."""
+        info = {"track": int(self.circuits.number[episode])} if self.circuits.several else {}
+        if self.obstacles is not None:
+            info["obstacles"] = len(self.boxes[episode])
+        return {**info, **{name: float(values[episode]) for name, values in self.drawn.items()}}
+
+    def get_state(self) -> tuple[Any, ...]:
+        """Return copies of all that changes."""
+        drawn = {name: one.copy() for name, one in self.drawn.items()}
+        return self.circuits.get_state(), self.vehicles.copy(), drawn, list(self.boxes)
+
+    def set_state(self, state: tuple[Any, ...]) -> None:
+        """Continue from what `get_state` returned.
+
+        Raises
+        ------
+        InputError
+            If the state is of another environment.
+        """
+        circuits, vehicles, drawn, boxes = state
+        if np.shape(vehicles) != self.vehicles.shape or set(drawn) != set(self.drawn):
+            raise InputError("the state's cars are not of this environment; use what get_state returned")
+        self.circuits.set_state(circuits)
+        self.vehicles[:] = vehicles
+        for name, values in drawn.items():
+            self.drawn[name][:] = values
+        for row, own in enumerate(boxes):
+            self._tracks[row], self.boxes[row] = None, own
+            self._stand(row, self.track(row), own)

@@ -1,0 +1,80 @@
+"""What differs from race to race of one batch, beyond start and noise: the cars, and what stands on the track."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.car.vehicle import PARAMS_SIZE, VehicleParams
+from pcs_racing.track.track import Track
+
+__all__ = ["RaceConditions", "runs_of", "vehicle_rows"]
+
+
+@dataclass(frozen=True, eq=False)
+class RaceConditions:
+    """Cars and tracks of the B races of a batch, where they are not the same in all of them.
+
+    Attributes
+    ----------
+    vehicles : ndarray, shape (B, 2, 18), optional
+        Parameter rows of both cars (:meth:`pcs_racing.car.vehicle.VehicleParams.as_row`); None for those of the setup.
+    tracks : tuple of B Track, optional
+        The setup's circuit with obstacles on it; None for the circuit itself.
+    """
+
+    vehicles: NDArray[np.float64] | None = None
+    tracks: tuple[Track, ...] | None = None
+
+    def take(self, indices: ArrayLike) -> "RaceConditions":
+        """Return the conditions of some races, in the order asked for."""
+        chosen = np.asarray(indices, np.intp)
+        return RaceConditions(
+            None if self.vehicles is None else np.ascontiguousarray(self.vehicles[chosen]),
+            None if self.tracks is None else tuple(self.tracks[i] for i in chosen),
+        )
+
+    def rows(self, vehicles: tuple[VehicleParams, VehicleParams], races: int) -> NDArray[np.float64]:
+        """Parameter rows of both cars of every race, shape (races, 2, 18), the setup's where there are no others.
+
+        Raises
+        ------
+        InputError
+            If they are of another number of races.
+        """
+        if self.vehicles is None:
+            return vehicle_rows(vehicles, races)
+        if self.vehicles.shape != (races, 2, PARAMS_SIZE):
+            raise InputError(
+                f"vehicles have shape {self.vehicles.shape}; for {races} races they must have {(races, 2, PARAMS_SIZE)}"
+            )
+        return self.vehicles
+
+    def runs(self, track: Track, races: int) -> list[tuple[Track, int, int]]:
+        """Tracks of runs of neighbouring races, with the first race of each and the one after the last.
+
+        Raises
+        ------
+        InputError
+            If there are tracks of another number of races.
+        """
+        if self.tracks is None:
+            return [(track, 0, races)]
+        if len(self.tracks) != races:
+            raise InputError(f"there are {len(self.tracks)} tracks for {races} races; give one for each")
+        return [(self.tracks[first], first, last) for first, last in runs_of(self.tracks)]
+
+
+def runs_of(values: Sequence[object]) -> list[tuple[int, int]]:
+    """Where runs of the same object begin and end in a sequence."""
+    edges = [0, *(i for i in range(1, len(values)) if values[i] is not values[i - 1]), len(values)]
+    return list(pairwise(edges)) if values else []
+
+
+def vehicle_rows(vehicles: tuple[VehicleParams, VehicleParams], races: int) -> NDArray[np.float64]:
+    """Parameters of both cars for every race, shape (races, 2, 18)."""
+    rows = np.stack([vehicle.as_row() for vehicle in vehicles])
+    return np.tile(rows, (races, 1, 1))  # writeable, or one race would compile the kernels a second time

@@ -1,0 +1,160 @@
+"""Circuits that are generated while others are driven: endless training on tracks that nobody has seen."""
+
+import threading
+from collections import OrderedDict
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import ConfigError, MapError
+from pcs_racing.base.settings import Settings, choice, number, setting, whole
+from pcs_racing.race.config import PRESETS, RaceConfig
+from pcs_racing.race.start_places import PLACE_EVERY
+from pcs_racing.track.frenet import KAPPA
+from pcs_racing.track.mapping.circuits import generate_circuit
+from pcs_racing.track.mapping.shapes import STYLES
+from pcs_racing.track.track import Calibration, Track, build_track
+
+__all__ = ["CircuitBuilder", "RandomCircuits", "random_circuit"]
+
+SPEED_RANGES = {"paper": (0.66, 0.86), "contest": (0.65, 0.97)}
+"""Speed scales of pace 0 and 1: those of the shipped circuits with the least room to drive fast in."""
+BENDS = 0.12  # 1/m: start places are where the line bends less than this ...
+BEFORE, AHEAD = 2.0, 8.0  # ... from so many metres before them to so many ahead
+TRIES = 20  # seeds of the generator for one circuit; hardly one in a hundred gives none
+KEPT = 64  # circuits that are kept in memory, besides those in use
+THREADS = 2  # that build circuits
+
+
+@dataclass(frozen=True)
+class RandomCircuits(Settings):
+    """Circuits that are generated from numbers, each the same whenever its number comes again."""
+
+    episodes: int = setting(1, whole(1, 1_000_000), "Episodes of an environment before it gets another circuit.")
+    count: int = setting(10_000, whole(1, 2**31), "How many different circuits there are.")
+    style: str | None = setting(
+        None, choice(tuple(STYLES)), "Style of the generator (`pcs-racing track generate`); None mixes all of them."
+    )
+    width: float = setting(2.2, number(1.6, 10.0), "Width of the track, m.")
+    shortest: float = setting(60.0, number(16.0, 1000.0), "Shortest length of the centre line, m.")
+    longest: float = setting(120.0, number(16.0, 1000.0), "Longest length of the centre line, m.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 10.0 * self.width <= self.shortest < self.longest:
+            raise ConfigError(
+                f"shortest is {self.shortest:g} and longest {self.longest:g} m; they must ascend from 10 widths"
+            )
+
+
+def random_circuit(settings: RandomCircuits, index: int) -> Track:
+    """Generate circuit number ``index``; the same circuit for the same settings, whatever was generated before.
+
+    Its speed ranges are fixed ones, and its start places lie where the race line is nearly straight. A circuit of
+    which you want to know both exactly is made by ``pcs-racing track generate``.
+
+    Raises
+    ------
+    MapError
+        If no circuit comes of the settings.
+    """
+    refusal: MapError | None = None
+    for attempt in range(TRIES):
+        rng = np.random.default_rng(np.random.SeedSequence(index, spawn_key=(attempt,)))
+        style = settings.style or list(STYLES)[rng.integers(len(STYLES))]
+        direction = ("counterclockwise", "clockwise")[rng.integers(2)]
+        try:
+            made = generate_circuit(
+                int(rng.integers(2**31)),
+                style,
+                width=settings.width,
+                length_range=(settings.shortest, settings.longest),
+                direction=direction,
+                attempts=100,
+            )
+            track = build_track(
+                f"random-{index}", made.occupied, made.resolution, made.origin, made.centerline, made.raceline
+            )
+            track.calibration.update({name: _calibration(track, preset) for name, preset in PRESETS.items()})
+        except MapError as error:
+            refusal = error
+            continue
+        return track
+    raise MapError(f"no circuit came of {settings} in {TRIES} attempts: {refusal}")
+
+
+def _calibration(track: Track, preset: RaceConfig) -> Calibration:
+    kappa = np.abs(track.arrays.line[:, KAPPA])
+    places = np.arange(0.0, track.length, PLACE_EVERY)
+    steps = np.arange(-BEFORE, AHEAD, PLACE_EVERY)
+    index = np.mod(places[:, None] + steps, track.length) / track.arrays.ds
+    bend = kappa[index.astype(np.intp) % len(kappa)].max(axis=1)
+    fit = bend < BENDS
+    if not fit.any():
+        raise MapError(f"track {track.name!r} has no straight to start from")
+    return Calibration(SPEED_RANGES[preset.name], preset.start_spacing, {"front": _stretches(places, fit)})
+
+
+def _stretches(places: NDArray[np.float64], fit: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], fit.astype(np.int8), [0]])))
+    return tuple(
+        (float(places[first]), float(places[last - 1])) for first, last in zip(edges[::2], edges[1::2], strict=True)
+    )
+
+
+class CircuitBuilder:
+    """Circuits by number: built once, ahead of their use in threads, and kept while there is room.
+
+    What a number stands for depends on the settings alone, not on when it is asked for.
+
+    Parameters
+    ----------
+    settings : RandomCircuits
+    room : int
+        Circuits in use at the same time.
+    """
+
+    def __init__(self, settings: RandomCircuits, room: int = 1) -> None:
+        self.settings, self._room = settings, room
+        self._made: OrderedDict[int, Future[Track]] = OrderedDict()
+        self._lock = threading.Lock()
+        self._pool: ThreadPoolExecutor | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle the settings alone: circuits can be built again, threads can't be copied."""
+        return CircuitBuilder, (self.settings, self._room)
+
+    def ahead(self, index: int) -> "Future[Track]":
+        """Begin to build a circuit, unless it was begun before."""
+        with self._lock:
+            found = self._made.get(index)
+            if found is None:
+                if self._pool is None:
+                    self._pool = ThreadPoolExecutor(THREADS, "pcs-racing-circuits")
+                found = self._made[index] = self._pool.submit(random_circuit, self.settings, index)
+            self._made.move_to_end(index)
+            while len(self._made) > 2 * self._room + KEPT:
+                _, oldest = self._made.popitem(last=False)
+                oldest.cancel()
+            return found
+
+    def get(self, index: int) -> Track:
+        """Return a circuit; waits until it is built.
+
+        Raises
+        ------
+        MapError
+            If no circuit comes of the settings.
+        """
+        return self.ahead(index).result()
+
+    def close(self) -> None:
+        """Stop the threads; what was built can still be had."""
+        with self._lock:
+            if self._pool is not None:
+                self._pool.shutdown(wait=False, cancel_futures=True)
+                self._pool = None
+            self._made = OrderedDict((index, made) for index, made in self._made.items() if not made.cancelled())

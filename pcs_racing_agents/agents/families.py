@@ -1,0 +1,75 @@
+"""Families of opponents: which of them agents may learn against, and which are kept to test them.
+
+An agent that learned against one kind of opponent may lose to another that it never met. So opponents are sorted into
+families, and a family is either for training or for testing: never both. Studies show their gains by family.
+"""
+
+from dataclasses import dataclass
+
+from pcs_racing.base.errors import InputError
+
+__all__ = ["FAMILIES", "OpponentFamily", "families_for", "family_of"]
+
+TRAINING, TEST = "training", "test"
+
+
+@dataclass(frozen=True)
+class OpponentFamily:
+    """Opponents that drive alike.
+
+    Attributes
+    ----------
+    name : str
+    use : {"training", "test"}
+    members : tuple of str
+        Names in the zoo.
+    what : str
+        What they have in common.
+    """
+
+    name: str
+    use: str
+    members: tuple[str, ...]
+    what: str
+
+
+FAMILIES = (
+    OpponentFamily("archive", TRAINING, ("never-switch",), "policies of the game's archive, kept for the whole race"),
+    OpponentFamily("random moves", TRAINING, ("random-moves",), "policies of the archive, changed at random"),
+    OpponentFamily("gap follower", TRAINING, ("gap-follower",), "follows the largest gap in its lidar scan"),
+    OpponentFamily(
+        "other lattice",
+        TEST,
+        ("other-archive", "random-policy"),
+        "policies of the lattice planner that are not in the archive",
+    ),
+    OpponentFamily("lane switcher", TEST, ("lane-switcher",), "race line or overtaking lane"),
+    OpponentFamily("pure pursuit", TEST, ("pure-pursuit",), "follows the race line and never overtakes"),
+    OpponentFamily("trained driver", TEST, ("ppo-drive",), "a network that steers"),
+    OpponentFamily(
+        "switching agents",
+        TEST,
+        ("best-schedule", "best-lead-plan", "cfr-argmax", "response", "robust", "psro", "self-play", "ppo"),
+        "agents that choose their moves",
+    ),
+)
+"""All families; each opponent belongs to one."""
+
+
+def family_of(opponent: str) -> OpponentFamily | None:
+    """Return the family of an opponent by name, options left out; None if it belongs to none."""
+    name = opponent.partition(":")[0]
+    return next((family for family in FAMILIES if name in family.members), None)
+
+
+def families_for(use: str) -> tuple[OpponentFamily, ...]:
+    """Return the families for training, or for tests.
+
+    Raises
+    ------
+    InputError
+        If the use is another word.
+    """
+    if use not in (TRAINING, TEST):
+        raise InputError(f"use is {use!r}; it must be {TRAINING!r} or {TEST!r}")
+    return tuple(family for family in FAMILIES if family.use == use)

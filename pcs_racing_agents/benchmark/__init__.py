@@ -1,0 +1,1 @@
+"""The benchmark: a fixed protocol, score cards of agents, and a leaderboard."""

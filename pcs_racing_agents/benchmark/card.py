@@ -1,0 +1,183 @@
+"""Score cards: what an agent scored by a protocol, as values, JSON, Markdown and a page."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.reading import read_limited
+from pcs_racing.race.replay import Replay, replay_page
+from pcs_racing_agents.benchmark.scoring import Score
+from pcs_racing_agents.results.text_table import markdown
+
+__all__ = ["Card", "card_markdown", "card_page", "read_card", "write_card"]
+
+FORMAT = "pcs-racing card 1"
+LARGEST = 1_000_000
+
+
+@dataclass(frozen=True)
+class Card:
+    """The result of an agent in the benchmark.
+
+    Attributes
+    ----------
+    protocol : str
+        Name of the protocol, with its version.
+    protocol_sha256 : str
+        Hash of the protocol and of everything that its results depend on.
+    agent, agent_sha256 : str
+    scores : tuple of Score
+        Over everything, by kind of opponent, and cell by cell.
+    gains : dict of str to dict
+        Adaptivity gain on ``"seen"``, ``"unseen"`` and ``"all"`` circuits: ``over``, ``gain``, ``low``, ``high``.
+    rating : float, optional
+    cost_us : float, optional
+        Microseconds of a decision.
+    best_reply : dict, optional
+        Loss to a learned best reply: ``loss``, ``low``, ``high``, ``starts``, ``races``.
+    """
+
+    protocol: str
+    protocol_sha256: str
+    agent: str
+    agent_sha256: str
+    scores: tuple[Score, ...]
+    gains: dict[str, dict[str, Any]]
+    rating: float | None = None
+    cost_us: float | None = None
+    best_reply: dict[str, Any] | None = None
+
+    def score(self, part: str = "all", circuits: str = "all") -> Score:
+        """Return the score of a part of the races.
+
+        Raises
+        ------
+        InputError
+            If the card has no such part.
+        """
+        for score in self.scores:
+            if (score.part, score.circuits) == (part, circuits):
+                return score
+        raise InputError(f"the card of {self.agent!r} has no score of {part!r} on {circuits!r} circuits")
+
+
+def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = ()) -> list[Path]:
+    """Write ``card.json``, ``card.md`` and ``card.html`` into a folder; return their paths.
+
+    Parameters
+    ----------
+    card : Card
+    folder : Path
+        An existing folder.
+    races : sequence of (str, Replay)
+        Races to watch on the page, with titles.
+    """
+    values = {"format": FORMAT, **asdict(card), "scores": [score._asdict() for score in card.scores]}
+    texts = {
+        "card.json": json.dumps(values, indent=1) + "\n",
+        "card.md": card_markdown(card),
+        "card.html": card_page(card, races),
+    }
+    paths = []
+    for name, text in texts.items():
+        write_atomically(folder / name, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
+        paths.append(folder / name)
+    return paths
+
+
+def read_card(path: Path) -> Card:
+    """Read a card from its folder or its ``card.json``.
+
+    Raises
+    ------
+    InputError
+        If there is none, or the file is damaged.
+    """
+    file = path / "card.json" if path.is_dir() else path
+    try:
+        values = json.loads(read_limited(file, LARGEST, "a card"))
+    except OSError as error:
+        raise InputError(
+            f"can't read {file}: {error.strerror}; give a folder that 'pcs-racing benchmark' wrote"
+        ) from None
+    except ValueError:
+        raise InputError(f"{file} is no card: it is not JSON") from None
+    try:
+        if values.pop("format") != FORMAT:
+            raise InputError(f"{file} is no card of this version; its format must be {FORMAT!r}")
+        scores = tuple(Score(**score) for score in values.pop("scores"))
+        card = Card(scores=scores, **values)
+        card.score()
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{file} is a damaged card: {error}") from None
+    return card
+
+
+def summary_rows(card: Card) -> list[tuple[str, ...]]:
+    """Return the scores by kind of opponent as text: part, circuits, score, interval, crashes, races."""
+    return [
+        (
+            score.part,
+            score.circuits,
+            f"{score.score:.3f}",
+            f"[{score.low:.3f}, {score.high:.3f}]",
+            f"{score.own_crash:.1%}",
+            f"{score.other_crash:.1%}",
+            str(score.races),
+        )
+        for score in card.scores
+        if score.circuits in ("seen", "unseen", "all")
+    ]
+
+
+COLUMNS = ("opponents", "circuits", "score", "95 % interval", "own crashes", "other crashes", "races")
+
+
+def fact_lines(card: Card) -> list[str]:
+    """Return the other results as sentences."""
+    lines = [
+        f"Adaptivity gain over the best blind strategy ({gain['over']}), {circuits} circuits: {gain['gain']:+.3f} "
+        f"[{gain['low']:+.3f}, {gain['high']:+.3f}]."
+        for circuits, gain in card.gains.items()
+    ]
+    if card.best_reply is not None:
+        reply = card.best_reply
+        lines.append(
+            f"Loss to a learned best reply ({reply['starts']} starts): {reply['loss']:+.3f} "
+            f"[{reply['low']:+.3f}, {reply['high']:+.3f}]."
+        )
+    if card.rating is not None:
+        lines.append(f"Rating among the zoo: {card.rating:+.0f}.")
+    if card.cost_us is not None:
+        lines.append(f"One decision takes {card.cost_us:.0f} us.")
+    return lines
+
+
+def card_markdown(card: Card) -> str:
+    """Return the card as Markdown."""
+    head = f"# {card.agent}: {card.protocol}\n\nProtocol {card.protocol_sha256[:16]}, agent {card.agent_sha256[:16]}.\n"
+    return "\n".join([head, *markdown([COLUMNS, *summary_rows(card)]), "", *fact_lines(card), ""])
+
+
+def card_page(card: Card, races: Sequence[tuple[str, Replay]] = ()) -> str:
+    """Return the card as one page that loads nothing; all text is escaped."""
+    return render("card.html", card=card, columns=COLUMNS, rows=summary_rows(card), facts=fact_lines(card), races=races)
+
+
+def render(name: str, **values: Any) -> str:
+    """Return a page from a template of this folder."""
+    environment = Environment(
+        loader=PackageLoader("pcs_racing_agents.benchmark", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["page"] = replay_page
+    return environment.get_template(name).render(**values)

@@ -1,0 +1,214 @@
+"""Races of an agent by a protocol, and what they say: scores, crashes, the adaptivity gain, a rating, its cost."""
+
+import time
+from collections.abc import Iterable, Mapping
+from concurrent.futures import Executor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from pcs_racing.game.competitor import competitor_name
+from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
+from pcs_racing_agents.agents.measured import measurements
+from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
+from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
+from pcs_racing_agents.tournament.runner import play_pairings
+from pcs_racing_agents.tournament.statistics import clustered_mean, compare
+
+__all__ = ["CellRaces", "Score", "decision_cost", "gain", "play_protocol", "rating", "summarise"]
+
+Floats = NDArray[np.float64]
+
+
+class CellRaces(NamedTuple):
+    """The races of an agent against one opponent on one circuit.
+
+    Attributes
+    ----------
+    cell : Cell
+    pairing : Pairing
+    races : RaceTable
+    """
+
+    cell: Cell
+    pairing: Pairing
+    races: RaceTable
+
+
+class Score(NamedTuple):
+    """The score over a part of the races.
+
+    Attributes
+    ----------
+    part : str
+        ``"all"``, a kind of opponent, or an opponent.
+    circuits : str
+        ``"seen"``, ``"unseen"``, ``"all"``, or a circuit.
+    races : int
+    score, low, high : float
+        Mean score (1 win, 0.5 tie, 0 else), and its 95 % interval, robust to clusters of start policies and of
+        opponents' variants; it holds for these circuits.
+    own_crash, other_crash : float
+        Shares of races that ended in a crash by the agent's own fault, and in another crash.
+    """
+
+    part: str
+    circuits: str
+    races: int
+    score: float
+    low: float
+    high: float
+    own_crash: float
+    other_crash: float
+
+
+def play_protocol(
+    protocol: Protocol,
+    agent: Competitor,
+    *,
+    job: Job | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> dict[str, list[CellRaces]]:
+    """Simulate the races of an agent and of the protocol's blind strategies, which drive the same ones.
+
+    Parameters
+    ----------
+    protocol : Protocol
+    agent : Competitor
+    job, executor, progress
+        As for :func:`pcs_racing_agents.tournament.runner.play_pairings`.
+
+    Returns
+    -------
+    dict of str to list of CellRaces
+        By name: the agent first, then the blind strategies.
+    """
+    arms = {competitor_name(agent): as_competitor(agent)}
+    arms |= {name: protocol.opponents[name] for name in protocol.config.blind if name not in arms}
+    cells = [(name, cell) for name in arms for cell in protocol.cells]
+    games = {name: protocol.game(name) for name in protocol.tracks}
+    pairings = [
+        cross_pairing(
+            games[cell.circuit],
+            arms[name],
+            protocol.opponents[cell.opponent],
+            egos=protocol.config.egos,
+            opponents=protocol.config.variants,
+            lines=1,
+            seed=protocol.config.seed,
+        )
+        for name, cell in cells
+    ]
+    played = play_pairings(pairings, name="benchmark", job=job, executor=executor, progress=progress)
+    results: dict[str, list[CellRaces]] = {name: [] for name in arms}
+    for (name, cell), pairing, games_played in zip(cells, pairings, played, strict=True):
+        results[name].append(CellRaces(cell, pairing, pairing.table(games_played)))
+    return results
+
+
+def summarise(races: Iterable[CellRaces]) -> list[Score]:
+    """Return the scores of an agent: over everything, by kind of opponent, and cell by cell."""
+    cells = list(races)
+    scores = []
+    for circuits, wanted in (("seen", (True,)), ("unseen", (False,)), ("all", (True, False))):
+        for part in ("all", *KINDS):
+            chosen = [one for one in cells if one.cell.seen in wanted and part in ("all", one.cell.kind)]
+            if chosen:
+                scores.append(_score(part, circuits, chosen))
+    return scores + [_score(one.cell.opponent, one.cell.circuit, [one]) for one in cells]
+
+
+def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]]:
+    """Scores, and labels of start policies and of opponents' variants, race by race."""
+    scores = np.concatenate([one.races.score for one in cells])
+    egos = np.concatenate([one.races.variants[:, 0] for one in cells])
+    opponents = np.concatenate(
+        [np.char.add(f"{one.cell.opponent} ", one.races.variants[:, 1].astype(str)) for one in cells]
+    )
+    return scores, egos, opponents
+
+
+def _score(part: str, circuits: str, cells: list[CellRaces]) -> Score:
+    scores, egos, opponents = _columns(cells)
+    clusters = [labels for labels in (egos, opponents) if len(np.unique(labels)) > 1]
+    estimate = clustered_mean(scores, *clusters)
+    own = np.concatenate([one.races.fault[:, 0] > 0 for one in cells])
+    crashed = np.concatenate([one.races.crashed for one in cells])
+    return Score(
+        part,
+        circuits,
+        len(scores),
+        estimate.mean,
+        max(estimate.low, 0.0),
+        min(estimate.high, 1.0),
+        float((crashed & own).mean()),
+        float((crashed & ~own).mean()),
+    )
+
+
+def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None) -> dict[str, Any]:
+    """Return what an agent scores more than the best strategy that never looks, on the same races.
+
+    The best one is taken after the fact, on these races, which can only make the gain smaller.
+
+    Parameters
+    ----------
+    results : mapping
+        As :func:`play_protocol` returns.
+    agent : str
+    seen : bool, optional
+        Only circuits that may be trained on, or only the others; by default all.
+    """
+
+    def rows(name: str) -> list[CellRaces]:
+        return [one for one in results[name] if seen is None or one.cell.seen == seen]
+
+    blind = {name: float(_columns(rows(name))[0].mean()) for name in results if name != agent}
+    best = max(blind, key=lambda name: blind[name])
+    scores, egos, opponents = _columns(rows(agent))
+    difference = compare(scores, _columns(rows(best))[0], egos, opponents)
+    return {"over": best, "gain": difference.difference, "low": difference.low, "high": difference.high}
+
+
+def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
+    """Return the Bradley-Terry rating that explains an agent's score against opponents of known ratings.
+
+    None if none of the opponents was measured (:mod:`pcs_racing_agents.agents.measured`), or if it won or lost all
+    races against them.
+    """
+    table = measurements()
+    archive, race = protocol.setting.archive.name, protocol.setting.race
+    pairs = [
+        (table[archive, race, one.cell.opponent].rating, float(one.races.score.mean()))
+        for one in races
+        if (archive, race, one.cell.opponent) in table
+    ]
+    known = [(strength, score) for strength, score in pairs if np.isfinite(strength)]
+    if not known:
+        return None
+    strengths, scores = np.array(known).T
+
+    def excess(own: float) -> float:
+        return float((1.0 / (1.0 + 10.0 ** ((strengths - own) / 400.0)) - scores).mean())
+
+    return float(brentq(excess, -4000.0, 4000.0)) if excess(-4000.0) < 0.0 < excess(4000.0) else None
+
+
+def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> float | None:
+    """Return the time of one decision for one game, microseconds, the median of several; None for a driver."""
+    predict = getattr(agent, "predict", None)
+    if isinstance(agent, Driver) or predict is None:
+        return None
+    game = protocol.game(next(iter(protocol.tracks)))
+    observation = game.observation(game.reset(games=1, seed=protocol.config.seed))[0, :1]
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        predict(observation, None, np.ones(1, np.bool_), True)
+        times.append(time.perf_counter() - begun)
+    return 1e6 * float(np.median(times))

@@ -1,0 +1,180 @@
+"""``pcs-racing benchmark`` and ``pcs-racing leaderboard``: score cards of agents by a fixed protocol, and a ranking."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.cli.options import Commands, add_command, output_folder
+from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from pcs_racing.race.replay import Replay
+    from pcs_racing_agents.agents.agent import Competitor
+    from pcs_racing_agents.benchmark.protocol import Protocol
+    from pcs_racing_agents.benchmark.scoring import CellRaces
+    from pcs_racing_agents.jobs.jobs import Job
+
+__all__ = ["add"]
+
+WATCHED = 3
+REPLY_RACES = 4000
+
+
+def add(commands: Commands) -> None:
+    """Add both commands."""
+    parser = add_command(
+        commands,
+        "benchmark",
+        "race an agent by the fixed protocol of the benchmark, and write its score card",
+        "pcs-racing benchmark best-fixed --out out/cards/best-fixed",
+        "pcs-racing benchmark my_model.zip --out out/cards/mine",
+        "pcs-racing benchmark my_package.my_module:make_agent --weights net.pt --out out/cards/mine",
+        "pcs-racing benchmark ppo-drive --drive --out out/cards/ppo-drive",
+    )
+    parser.add_argument(
+        "agent",
+        metavar="AGENT",
+        help="a name of the zoo, module:function (called with the setting of the game, and the path of the weights if "
+        "there is one), or a .zip file of Stable-Baselines3",
+    )
+    parser.add_argument("--drive", action="store_true", help="AGENT is a driver at control level: its name or folder")
+    parser.add_argument("--weights", type=Path, metavar="FILE", help="file that is handed to module:function")
+    parser.add_argument("--name", help="name on the card (default: that of the agent)")
+    parser.add_argument("--protocol", default="bench_v1", help="protocol: its name or a YAML file (default: bench_v1)")
+    parser.add_argument(
+        "--full", action="store_true", help="also train a best reply to the agent and measure the loss to it (minutes)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder of the card; a run that was stopped there goes on",
+    )
+    add_executor_options(parser)
+    parser.set_defaults(run=run)
+    board = add_command(
+        commands,
+        "leaderboard",
+        "rank score cards of one protocol, and write the page that shows them",
+        "pcs-racing leaderboard out/cards/* --out out/leaderboard",
+    )
+    board.add_argument(
+        "cards", type=Path, nargs="+", metavar="FOLDER", help="folders that 'pcs-racing benchmark' wrote"
+    )
+    board.add_argument("--out", type=Path, metavar="DIR", help="folder for leaderboard.html and leaderboard.md")
+    board.set_defaults(run=run_board)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Race an agent, print its card and write it."""
+    from pcs_racing.game.competitor import competitor_name
+    from pcs_racing_agents.agents.agent import competitor_hash
+    from pcs_racing_agents.benchmark.card import COLUMNS, Card, fact_lines, summary_rows, write_card
+    from pcs_racing_agents.benchmark.entrants import load_entrant
+    from pcs_racing_agents.benchmark.protocol import load_protocol
+    from pcs_racing_agents.benchmark.scoring import decision_cost, gain, play_protocol, rating, summarise
+    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
+    from pcs_racing_agents.results.text_table import aligned
+
+    if arguments.weights is not None and ":" not in arguments.agent:
+        raise InputError("--weights goes with module:function")
+    protocol = load_protocol(arguments.protocol)
+    agent = load_entrant(
+        arguments.agent, protocol.setting, drive=arguments.drive, weights=arguments.weights, name=arguments.name
+    )
+    name, digest = competitor_name(agent), competitor_hash(agent)
+    config = protocol.config
+    races = len(list(protocol.cells)) * (1 + len(config.blind)) * 2 * config.egos * config.variants
+    with executor_from(arguments) as executor:
+        announce(racing_seconds(races, protocol.setting.config.horizon), cores_of(arguments))
+        with open_job(arguments.out, "benchmark", {"protocol": protocol.content_hash, "agent": digest}) as job:
+            results = play_protocol(protocol, agent, job=job, executor=executor, progress=show_progress("races"))
+            reply = _best_reply(protocol, agent, job, executor) if arguments.full else None
+    own = results[name]
+    circuits = {"seen": True, "unseen": False, "all": None}
+    card = Card(
+        protocol=config.name,
+        protocol_sha256=protocol.content_hash,
+        agent=name,
+        agent_sha256=digest,
+        scores=tuple(summarise(own)),
+        gains={} if name in config.blind else {key: gain(results, name, seen) for key, seen in circuits.items()},
+        rating=rating(protocol, own),
+        cost_us=decision_cost(protocol, agent),
+        best_reply=reply,
+    )
+    print("\n".join(aligned([COLUMNS, *summary_rows(card)])))
+    print("\n".join(fact_lines(card)))
+    for path in write_card(card, arguments.out, list(_watched(own, results))):
+        print(f"written: {path}")
+
+
+def _best_reply(
+    protocol: "Protocol", agent: "Competitor", job: "Job", executor: "Executor | None"
+) -> dict[str, float | int | str]:
+    """Train a best reply to the agent on the circuits that may be trained on, and return what it wins there."""
+    from pcs_racing_agents.learning.responses.best_reply import best_reply
+    from pcs_racing_agents.learning.responses.learner import load_response_settings
+
+    settings = load_response_settings("best-reply")
+    reply = best_reply(
+        [protocol.game(name) for name in protocol.config.seen],
+        agent,
+        protocol.setting,
+        settings,
+        job,
+        races=REPLY_RACES,
+        executor=executor,
+        progress=show_progress("best reply"),
+    )
+    loss = reply.loss
+    return {"loss": loss.mean, "low": loss.low, "high": loss.high, "starts": settings.starts, "races": loss.units}
+
+
+def _watched(own: "list[CellRaces]", results: "dict[str, list[CellRaces]]") -> "list[tuple[str, Replay]]":
+    """Return the most telling races: those that decide most between the agent and the first blind strategy."""
+    import numpy as np
+
+    from pcs_racing_agents.tournament.watching import record_game
+
+    others = next(iter(cells for name, cells in results.items() if cells is not own), own)
+    telling: list[tuple[float, CellRaces, int]] = []
+    for cell, other in zip(own, others, strict=True):
+        surprise = (cell.races.score - other.races.score) * (1.0 if len(telling) % 2 == 0 else -1.0)
+        race = int(np.argmax(surprise))
+        telling.append((float(surprise[race]), cell, race))
+    telling.sort(key=lambda one: -one[0])
+    races = []
+    for _, cell, race in telling[:WATCHED]:
+        recording = record_game(
+            cell.pairing.game,
+            cell.pairing.ego,
+            cell.pairing.opponent,
+            **cell.pairing.race_arguments(race),
+            candidates=False,
+        )
+        races.append((f"{cell.cell.circuit}, race {race}: {recording.replay.outcome}", recording.replay))
+    return races
+
+
+def run_board(arguments: argparse.Namespace) -> None:
+    """Rank cards."""
+    from pcs_racing_agents.benchmark.leaderboard import BOARD_COLUMNS, board_page, board_rows, read_cards
+    from pcs_racing_agents.results.text_table import aligned, markdown
+
+    cards = read_cards(arguments.cards)
+    rows = [BOARD_COLUMNS, *board_rows(cards)]
+    print("\n".join(aligned(rows)))
+    if arguments.out is not None:
+        folder = output_folder(arguments.out)
+        for name, text in (
+            ("leaderboard.md", "\n".join(markdown(rows)) + "\n"),
+            ("leaderboard.html", board_page(cards)),
+        ):
+            write_atomically(folder / name, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
+            print(f"written: {folder / name}")

@@ -1,0 +1,10 @@
+"""Learned characteristics: axes that tell a policy's rating and its place in the cycle from a piece of racing."""
+
+from pcs_racing_agents.learning.characteristics.learn import (
+    Learning,
+    LearnSettings,
+    fit_characteristics,
+    learn_characteristics,
+)
+
+__all__ = ["LearnSettings", "Learning", "fit_characteristics", "learn_characteristics"]

@@ -1,0 +1,206 @@
+"""Loss to a learned best reply: how much an opponent wins that was trained against one agent alone.
+
+It is an approximate best response (Timbers et al. 2020): a response is learned from nothing against the agent, and then
+races it from start lines and with noise that it did not learn from. What it wins is a lower bound of what a perfect
+opponent would: a loss is always stated together with the learner's budget.
+"""
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.checks import check_whole
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.rules import RaceGame
+from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
+from pcs_racing_agents.agents.from_network import NetworkStrategy
+from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
+from pcs_racing_agents.networks import RegretNetwork
+from pcs_racing_agents.results.races import RaceTable, concatenate_races
+from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.runner import play_pairings
+from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
+
+__all__ = ["BestReply", "best_reply", "excess_estimate", "learn_best_reply", "race_on_circuits"]
+
+LINES = 5
+"""Start lines of each pair of variants, each driven from both sides."""
+FEWEST = 2 * 2 * 2 * LINES
+"""Fewest races on a circuit: two variants of each car, all lines, both sides."""
+RACE_SEED = 9_000_000
+"""Added to the settings' seed: other start policies, lines and noise than in training."""
+
+
+class BestReply(NamedTuple):
+    """A learned best reply to an agent, and how it raced.
+
+    Attributes
+    ----------
+    network : RegretNetwork
+        The reply: values of its moves.
+    races : RaceTable
+        Of the reply (the ego) against the agent (the opponent).
+    loss : Estimate
+        The agent's loss in races won: half of the reply's wins minus its own, from -0.5 to 0.5. Where every race has
+        a winner, it is the share of the races that the reply won, minus one half.
+    """
+
+    network: RegretNetwork
+    races: RaceTable
+    loss: Estimate
+
+
+def best_reply(
+    games: Sequence[RaceGame],
+    agent: Competitor,
+    setting: Setting,
+    settings: ResponseSettings,
+    job: Job,
+    *,
+    races: int = 4000,
+    part: str = "",
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> BestReply:
+    """Learn a best reply to an agent and estimate what the agent loses to it on fresh races.
+
+    Parameters
+    ----------
+    games : sequence of RaceGame
+        One on each circuit, all of one archive and one set of rules. The reply is one network for all of them.
+    agent : Competitor
+        Agent or driver to reply to.
+    setting : Setting
+        Archive and rules, as agents know them.
+    settings : ResponseSettings
+        The learner's budget and seed.
+    job : Job
+        Stores branches, networks and races. Its settings must identify the agent
+        (:func:`pcs_racing_agents.agents.agent.competitor_hash`).
+    races : int
+        About how many on all circuits together; at least 40 on each.
+    part : str
+        Beginning of the names of this work in the job.
+    executor : Executor, optional
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        If the games differ in archive, moves or rules, or there are too few races.
+    """
+    check_whole("races", races, FEWEST * len(games))
+    reply = learn_best_reply(games, agent, setting, settings, job, part=part, executor=executor, progress=progress)
+    pilot = Agent("best-reply", NetworkStrategy(reply, "argmax", len(setting.moves)), setting, settings.seed)
+    table = race_on_circuits(
+        games, pilot, agent, races, settings.seed, job, name=f"{part}races", executor=executor, progress=progress
+    )
+    return BestReply(reply, table, excess_estimate(table))
+
+
+def learn_best_reply(
+    games: Sequence[RaceGame],
+    agent: Competitor,
+    setting: Setting,
+    settings: ResponseSettings,
+    job: Job,
+    *,
+    part: str = "",
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> RegretNetwork:
+    """Learn a response to one opponent alone; arguments as for :func:`best_reply`."""
+    return learn_response(
+        games,
+        [agent],
+        setting,
+        settings,
+        job,
+        name="best-reply",
+        part=f"{part}reply-",
+        executor=executor,
+        progress=progress,
+    )
+
+
+def race_on_circuits(
+    games: Sequence[RaceGame],
+    ego: Competitor,
+    opponent: Competitor,
+    races: int,
+    seed: int,
+    job: Job,
+    *,
+    name: str,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> RaceTable:
+    """Race two competitors on several circuits: about so many races in all, in the crossed design of the tables.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 40 races for each circuit.
+    """
+    each = check_whole("races", races, FEWEST * len(games)) / len(games)
+    count = max(2, round(math.sqrt(each / (2 * LINES))))
+    rng = np.random.default_rng(np.random.SeedSequence(seed + RACE_SEED, spawn_key=(0,)))
+    # The same start policies for both, so that an agent against itself wins as often as it loses.
+    policies = np.sort(rng.permutation(len(games[0].archive))[:count]).tolist()
+    variants: list[int | list[int]] = [count if isinstance(car, Driver) else policies for car in (ego, opponent)]
+    pairings = [
+        cross_pairing(
+            game, ego, opponent, egos=variants[0], opponents=variants[1], lines=LINES, seed=seed + RACE_SEED + i
+        )
+        for i, game in enumerate(games)
+    ]
+    played = play_pairings(pairings, name=name, job=job, executor=executor, progress=progress)
+    return concatenate_races(pairing.table(result) for pairing, result in zip(pairings, played, strict=True))
+
+
+def excess_estimate(races: RaceTable) -> Estimate:
+    """Return half of the ego's wins minus the opponent's, as a share of the races, with a clustered interval.
+
+    Races that share a start policy, a driver's policy or the start line form clusters.
+
+    Raises
+    ------
+    InputError
+        If there is no race, or all have the same ego variant.
+    """
+    if len(races) == 0:
+        raise InputError("there are no races; an estimate needs some")
+    ego, opponent = races.variants.T.astype(np.int64)
+    place = np.stack([races.track.codes.astype(np.float64), races.start_s.round(4)], axis=1)
+    line = np.unique(place, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    excess = 0.5 * ((races.winner == 0).astype(np.float64) - (races.winner == 1))
+    if len(np.unique(opponent)) == 1:  # a driver with a single policy
+        return clustered_mean(excess, ego, line)
+    one_pool = bool((races.path[:, :, 0] >= 0).all())  # both start with policies of the archive
+    if one_pool:
+        excess = _without_policies(excess, races.track.codes.astype(np.int64), ego, opponent)
+    return clustered_mean(excess, ego, opponent, line, same_pool=one_pool)
+
+
+def _without_policies(
+    excess: NDArray[np.float64], track: NDArray[np.int64], ego: NDArray[np.int64], opponent: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the excess of races without what the two start policies bring.
+
+    Where policy i as ego met policy j as opponent and the other way round, half of the difference of the two means is
+    what the stronger policy wins, for whoever has it. It is the same with opposite signs in both directions: taking it
+    off leaves the mean as it is, and takes away variance that the design has balanced.
+    """
+    size = int(max(ego.max(), opponent.max())) + 1
+    cells = (track * size + ego) * size + opponent
+    mirrored = (track * size + opponent) * size + ego
+    count = np.bincount(cells, minlength=int(max(cells.max(), mirrored.max())) + 1)
+    mean = np.bincount(cells, excess, len(count)) / np.maximum(count, 1)
+    balanced = count[cells] == count[mirrored]
+    return excess - np.where(balanced, 0.5 * (mean[cells] - mean[mirrored]), 0.0)

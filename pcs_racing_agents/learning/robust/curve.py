@@ -1,0 +1,163 @@
+"""The curve of gain against loss: what robust responses win against a pool, and what they lose to best replies."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from pcs_racing.base.checks import check_number
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.rules import RaceGame
+from pcs_racing_agents.agents.agent import Competitor
+from pcs_racing_agents.agents.mixture import from_network_set
+from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.learning.responses.best_reply import best_reply, race_on_circuits
+from pcs_racing_agents.learning.responses.learner import ResponseSettings
+from pcs_racing_agents.learning.robust.restricted import learn_robust
+from pcs_racing_agents.learning.robust.settings import RobustSettings
+from pcs_racing_agents.networks import NetworkSet
+from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
+
+__all__ = ["CurvePoint", "gain_over", "robust_curve"]
+
+
+class CurvePoint(NamedTuple):
+    """A robust response on the curve.
+
+    Attributes
+    ----------
+    pool_share : float
+        p: the share of its training games against the pool.
+    gain : Estimate
+        Its score against the pool minus that of the baseline in the same races.
+    loss : Estimate
+        What it loses to a learned best reply (:func:`pcs_racing_agents.learning.responses.best_reply`).
+    networks : NetworkSet
+    """
+
+    pool_share: float
+    gain: Estimate
+    loss: Estimate
+    networks: NetworkSet
+
+
+def robust_curve(
+    games: Sequence[RaceGame],
+    pool: Sequence[Competitor],
+    baseline: Competitor,
+    setting: Setting,
+    settings: RobustSettings,
+    reply_settings: ResponseSettings,
+    job: Job,
+    *,
+    pool_shares: Sequence[float] = (0.0, 0.5, 0.75, 0.9, 1.0),
+    races: int = 4000,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> list[CurvePoint]:
+    """Learn a robust response for each of several shares, and measure gain and loss of each.
+
+    Parameters
+    ----------
+    games, pool, setting, settings
+        As for :func:`pcs_racing_agents.learning.robust.learn_robust`; the settings' own share is not used.
+    baseline : Competitor
+        The gain is over this agent, in the same races.
+    reply_settings : ResponseSettings
+        Budget and seed of the best replies.
+    job : Job
+        Stores branches, networks and races. Its settings must identify pool and baseline.
+    pool_shares : sequence of float
+        Different, each from 0 to 1.
+    races : int
+        About how many against each opponent of the pool, and against each best reply.
+    executor : Executor, optional
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        If a share is impossible or there twice, or as for the functions above.
+    """
+    shares = [check_number("a share of the pool", share, 0.0, 1.0) for share in pool_shares]
+    if not shares or len(set(shares)) < len(shares):
+        raise InputError(f"pool_shares are {list(pool_shares)}; give at least one, each once")
+
+    def against_pool(agent: Competitor, label: str) -> list[RaceTable]:
+        return [
+            race_on_circuits(
+                games,
+                agent,
+                opponent,
+                races,
+                settings.seed + i,
+                job,
+                name=f"{label}-pool-{i}",
+                executor=executor,
+                progress=progress,
+            )
+            for i, opponent in enumerate(pool)
+        ]
+
+    base = against_pool(baseline, "baseline")
+    points = []
+    for share in shares:
+        label = f"p{round(1e6 * share)}"
+        networks = learn_robust(
+            games,
+            pool,
+            setting,
+            replace(settings, pool_share=share),
+            job,
+            name=f"robust-{share:g}",
+            part=f"{label}-",
+            executor=executor,
+            progress=progress,
+        )
+        agent = from_network_set(setting, name=networks.name, seed=settings.seed, kind="robust", networks=networks)
+        gain = gain_over(against_pool(agent, label), base)
+        reply = best_reply(
+            games,
+            agent,
+            setting,
+            reply_settings,
+            job,
+            races=races,
+            part=f"{label}-",
+            executor=executor,
+            progress=progress,
+        )
+        points.append(CurvePoint(share, gain, reply.loss, networks))
+    return points
+
+
+def gain_over(races: Sequence[RaceTable], baseline: Sequence[RaceTable]) -> Estimate:
+    """Return the mean difference of score between an agent and a baseline that drove the same races.
+
+    Parameters
+    ----------
+    races, baseline : sequence of RaceTable
+        One for each opponent, race by race in the same order.
+
+    Raises
+    ------
+    InputError
+        If they are not the same races.
+    """
+    for own, other in zip(races, baseline, strict=True):
+        for column in ("variants", "start_s", "side"):
+            if not np.array_equal(getattr(own, column), getattr(other, column)):
+                raise InputError(f"agent and baseline did not drive the same races: {column} differs")
+    difference = np.concatenate([own.score - other.score for own, other in zip(races, baseline, strict=True)])
+    ego = np.concatenate([table.variants[:, 0].astype(np.int64) for table in races])
+    # Variants of different opponents are different, and so are start lines of different circuits.
+    opponent = np.concatenate([1000 * i + table.variants[:, 1].astype(np.int64) for i, table in enumerate(races)])
+    codes = np.concatenate([table.track.codes.astype(np.float64) for table in races])
+    place = np.stack([codes, np.concatenate([table.start_s for table in races]).round(4)], axis=1)
+    line = np.unique(place, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    kinds = [ego, line] if len(np.unique(opponent)) == 1 else [ego, opponent, line]
+    return clustered_mean(difference, *kinds)

@@ -1,0 +1,301 @@
+"""Headroom: the value of knowing the opponent's policy, and the transitive and cyclic parts of a payoff matrix.
+
+If one policy is best against every opponent, adaptation can't win races. *Headroom* is the gain of a best response to
+a known policy of the opponent over the best fixed policy. It is a property of a pool of policies and of the rules.
+
+Payoffs are races won minus one half: the score of policy i against policy j in a set of races, 0 between equals. They
+come in *folds*, disjoint sets of races with different start lines and noise, so that a policy that is selected on some
+races is evaluated on others: the maximum of noisy numbers is biased.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+
+__all__ = [
+    "CyclicPlane",
+    "Headroom",
+    "SlotHeadroom",
+    "cyclic_part",
+    "cyclic_planes",
+    "headroom",
+    "jackknife_error",
+    "ratings",
+    "slot_headroom",
+    "transitive_share",
+]
+
+Floats = NDArray[np.float64]
+
+_NOISE_DRAWS = 200
+_NOISE_LEVEL = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Headroom:
+    """The value of knowing the opponent's policy in a pool of policies, in races won.
+
+    Attributes
+    ----------
+    value : float
+        Mean over opponents j of ``P[best response to j, j] - P[best fixed policy, j]``. Best response and best fixed
+        policy are selected on all folds but one and evaluated on that one, in turn.
+    low : float
+        The same, minus the best fixed policy of the evaluation races themselves: a lower bound.
+    opponents_error : float
+        Standard error over opponents of the same kind.
+    without : ndarray, shape (N,)
+        ``value`` of the pool without each of its policies, as a response and as an opponent.
+    gains : ndarray, shape (N,)
+        Value of knowing each opponent; their mean is ``value``.
+    best_fixed : int
+        Policy with the highest mean payoff over all folds.
+    """
+
+    value: float
+    low: float
+    opponents_error: float
+    without: Floats
+    gains: Floats
+    best_fixed: int
+
+    @property
+    def pool_error(self) -> float:
+        """Standard error over draws of the pool: the jackknife over ``without``."""
+        return jackknife_error(self.without)
+
+
+@dataclass(frozen=True, eq=False)
+class SlotHeadroom:
+    """The value of knowing the opponent's policy for a driver that knows its place on the grid, in races won.
+
+    Attributes
+    ----------
+    value : float
+        Mean over slots and opponents of the best response's payoff minus that of the best fixed policy of the slot,
+        cross-fitted.
+    low : float
+        The same, minus the best fixed policies of the evaluation races themselves: a lower bound.
+    opponents_error : float
+        Standard error over opponents.
+    slots : tuple of two float
+        ``value`` on the left or in front, and on the right or behind.
+    slot_alone : float
+        Value of knowing the slot and not the opponent, cross-fitted: a policy for each slot over one for both.
+    """
+
+    value: float
+    low: float
+    opponents_error: float
+    slots: tuple[float, float]
+    slot_alone: float
+
+
+@dataclass(frozen=True, eq=False)
+class CyclicPlane:
+    """A plane of the cyclic part of a payoff matrix, in which rock, paper and scissors lie around the origin.
+
+    Attributes
+    ----------
+    strength : float
+        Singular value of the plane.
+    noise : float
+        95 % quantile of the largest singular value of noise alone.
+    points : ndarray, shape (N, 2)
+        The policies in the plane. Its contribution to the payoff is ``x_i y_j - y_i x_j``: of two policies at right
+        angles, the one that lies clockwise of the other beats it.
+    """
+
+    strength: float
+    noise: float
+    points: Floats
+
+
+def headroom(payoffs: ArrayLike) -> Headroom:
+    """Estimate the headroom of a pool of policies, cross-fitted.
+
+    Parameters
+    ----------
+    payoffs : array_like, shape (F, N, N)
+        Payoff of the row's policy against the column's in each of F >= 2 folds, in -0.5..0.5 and antisymmetric.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two folds or policies, or a payoff is not finite, out of range or not antisymmetric.
+    """
+    folds = _checked(payoffs)
+    value, low, gains = _cross_fitted(folds)
+    count = folds.shape[1]
+    without = np.array([_cross_fitted(np.delete(np.delete(folds, k, 1), k, 2))[0] for k in range(count)])
+    return Headroom(
+        value=value,
+        low=low,
+        opponents_error=float(gains.std(ddof=1) / np.sqrt(count)),
+        without=without,
+        gains=gains,
+        best_fixed=int(folds.mean(axis=(0, 2)).argmax()),
+    )
+
+
+def slot_headroom(payoffs: ArrayLike) -> SlotHeadroom:
+    """Estimate the headroom within a slot of the grid, cross-fitted.
+
+    Most of what a policy scores may depend on its slot, and every driver knows it without looking at the opponent.
+
+    Parameters
+    ----------
+    payoffs : array_like, shape (F, 2, N, N)
+        Payoff in each of F >= 2 folds and each slot of the row's policy
+        (:func:`pcs_racing_agents.payoffs.policy_pool.slot_payoffs`); the mean over slots is antisymmetric.
+
+    Raises
+    ------
+    InputError
+        As :func:`headroom`.
+    """
+    slots = np.asarray(payoffs, np.float64)
+    if slots.ndim != 4 or slots.shape[1] != 2:
+        raise InputError(f"payoffs have shape {slots.shape}; it must be (folds, 2, policies, policies)")
+    both = _checked(slots.mean(axis=1))
+    estimates = [_cross_fitted(slots[:, slot]) for slot in (0, 1)]
+    gains = np.mean([gain for _, _, gain in estimates], axis=0)
+    total, alone = slots.sum(axis=0), []
+    for judged, judged_both in zip(slots, both, strict=True):
+        best = (total - judged).sum(axis=-1).argmax(axis=-1)  # of each slot
+        fixed = (both.sum(axis=0) - judged_both).sum(axis=-1).argmax()
+        alone.append(np.mean([judged[slot, best[slot]].mean() for slot in (0, 1)]) - judged_both[fixed].mean())
+    return SlotHeadroom(
+        value=float(gains.mean()),
+        low=float(np.mean([low for _, low, _ in estimates])),
+        opponents_error=float(gains.std(ddof=1) / np.sqrt(len(gains))),
+        slots=(estimates[0][0], estimates[1][0]),
+        slot_alone=float(np.mean(alone)),
+    )
+
+
+def jackknife_error(without: Floats) -> float:
+    """Return the standard error of an estimate from its values without each of the N observations."""
+    count = len(without)
+    return float(np.sqrt((count - 1) / count * np.square(without - without.mean()).sum()))
+
+
+def ratings(payoffs: ArrayLike) -> Floats:
+    """Return the rating of each policy, shape (N,): its mean payoff over the pool and all folds.
+
+    ``ratings[i] - ratings[j]`` is the transitive part of the payoff matrix, the nearest one in which no cycle exists
+    (least squares on a complete graph; Jiang and others 2011, Statistical ranking and combinatorial Hodge theory).
+    """
+    return np.asarray(_checked(payoffs).mean(axis=(0, 2)))
+
+
+def cyclic_part(payoffs: ArrayLike) -> Floats:
+    """Return the mean payoff matrix minus the differences of ratings, shape (N, N)."""
+    return _cyclic(_checked(payoffs).mean(axis=0))
+
+
+def transitive_share(payoffs: ArrayLike) -> float:
+    """Return the share of the payoffs' variance that ratings explain, without the variance of the noise.
+
+    Products of two folds replace squares: their noises are independent and average out. The estimate can be slightly
+    outside 0..1; it is NaN if no payoff differs from zero beyond noise.
+    """
+    folds = _checked(payoffs)
+    transitive = folds - _cyclic(folds)
+    whole = between = 0.0
+    for f in range(len(folds)):
+        for g in range(f):
+            whole += float((folds[f] * folds[g]).sum())
+            between += float((transitive[f] * transitive[g]).sum())
+    return between / whole if whole > 0.0 else float("nan")
+
+
+def cyclic_planes(payoffs: ArrayLike, seed: int = 0) -> list[CyclicPlane]:
+    """Return the planes of the cyclic part, the strongest first.
+
+    The noise level is estimated from the folds: with random signs that sum to zero for each pair, the payoffs of the
+    two policies cancel and noise of the same size remains.
+
+    Parameters
+    ----------
+    payoffs : array_like, shape (F, N, N)
+        As for :func:`headroom`; F must be even, so that as many folds are added as subtracted. With few folds the
+        noise level is itself noisy: of 200 pools without a cycle 14 % exceed it with 4 folds, 7 % with 16.
+    seed : int
+        Of the order of the signs.
+
+    Raises
+    ------
+    InputError
+        If F is odd, or as :func:`headroom` does.
+    """
+    folds = _checked(payoffs)
+    if len(folds) % 2:
+        raise InputError(f"payoffs have {len(folds)} folds; the edge of noise needs an even number of them")
+    noise = _noise_edge(folds, np.random.default_rng(seed))
+    # i times an antisymmetric matrix is Hermitian; its eigenvalues come in pairs +-strength, a plane each.
+    strengths, vectors = np.linalg.eigh(1j * _cyclic(folds.mean(axis=0)))
+    planes = []
+    for k in range(len(strengths) - 1, (len(strengths) - 1) // 2, -1):
+        points = np.sqrt(2.0 * max(strengths[k], 0.0)) * np.stack([vectors[:, k].imag, vectors[:, k].real], axis=1)
+        planes.append(CyclicPlane(float(strengths[k]), noise, _turned(points)))
+    return planes
+
+
+def _checked(payoffs: ArrayLike) -> Floats:
+    folds = np.asarray(payoffs, dtype=np.float64)
+    if folds.ndim != 3 or folds.shape[1] != folds.shape[2]:
+        raise InputError(f"payoffs have shape {folds.shape}; it must be (folds, policies, policies)")
+    if folds.shape[0] < 2 or folds.shape[1] < 3:
+        raise InputError(f"payoffs of {folds.shape[0]} folds and {folds.shape[1]} policies; there must be 2 and 3")
+    if not np.isfinite(folds).all() or np.abs(folds).max() > 0.5:
+        raise InputError("a payoff is not a number from -0.5 to 0.5: races won minus one half")
+    if np.abs(folds + folds.transpose(0, 2, 1)).max() > 1e-9:
+        raise InputError("payoffs are not antisymmetric: what one policy wins the other one loses")
+    return folds
+
+
+def _cyclic(matrix: Floats) -> Floats:
+    """Subtract differences of row means; the last two axes are the matrix."""
+    rating = matrix.mean(axis=-1)
+    return np.asarray(matrix - (rating[..., :, None] - rating[..., None, :]))
+
+
+def _cross_fitted(folds: Floats) -> tuple[float, float, Floats]:
+    """Return the headroom, its lower bound, and the value of knowing each opponent."""
+    total = folds.sum(axis=0)
+    opponents = np.arange(folds.shape[1])
+    gains, lows = [], []
+    for judged in folds:
+        training = total - judged
+        responses = judged[training.argmax(axis=0), opponents]
+        gains.append(responses - judged[training.sum(axis=1).argmax()])
+        lows.append(float(responses.mean() - judged.mean(axis=1).max()))
+    mean_gains = np.mean(gains, axis=0)
+    return float(mean_gains.mean()), float(np.mean(lows)), mean_gains
+
+
+def _noise_edge(folds: Floats, rng: np.random.Generator) -> float:
+    count, policies, _ = folds.shape
+    pairs = np.triu_indices(policies, 1)
+    played = folds[:, pairs[0], pairs[1]]
+    signs = np.repeat([1.0, -1.0], count // 2)[:, None].repeat(played.shape[1], axis=1)
+    noise = np.zeros((policies, policies))
+    largest = []
+    for _ in range(_NOISE_DRAWS):
+        noise[pairs] = (rng.permuted(signs, axis=0) * played).mean(axis=0)
+        largest.append(np.linalg.norm(_cyclic(noise - noise.T), 2))
+    return float(np.quantile(largest, _NOISE_LEVEL))
+
+
+def _turned(points: Floats) -> Floats:
+    """Rotate a plane so that the farthest policy lies on the first axis, since its orientation is arbitrary."""
+    far = points[np.square(points).sum(axis=1).argmax()]
+    length = float(np.hypot(*far))
+    if length == 0.0:
+        return points
+    cos, sin = far / length
+    return np.asarray(points @ np.array([[cos, -sin], [sin, cos]]))

@@ -1,0 +1,123 @@
+"""The stages that learn by playing: robust responses, response oracles, self-play and sampled regrets, best replies."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.rules import RaceGame
+from pcs_racing_agents.agents.agent import Competitor, competitor_hash
+from pcs_racing_agents.jobs.jobs import Job, open_job
+from pcs_racing_agents.learning.responses.best_reply import BestReply, best_reply
+from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.learning.responses.reply_report import write_replies
+from pcs_racing_agents.learning.robust.oracles import learn_psro
+from pcs_racing_agents.learning.robust.restricted import learn_robust
+from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play.learner import learn_self_play
+from pcs_racing_agents.learning.self_play.race_arena import RaceArena
+from pcs_racing_agents.learning.self_play.settings import load_self_play_settings
+from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
+from pcs_racing_agents.study.study import Study
+
+__all__ = [
+    "PLAYING_SEED",
+    "REPLY_SEED",
+    "learn_psro_agent",
+    "learn_robust_agent",
+    "measure_replies",
+    "play_against_itself",
+]
+
+PLAYING_SEED = 4_000
+REPLY_SEED = 7_000_000
+"""Added to the study's seed: other games than those of responses and tables."""
+
+
+def learn_robust_agent(study: Study) -> None:
+    """Learn the agent "robust"; nothing to do without settings for it."""
+    if study.config.robust is not None:
+        settings = load_robust_settings(study.config.robust)
+        seeded = replace(settings, seed=settings.seed + study.config.seed + PLAYING_SEED)
+        games, pool = _games_and_pool(study)
+
+        def learn(job: Job, **told: Any) -> NetworkSet:
+            return learn_robust(games, pool, study.setting, seeded, job, **told)
+
+        _learn(study, "robust", "robust", plain_settings(seeded), learn)
+
+
+def learn_psro_agent(study: Study) -> None:
+    """Learn the agent "psro"; nothing to do without settings for it."""
+    if study.config.psro is not None:
+        settings = load_psro_settings(study.config.psro)
+        seeded = replace(settings, seed=settings.seed + study.config.seed + PLAYING_SEED)
+        games, pool = _games_and_pool(study)
+
+        def learn(job: Job, **told: Any) -> NetworkSet:
+            return learn_psro(games, pool, study.setting, seeded, job, **told)
+
+        _learn(study, "psro", "psro", plain_settings(seeded), learn)
+
+
+def play_against_itself(study: Study) -> None:
+    """Learn the agent "self-play" and the regrets of "cfr-argmax" from sampled games, as far as there are settings."""
+    for name, source in (("self-play", study.config.self_play), ("sampled-cfr", study.config.sampled_cfr)):
+        if source is None:
+            continue
+        settings = load_self_play_settings(source)
+        seeded = replace(settings, seed=settings.seed + study.config.seed + PLAYING_SEED)
+        arenas = [RaceArena(study.game(track), study.setting, seeded.worth) for track in study.config.circuits]
+
+        def learn(job: Job, **told: Any) -> NetworkSet:
+            return learn_self_play(arenas, seeded, job, **told)  # noqa: B023 - called at once
+
+        learned = _learn(study, "self-play", name, plain_settings(seeded), learn)
+        if name == "sampled-cfr":
+            # The last network predicts mean regrets over all iterations; the paper plays the move of the highest.
+            regrets = replace(
+                learned.networks[-1], name="regret", target="regret", training={**learned.training, "sampled": True}
+            )
+            save_network(regrets, study.network("regret"))
+
+
+def measure_replies(study: Study) -> None:
+    """Learn a best reply to each agent that the configuration names, and write what the agents lose."""
+    config = study.config
+    if not config.replies:
+        return
+    games = [study.game(track) for track in config.circuits]
+    settings = load_response_settings(config.reply)
+    settings = load_response_settings(settings, seed=config.seed + REPLY_SEED + settings.seed)
+    replies: dict[str, BestReply] = {}
+    for name in config.replies:
+        agent = study.agent(name)
+        identity = {"agent": competitor_hash(agent), "races": config.reply_races, **plain_settings(settings)}
+        with open_job(study.folder / "best-replies" / name, "best reply", identity) as job:
+            replies[name] = best_reply(
+                games,
+                agent,
+                study.setting,
+                settings,
+                job,
+                races=config.reply_races,
+                executor=study.executor,
+                progress=study.progress(f"tasks (best reply to {name})"),
+            )
+    write_replies(replies, study.folder / "best_replies.csv")
+
+
+def _games_and_pool(study: Study) -> tuple[Sequence[RaceGame], Sequence[Competitor]]:
+    config = study.config
+    return [study.game(name) for name in config.circuits], [study.agent(name) for name in config.response_pool]
+
+
+def _learn(
+    study: Study, stage: str, name: str, settings: dict[str, Any], learn: Callable[..., NetworkSet]
+) -> NetworkSet:
+    """Learn a set of networks in a job of its own, in the folder of a stage, and write it to the study's networks."""
+    identity = {"archive": study.archive.content_hash, **settings}
+    with open_job(study.folder / stage / name, name, identity) as job:
+        learned = learn(job, name=name, executor=study.executor, progress=study.progress(f"tasks ({name})"))
+    save_network_set(learned, study.network(name))
+    return learned

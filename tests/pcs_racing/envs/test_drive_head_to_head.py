@@ -1,0 +1,570 @@
+"""Two agents steer against each other: what each observes and is paid, how their races end, and the interfaces."""
+
+import copy
+import inspect
+import pickle
+import re
+import warnings
+
+import numpy as np
+import pettingzoo
+import pytest
+
+from pcs_racing import InputError, Lidar, UnknownNameError
+from pcs_racing.base.errors import UnknownArgumentError
+from pcs_racing.envs import drive_head_to_head
+from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.envs.drive_head_to_head import AGENTS, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
+from pcs_racing.envs.drive_options import DriveOptions
+from pcs_racing.envs.infos import Crash, Result
+from pcs_racing.envs.parallel import ParallelState
+from pcs_racing.envs.registration import PETTINGZOO_IDS
+from pcs_racing.game.reward import win_sign
+from pcs_racing.race.config import load_race_config
+from pcs_racing.race.races import winners
+from pcs_racing.race.state import empty_state
+
+with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
+    warnings.simplefilter("ignore")
+    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
+
+X, Y, _, V, PSI = range(5)
+SLOW = {agent: np.array([0.0, -0.6], np.float32) for agent in AGENTS}
+OPPOSITE = (3.0, 28.0)  # arc lengths in the middle of the two straights of the oval
+
+
+def make(track, **options):
+    return DriveHeadToHeadEnv(track, **{"time_step": 0.1, **options})
+
+
+def both(*actions):
+    """Actions of the two agents."""
+    return dict(zip(AGENTS, (np.array(action, np.float32) for action in actions), strict=True))
+
+
+def poses(track, *places):
+    """Poses (x, y, heading, speed) of the cars at arc length, offset and speed."""
+    return [(*track.to_cartesian([s, d]), speed) for s, d, speed in places]
+
+
+def seen(env, agent_observation):
+    return dict(zip([element.name for element in env.elements], agent_observation.tolist(), strict=True))
+
+
+def follow_the_line(observation, share=0.7):
+    """A driver that reads the observation by its documented order: back to the race line, a bit slower than it."""
+    steer = 0.6 * -observation[7] - 0.35 * observation[6] + 0.33 * observation[12]
+    return np.array([steer / 0.4189, 2.0 * share * observation[13] / 8.0 - 1.0], np.float32)
+
+
+def flat(value):
+    """A nested answer of an environment as something that compares."""
+    if isinstance(value, dict):
+        return {key: flat(item) for key, item in value.items()}
+    if isinstance(value, tuple):
+        return tuple(flat(item) for item in value)
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def episode(env, seed, steps=25):
+    """All that an episode with random actions returns, until it ends or ``steps`` are made."""
+    rng = np.random.default_rng(1)
+    answers = [flat(env.reset(seed=seed))]
+    while env.agents and len(answers) <= steps:
+        answers.append(flat(env.step(both(*rng.uniform(-1.0, 0.0, (2, 2))))))
+    return answers
+
+
+# The checkers of PettingZoo, warnings being errors
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"race": "contest", "beams": 9, "see_opponent": "in sight", "win_reward": 1.0}]
+)
+def test_the_checkers_of_pettingzoo_are_content(coarse_oval, options):
+    arguments = {"track": coarse_oval, "time_step": 0.1, "duration": 3.0, **options}
+    parallel_api_test(drive_head_to_head.parallel_env(**arguments), num_cycles=60)
+    api_test(drive_head_to_head.env(**arguments), num_cycles=60)
+    parallel_seed_test(lambda: drive_head_to_head.parallel_env(**arguments), num_cycles=30)
+    seed_test(lambda: drive_head_to_head.env(**arguments), num_cycles=30)
+
+
+def test_rendering(coarse_oval, monkeypatch):
+    pytest.importorskip("pygame", reason="the extra 'window' is not installed")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    options = {"track": coarse_oval, "duration": 0.3, "time_step": 0.1, "render_size": (160, 120)}
+    render_test(lambda **more: drive_head_to_head.env(**options, **more))
+    assert make(coarse_oval).render() is None
+
+
+def test_a_frame_shows_both_cars(coarse_oval):
+    env = make(coarse_oval, render_mode="rgb_array", render_size=(240, 160), view="track")
+    with pytest.raises(InputError, match="not begun"):
+        env.render()
+    frames = []
+    for places in (((3.0, 0.0, 0.0), (6.0, 0.0, 0.0)), ((3.0, 0.0, 0.0), (28.0, 0.0, 0.0))):
+        env.reset(options={"poses": poses(coarse_oval, *places)})
+        frames.append(env.render())
+    assert frames[0].shape == (160, 240, 3)
+    assert frames[0].dtype == np.uint8
+    assert (frames[0] != frames[1]).any()  # the second car stands elsewhere
+    assert env.metadata["render_fps"] == 10
+
+
+# Names and documentation
+
+
+@pytest.mark.parametrize("kind", ["parallel", "aec"])
+def test_made_by_name(kind, coarse_oval):
+    if not hasattr(pettingzoo, "make"):
+        pytest.skip("this release of PettingZoo has no registry")
+    assert "pcs_racing/drive_head_to_head-v0" in PETTINGZOO_IDS
+    env = pettingzoo.make(kind, "pcs_racing/drive_head_to_head-v0", track=coarse_oval, beams=3)
+    assert env.unwrapped.possible_agents == ["car_0", "car_1"]
+    assert isinstance(env, pettingzoo.ParallelEnv if kind == "parallel" else pettingzoo.AECEnv)
+    assert str(env) == "drive_head_to_head_v0"
+
+
+def test_the_class_documents_itself(coarse_oval):
+    text = inspect.getdoc(DriveHeadToHeadEnv)
+    arguments = [name for name in inspect.signature(DriveHeadToHeadEnv).parameters if name != "settings"]
+    assert all(f"- `{name}` (" in text for name in arguments)
+    # The table says how many numbers each part has, and how it is switched off.
+    rows = re.findall(r"^\| [^|]+: [^|]+\| (\d+)[^|]*\| `(\w+)`", text, re.MULTILINE)
+    assert rows == [("8", "own_state"), ("4", "look_ahead"), ("9", "see_opponent")]
+    off = {"own_state": False, "look_ahead": (), "see_opponent": "never"}
+    whole = len(make(coarse_oval).elements)
+    assert f"{whole} by default" in text
+    for count, name in rows:
+        missing = whole - len(make(coarse_oval, **{name: off[name]}).elements)
+        assert missing == int(count) * (6 if name == "look_ahead" else 1)
+
+
+def test_spaces(coarse_oval):
+    env = make(coarse_oval, beams=4)
+    box = env.observation_space("car_1")
+    np.testing.assert_array_equal(box.low, np.array([element.low for element in env.elements], np.float32))
+    np.testing.assert_array_equal(box.high, np.array([element.high for element in env.elements], np.float32))
+    assert box.shape == (45,)
+    assert box.dtype == np.float32
+    assert env.action_space("car_0").shape == (2,)
+    assert env.action_space("car_0") is env.action_space("car_0")
+    assert env.action_space("car_0") is not env.action_space("car_1")  # each is seeded for itself
+    assert env.state_space.shape == (90,)
+    observations, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(env.state(), np.concatenate([observations[agent] for agent in AGENTS]))
+    assert env.state_space.contains(env.state())
+
+
+# What the agents observe
+
+
+def test_swapping_the_cars_swaps_all_that_the_agents_get(coarse_oval):
+    """Bit for bit, until one of them drives into the other."""
+    quiet = load_race_config("contest", steering_noise=0.0)
+    options = {"beams": 31, "see_opponent": "in sight", "win_reward": 3.0, "race": quiet}
+    envs = [make(coarse_oval, **options) for _ in range(2)]
+    places = poses(coarse_oval, (2.0, 0.1, 3.0), (5.0, -0.1, 1.0))
+    first, second = (
+        env.reset(seed=4, options={"poses": these})[0] for env, these in zip(envs, (places, places[::-1]), strict=True)
+    )
+    for step in range(40):
+        for agent, other in (AGENTS, AGENTS[::-1]):
+            np.testing.assert_array_equal(first[agent], second[other])
+        if not envs[0].agents:
+            break
+        commands = (0.02 * np.cos(step), 0.4), (0.02 * np.sin(step), -0.6)
+        answers = envs[0].step(both(*commands)), envs[1].step(both(*commands[::-1]))
+        for one, two in zip(*map(flat, answers), strict=True):
+            assert one == {agent: two[other] for agent, other in (AGENTS, AGENTS[::-1])}
+        first, second = answers[0][0], answers[1][0]
+    infos = answers[0][4]
+    assert infos["car_0"]["crash"] == infos["car_1"]["crash"] == Crash.CAR
+    assert (infos["car_0"]["fault"], infos["car_1"]["fault"]) == (1, 0)
+    assert answers[0][1]["car_0"] < -10.0
+
+
+@pytest.mark.parametrize("options", [{"beams": 13}, {"race": "contest", "beams": 5, "lidar_noise": 0.1}])
+def test_car_0_drives_the_race_of_drive(coarse_oval, options):
+    """With the same seed and a driver of car 1 that does what the second agent does: the line follower of Drive."""
+    options = {"track": coarse_oval, "time_step": 0.1, "rivalry": 1.0, "duration": 4.0, **options}
+    two, one = DriveHeadToHeadEnv(**options), DriveEnv(opponent="pure-pursuit", **options)
+    seen_by_two, _ = two.reset(seed=9)
+    seen_by_one, _ = one.reset(seed=9)
+    np.testing.assert_array_equal(seen_by_two["car_0"], seen_by_one)
+    rival = DriveHeadToHeadEnv(opponent="pure-pursuit", **options)
+    alone, _ = rival.reset(seed=9)
+    assert list(alone) == ["car_0"] == rival.agents
+    while rival.agents:
+        action = follow_the_line(seen_by_one)
+        seen_by_one, reward, terminated, truncated, info = one.step(action)
+        observations, rewards, ends, cuts, infos = rival.step({"car_0": action})
+        np.testing.assert_array_equal(observations["car_0"], seen_by_one)
+        assert (rewards["car_0"], ends["car_0"], cuts["car_0"]) == (reward, terminated, truncated)
+        assert infos["car_0"] == info
+        assert rival.state().shape == (2 * len(seen_by_one),)
+        np.testing.assert_array_equal(rival.state()[: len(seen_by_one)], seen_by_one)
+
+
+def test_each_car_is_told_where_the_other_is(coarse_oval):
+    env = make(coarse_oval)
+    places = poses(coarse_oval, (3.0, 0.2, 2.0), (7.0, -0.3, 4.0))
+    observations, _ = env.reset(options={"poses": places})
+    for car, agent in enumerate(AGENTS):
+        own, other = places[car], places[1 - car]
+        found = seen(env, observations[agent])
+        turn = np.array([[np.cos(own[2]), np.sin(own[2])], [-np.sin(own[2]), np.cos(own[2])]])
+        away = turn @ np.subtract(other[:2], own[:2])
+        assert [found["opponent x"], found["opponent y"]] == pytest.approx(away.tolist(), abs=1e-5)
+        assert found["opponent gap"] == pytest.approx(4.0 if car == 0 else -4.0, abs=1e-3)
+        assert found["opponent offset"] == pytest.approx(-0.5 if car == 0 else 0.5, abs=1e-3)
+        assert found["lead"] == pytest.approx(-4.0 if car == 0 else 4.0, abs=1e-3)
+        assert found["speed"] == pytest.approx(own[3])
+        assert found["opponent vx"] == pytest.approx(other[3] - own[3], abs=0.02)
+        assert found["offset"] == pytest.approx(0.2 if car == 0 else -0.3, abs=1e-3)
+
+
+def test_the_lidars_of_both_cars_see_the_other_one(coarse_oval):
+    env = make(coarse_oval, beams=31)
+    env.reset(options={"poses": poses(coarse_oval, (3.0, 0.5, 2.0), (3.2, -0.5, 1.0))})
+    observations, *_ = env.step(both((0.1, -0.5), (-0.1, -0.7)))
+    first, second = (car[[X, Y, PSI]] for car in env.batch.state.cars[0])
+    lidar = Lidar(coarse_oval, 31)
+    for agent, own, other in (("car_0", first, second), ("car_1", second, first)):
+        scan = lidar.scan(own, other)
+        np.testing.assert_allclose(observations[agent][-31:], scan, rtol=1e-5)
+        assert (scan < lidar.scan(own) - 0.1).any()
+
+
+def test_the_noise_of_the_two_lidars_differs(coarse_oval):
+    noises = []
+    for noise in (0.0, 0.2):
+        env = make(coarse_oval, beams=60, lidar_noise=noise)
+        observations, _ = env.reset(seed=1, options={"poses": poses(coarse_oval, (3.0, 0.0, 0.0), (8.0, 0.0, 0.0))})
+        noises.append(np.array([observations[agent][-60:] for agent in AGENTS]))
+    added = noises[1] - noises[0]
+    assert added.std(axis=1) == pytest.approx([0.2, 0.2], rel=0.3)
+    assert abs(np.corrcoef(added)[0, 1]) < 0.4
+
+
+@pytest.mark.parametrize(
+    ("places", "reach", "visible"),
+    [((3.0, 7.0), 30.0, True), ((3.0, 7.0), 3.0, False), (OPPOSITE, 30.0, False), ((3.0, 7.0), 4.2, True)],
+)
+def test_the_opponent_is_hidden_by_walls_and_distance(coarse_oval, places, reach, visible):
+    env = make(coarse_oval, see_opponent="in sight", max_range=reach)
+    always = make(coarse_oval)
+    options = {"poses": poses(coarse_oval, *((s, 0.0, 1.0) for s in places))}
+    observations, everything = (each.reset(options=options)[0] for each in (env, always))
+    for agent in AGENTS:
+        np.testing.assert_array_equal(observations[agent][:32], everything[agent][:32])
+        if visible:
+            np.testing.assert_array_equal(observations[agent], everything[agent])
+        else:
+            assert (observations[agent][32:] == 0.0).all()
+        assert everything[agent][32] == 1.0
+
+
+def test_each_part_of_the_observation_can_be_left_out(coarse_oval):
+    """What remains is what was there before."""
+    parts = {
+        "own_state": (False, range(8)),
+        "look_ahead": ((), range(8, 32)),
+        "see_opponent": ("never", range(32, 41)),
+        "time_left": (False, range(41, 42)),
+        "beams": (0, range(42, 48)),
+    }
+    options = {"time_left": True, "beams": 6, "duration": 2.0}
+    start = {"poses": poses(coarse_oval, (3.0, 0.2, 2.0), (6.0, -0.3, 1.0))}
+    whole = make(coarse_oval, **options)
+    whole.reset(options=start)
+    expected, *_ = whole.step(SLOW)
+    assert expected["car_0"][41] == pytest.approx(0.95)
+    for name, (off, indices) in parts.items():
+        env = make(coarse_oval, **{**options, name: off})
+        env.reset(options=start)
+        found, *_ = env.step(SLOW)
+        for agent in AGENTS:
+            np.testing.assert_array_equal(found[agent], np.delete(expected[agent], list(indices)), err_msg=name)
+        assert [element.name for element in env.elements] == [
+            element.name for i, element in enumerate(whole.elements) if i not in indices
+        ]
+
+
+# Rewards and ends
+
+
+def test_by_default_the_rewards_are_the_lead_that_was_gained(coarse_oval):
+    """Whole races between two line followers of different speed, to their last moment."""
+    for share, faster, places in ((0.5, "car_1", (3.0, 8.0)), (0.9, "car_0", (8.0, 3.0))):
+        env = make(coarse_oval, duration=8.0)
+        start = poses(coarse_oval, *((s, 0.0, 2.0) for s in places))
+        observations, infos = env.reset(seed=2, options={"poses": start})
+        began, total = infos["car_0"]["lead"], dict.fromkeys(AGENTS, 0.0)
+        while env.agents:
+            actions = follow_the_line(observations["car_0"], share), follow_the_line(observations["car_1"], 0.7)
+            observations, rewards, terminated, truncated, infos = env.step(both(*actions))
+            assert rewards["car_0"] + rewards["car_1"] == pytest.approx(0.0, abs=1e-12)
+            total = {agent: total[agent] + rewards[agent] for agent in AGENTS}
+        assert truncated == dict.fromkeys(AGENTS, True)
+        assert terminated == dict.fromkeys(AGENTS, False)
+        assert infos["car_0"]["time"] == pytest.approx(8.0)
+        for agent, sign in zip(AGENTS, (1.0, -1.0), strict=True):
+            assert total[agent] == pytest.approx(infos[agent]["lead"] - sign * began)
+            assert infos[agent]["result"] == (Result.WIN if agent == faster else Result.LOSS)
+        assert env.outcome()[faster]["result"] == "win"
+
+
+@pytest.mark.parametrize(
+    ("race", "penalties", "results"),
+    [
+        ("paper", (-7.0, 0.0), (Result.CRASH, Result.CRASH)),
+        ("contest", (-12.0, 5.0), (Result.LOSS, Result.WIN)),
+    ],
+)
+def test_a_crash_costs_the_car_to_blame_and_decides_as_the_rules_say(coarse_oval, race, penalties, results):
+    race = load_race_config(race, steering_noise=0.0)
+    env = make(coarse_oval, race=race, progress_reward=0.0, crash_penalty=7.0, win_reward=5.0)
+    for car in range(2):
+        env.reset(options={"poses": poses(coarse_oval, (3.0, 0.0, 4.0), (28.0, 0.0, 4.0))})
+        turn, go = (1.0, 0.0), (0.0, -1.0)
+        while env.agents:
+            _, rewards, terminated, truncated, infos = env.step(both(*((turn, go) if car == 0 else (go, turn))))
+        guilty, other = AGENTS[car], AGENTS[1 - car]
+        assert (rewards[guilty], rewards[other]) == penalties
+        assert (infos[guilty]["result"], infos[other]["result"]) == results
+        assert (infos[guilty]["crash"], infos[other]["crash"]) == (Crash.WALL, Crash.NONE)
+        assert infos[other]["opponent_crash"] == Crash.WALL
+        assert (infos[guilty]["fault"], infos[other]["fault"]) == (1, 0)
+        assert terminated == dict.fromkeys(AGENTS, True)
+        assert truncated == dict.fromkeys(AGENTS, False)
+
+
+def test_where_winning_pays_the_last_moment_is_an_end(coarse_oval):
+    env = make(coarse_oval, progress_reward=0.0, win_reward=2.0, duration=0.5)
+    env.reset(options={"poses": poses(coarse_oval, (3.0, 0.0, 0.0), (5.0, 0.0, 0.0))})
+    for _ in range(5):
+        _, rewards, terminated, truncated, infos = env.step(SLOW)
+    assert rewards == {"car_0": -2.0, "car_1": 2.0}
+    assert terminated == dict.fromkeys(AGENTS, True)
+    assert truncated == dict.fromkeys(AGENTS, False)
+    assert infos["car_1"]["result"] == Result.WIN
+
+
+def test_the_reward_of_a_win_goes_to_the_winner_of_the_races():
+    """The compiled rule is that of :func:`pcs_racing.race.races.winners`, from either side."""
+    for rule in ("nobody", "fault-loses"):
+        config = load_race_config("paper", crash_rule=rule)
+        for lead in (-3.0, 0.0, 0.005, 2.0):
+            for crash, fault in (((0, 0), (0, 0)), ((1, 0), (1, 0)), ((2, 2), (0, 1)), ((1, 1), (1, 1))):
+                state = empty_state(1, 0)
+                state.progress[0], state.crash[0], state.fault[0] = (lead, 0.0), crash, fault
+                winner = winners(config, state)[0]
+                for car in range(2):
+                    sign = win_sign(
+                        lead if car == 0 else -lead, crash != (0, 0), fault[car], fault[1 - car], rule != "nobody"
+                    )
+                    assert sign == (0.0 if winner < 0 else 1.0 if winner == car else -1.0)
+
+
+def test_max_cycles_truncates_and_decides_nothing(coarse_oval):
+    env = make(coarse_oval, max_cycles=3)
+    env.reset(seed=0)
+    for left in (True, True, False):
+        _, _, terminated, truncated, infos = env.step(SLOW)
+        assert bool(env.agents) == left
+        assert truncated == dict.fromkeys(AGENTS, not left)
+        assert terminated == dict.fromkeys(AGENTS, False)
+    assert infos["car_0"]["result"] == Result.RUNNING
+
+
+def test_after_the_end_no_agent_is_left(coarse_oval):
+    env = make(coarse_oval, duration=0.3)
+    with pytest.raises(InputError, match="not begun; call reset"):
+        env.step(SLOW)
+    with pytest.raises(InputError, match="not begun; call reset"):
+        env.state()
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(SLOW)
+    assert env.agents == []
+    with pytest.raises(InputError, match="the episode is over"):
+        env.step(SLOW)
+    # Turn by turn, dead agents step with None, once each.
+    turns = drive_head_to_head.env(track=coarse_oval, duration=0.3, time_step=0.1)
+    turns.reset(seed=0)
+    last = []
+    for agent in turns.agent_iter():
+        *_, ended, cut, _ = turns.last()
+        last += [agent] * (ended or cut)
+        turns.step(None if ended or cut else SLOW[agent])
+    assert last == list(AGENTS)
+    assert turns.agents == []
+
+
+# Seeds, copies, many races at once
+
+
+def test_the_same_seed_is_the_same_episode(coarse_oval):
+    options = {"race": "contest", "beams": 5, "lidar_noise": 0.1}
+    first, second = (make(coarse_oval, **options) for _ in range(2))
+    second.reset(seed=99)
+    assert episode(first, 7) == episode(second, 7)
+    assert episode(first, None) != episode(first, 7)
+    assert episode(first, 7) != episode(first, 8)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_batch_drives_the_same_races_to_the_last_bit(coarse_oval, threads):
+    options = {
+        "track": coarse_oval,
+        "race": "contest",
+        "beams": 7,
+        "lidar_noise": 0.1,
+        "time_step": 0.1,
+        "duration": 3.0,
+    }
+    count = 37  # more than one thread's share
+    envs = DriveHeadToHeadVectorEnv(2 * count, threads=threads, autoreset_mode="SAME_STEP", **options)
+    single = [DriveHeadToHeadEnv(**options) for _ in range(0, count, 6)]
+    observations, info = envs.reset(seed=11)
+    rng = np.random.default_rng(3)
+    for k, env in enumerate(single):
+        found, _ = env.reset(seed=11 + 6 * k)
+        np.testing.assert_array_equal(np.array(list(found.values())), observations[12 * k : 12 * k + 2])
+    for _ in range(35):
+        actions = rng.uniform(-0.6, 0.2, (2 * count, 2)).astype(np.float32)
+        observations, rewards, terminated, truncated, info = envs.step(actions)
+        for k, env in enumerate(single):
+            rows = slice(12 * k, 12 * k + 2)
+            found, paid, ended, cut, infos = env.step(both(*actions[rows]))
+            final = info["final_info"] if terminated[rows].any() or truncated[rows].any() else info
+            assert list(paid.values()) == rewards[rows].tolist()
+            assert list(ended.values()) == terminated[rows].tolist()
+            assert list(cut.values()) == truncated[rows].tolist()
+            for name in infos["car_0"]:
+                assert [infos[agent][name] for agent in AGENTS] == final[name][rows].tolist(), name
+            if env.agents:
+                np.testing.assert_array_equal(np.array(list(found.values())), observations[rows])
+            else:
+                np.testing.assert_array_equal(np.array(list(found.values())), np.stack(info["final_obs"][rows]))
+                env.reset()
+
+
+def test_a_batch_has_two_environments_for_each_race(coarse_oval):
+    envs = DriveHeadToHeadVectorEnv(6, track=coarse_oval, autoreset_mode="DISABLED", time_step=0.1)
+    _, info = envs.reset(seed=[4, 5, 6])
+    np.testing.assert_array_equal(info["lead"][::2], -info["lead"][1::2])
+    for _ in range(40):
+        *_, terminated, _, info = envs.step(np.tile(((1.0, 0.5), (0.0, -1.0)), (3, 1)))
+        if terminated.any():
+            break
+    assert terminated[::2].tolist() == terminated[1::2].tolist()
+    assert sorted(envs.outcome()[0]) == sorted(name for name in info if not name.startswith("_"))
+    with pytest.raises(InputError, match="num_envs is 5; it must be even"):
+        DriveHeadToHeadVectorEnv(5, track=coarse_oval)
+    with pytest.raises(InputError, match="both cars belong to agents"):
+        DriveHeadToHeadVectorEnv(2, track=coarse_oval, opponent="lattice")
+
+
+@pytest.mark.parametrize(
+    "keep", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["deepcopy", "pickle"]
+)
+def test_a_copy_goes_on_alike_and_alone(keep):
+    env = DriveHeadToHeadEnv("Pipkin", race="contest", beams=3, time_step=0.1, max_cycles=6)
+    env.reset(seed=3)
+    env.step(SLOW)
+    twin = keep(env)
+    assert flat(twin.step(SLOW)) == flat(env.step(SLOW))
+    assert [episode(twin, None) for _ in range(2)] == [episode(env, None) for _ in range(2)]
+
+
+def test_a_moment_can_be_restored(coarse_oval):
+    env, other = (make(coarse_oval, race="contest") for _ in range(2))
+    env.reset(seed=3)
+    env.step(SLOW)
+    moment = env.get_state()
+    assert isinstance(moment, ParallelState)
+    future = [flat(env.step(SLOW)) for _ in range(4)]
+    for value in (moment, pickle.loads(pickle.dumps(moment))):
+        observations, _ = other.reset(options={"state": value})
+        assert list(observations) == list(AGENTS)
+        assert [flat(other.step(SLOW)) for _ in range(4)] == future
+    with pytest.raises(InputError, match="must be what get_state"):
+        env.set_state("yesterday")
+    with pytest.raises(InputError, match="leaves nothing to choose"):
+        env.reset(seed=1, options={"state": moment})
+
+
+# Where races begin, and bad input
+
+
+def test_reset_options(coarse_oval):
+    env = make(coarse_oval, opponent="pure-pursuit")
+    track = env.track
+    env.reset(seed=0, options={"start": (30.0, 1)})
+    begin = (env.batch.state.frenet[0, 0, 0] - env.batch.state.progress[0, 0]) % track.length
+    assert begin == pytest.approx(30.0, abs=0.1)
+    env.reset(seed=0, options={"opponent": "gap-follower"})
+    assert env.outcome()["car_0"]["opponent"] == "gap-follower"
+    env.reset(seed=0, options={"track": "Pipkin"})
+    assert env.track.name == "Pipkin"
+    with pytest.raises(InputError, match="needs an environment that was made with an opponent"):
+        make(coarse_oval).reset(options={"opponent": "lattice"})
+
+
+def test_infos_are_numbers_of_the_common_vocabulary(coarse_oval):
+    env = make(coarse_oval)
+    _, infos = env.reset(seed=0)
+    for agent in AGENTS:
+        assert all(isinstance(value, int | float) for value in infos[agent].values())
+        assert infos[agent]["opponent"] == -1
+        assert list(infos[agent]) == list(DriveEnv(coarse_oval).reset(seed=0)[1])
+    assert env.outcome()["car_1"]["result"] == "running"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "message"),
+    [
+        ({"track": "Nowhere"}, UnknownNameError, "Nowhere"),
+        ({"beems": 3}, UnknownArgumentError, "beems"),
+        ({"see_opponent": "sometimes"}, InputError, "sometimes"),
+        ({"win_reward": -1.0}, InputError, "win_reward is -1.0"),
+        ({"max_cycles": 0}, InputError, "max_cycles is 0"),
+        ({"render_mode": "ascii"}, InputError, "ascii"),
+        ({"own_state": False, "look_ahead": (), "see_opponent": "never"}, InputError, "nothing is observed"),
+    ],
+)
+def test_an_impossible_argument_is_one_clear_error(arguments, kind, message):
+    with pytest.raises(kind, match=message):
+        DriveHeadToHeadEnv(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        ({"car_0": (0.0, 0.0)}, "car_0, car_1"),
+        ([(0.0, 0.0), (0.0, 0.0)], "car_0, car_1"),
+        ({"car_0": (0.0, 0.0), "car_1": (np.nan, 0.0)}, "environment 1 is .nan"),
+        ({"car_0": (0.0, 0.0), "car_1": (0.0, 0.0, 0.0)}, "numbers of shape"),
+        ({"car_0": 0.0, "car_1": 0.0}, "shape .2,."),
+        ({"car_0": "left", "car_1": (0.0, 0.0)}, "numbers of shape"),
+    ],
+)
+def test_an_impossible_action_is_one_clear_error_and_changes_nothing(coarse_oval, actions, message):
+    env = make(coarse_oval)
+    env.reset(seed=0)
+    before = env.state()
+    with pytest.raises(InputError, match=message):
+        env.step(actions)
+    np.testing.assert_array_equal(env.state(), before)
+    env.step(SLOW)
+
+
+def test_unknown_agents_and_options_are_one_clear_error(coarse_oval):
+    env = make(coarse_oval)
+    with pytest.raises(InputError, match=r"car_2.*car_0, car_1"):
+        env.action_space("car_2")
+    with pytest.raises(UnknownNameError, match="policies"):
+        env.reset(options={"policies": (0, 1)})
+    assert set(DriveOptions.__dataclass_fields__) >= {"own_state", "see_opponent", "time_left", "win_reward"}

@@ -1,0 +1,406 @@
+"""Episodes that differ: circuits, cars, ranges from which friction and others are drawn, and obstacles."""
+
+import copy
+import dataclasses
+import pickle
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from pcs_racing import (
+    ConfigError,
+    InputError,
+    Lidar,
+    RaceSetup,
+    UnknownNameError,
+    VehicleParams,
+    advance,
+    load_race_config,
+    load_track,
+    parse_policy,
+)
+from pcs_racing.envs import circuits
+from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
+from pcs_racing.envs.head_to_head import HeadToHeadEnv
+from pcs_racing.envs.obstacles import Obstacles
+from pcs_racing.envs.randomization import Randomization, load_randomization
+from pcs_racing.envs.variety import Variety
+from pcs_racing.race import random_circuits
+from pcs_racing.race.conditions import RaceConditions
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits, random_circuit
+from pcs_racing.race.start_grid import settle
+from pcs_racing.race.state import empty_state
+from pcs_racing.track.obstacles import BOX, with_obstacles
+
+RANGES = {"friction": [0.6, 1.2], "mass": [3.0, 4.5], "steering_delay": [0.0, 0.1], "steering_noise": [0.0, 0.02]}
+DRIVE = {"beams": 9, "duration": 1.0, "start_lines": 6, "time_step": 0.1}
+DUEL = {"step_seconds": 0.4, "moves": 2, "opponent": "random-moves"}
+PAIRS = [(DriveEnv, DriveVectorEnv, DRIVE), (DuelEnv, DuelVectorEnv, DUEL)]
+KINDS = pytest.mark.parametrize(("single", "vector", "usual"), PAIRS, ids=["Drive", "Duel"])
+
+
+@pytest.fixture
+def ovals(oval, monkeypatch):
+    """Random circuits that cost nothing: the oval under the names of their numbers."""
+    built = []
+
+    def stand_in(settings, index):
+        built.append(index)
+        return dataclasses.replace(oval, name=f"random-{index}")
+
+    monkeypatch.setattr(random_circuits, "random_circuit", stand_in)
+    return built
+
+
+@pytest.fixture(scope="module")
+def wide(oval):
+    """The oval, as another object with another name."""
+    return dataclasses.replace(oval, name="wide")
+
+
+def varied(usual, oval, wide):
+    return {**usual, "track": [oval, wide], "randomize": RANGES, "obstacles": {"count": [0, 2], "passage": 0.8}}
+
+
+def play(env, seed, episodes=2):
+    """Observations, rewards and infos of whole episodes; actions follow from their number."""
+    log = []
+    for episode in range(episodes):
+        observation, info = env.reset(seed=seed if episode == 0 else None)
+        log.append((observation, 0.0, info))
+        over, k = False, 0
+        while not over:
+            action = k % 4 if env.action_space.shape == () else np.array([0.2 * np.sin(k), -0.3], np.float32)
+            observation, reward, terminated, truncated, info = env.step(action)
+            log.append((observation, reward, info))
+            over, k = terminated or truncated, k + 1
+    return log
+
+
+def same(one, other):
+    assert len(one) == len(other)
+    for (seen, reward, info), (own, paid, told) in zip(one, other, strict=True):
+        np.testing.assert_array_equal(seen, own)
+        assert reward == paid
+        assert set(info) == set(told)
+        for name in info:
+            np.testing.assert_array_equal(info[name], told[name])
+
+
+@KINDS
+def test_a_batch_gives_the_numbers_of_environments_of_one(single, vector, usual, oval, wide):
+    arguments = varied(usual, oval, wide)
+    envs = vector(5, autoreset_mode="NEXT_STEP", threads=2, **arguments)
+    seen, infos = envs.reset(seed=3)
+    alone = [play(single(**arguments), 3 + i, 1) for i in range(5)]
+    names = ("track", "obstacles", "friction", "mass", "steering_delay", "steering_noise", "lead")
+    for k in range(min(map(len, alone))):
+        for i in range(5):
+            observation, _, info = alone[i][k]
+            np.testing.assert_array_equal(seen[i], observation)
+            assert [infos[name][i] for name in names] == [info[name] for name in names]
+        action = k % 4 if envs.single_action_space.shape == () else np.array([0.2 * np.sin(k), -0.3], np.float32)
+        seen, _, _, _, infos = envs.step(np.array([action] * 5))
+    assert len(set(infos["track"].tolist())) == 2
+    assert len(set(infos["friction"].tolist())) > 2
+    assert ((infos["friction"] >= 0.6) & (infos["friction"] <= 1.2)).all()
+
+
+@KINDS
+def test_the_same_seed_draws_the_same_and_a_state_goes_on(single, vector, usual, oval, wide):
+    arguments = varied(usual, oval, wide)
+    env = single(**arguments)
+    whole = play(env, 7)
+    same(whole, play(env, 7))
+    same(whole, play(single(**arguments), 7))
+    env.reset(seed=11)
+    kept = env.get_state()
+    copies = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), single(**arguments)]
+    copies[2].reset(seed=1)
+    copies[2].set_state(kept)
+    expected = play(env, None, 2)
+    for one in copies:
+        same(expected, play(one, None, 2))
+
+
+@KINDS
+def test_one_episode_may_differ_without_the_others(single, vector, usual, oval, wide):
+    envs = vector(4, autoreset_mode="DISABLED", **varied(usual, oval, wide))
+    _, before = envs.reset(seed=1)
+    _, after = envs.reset(options={"reset_mask": np.array([False, True, False, True])})
+    for name in ("friction", "mass"):
+        assert (after[name][[0, 2]] == before[name][[0, 2]]).all()
+        assert (after[name][[1, 3]] != before[name][[1, 3]]).all()
+
+
+def test_two_agents_have_the_same_variety(oval, wide):
+    env = HeadToHeadEnv(**{**varied(DUEL, oval, wide), "opponent": None})
+    _, infos = env.reset(seed=3)
+    assert {**infos["car_0"], "action_mask": None}.keys() == {**infos["car_1"], "action_mask": None}.keys()
+    assert infos["car_0"]["friction"] == infos["car_1"]["friction"]
+    env.step(dict.fromkeys(env.agents, 0))
+    again = pickle.loads(pickle.dumps(env))
+    moves = dict.fromkeys(env.agents, 1)
+    np.testing.assert_array_equal(env.step(moves)[0]["car_0"], again.step(moves)[0]["car_0"])
+
+
+# Circuits
+
+
+def test_every_circuit_of_a_list_is_driven(oval, wide):
+    envs = DriveVectorEnv(64, track=[oval, wide], opponent=None, start_lines=2)
+    _, infos = envs.reset(seed=0)
+    assert 20 <= infos["track"].sum() <= 44
+    assert dict(envs.metadata["codes"]["track"]) == {0: "oval", 1: "wide"}
+    assert envs.outcome()[0]["track"] in ("oval", "wide")
+
+
+def test_random_circuits_follow_from_the_seed_whatever_the_threads_do(oval, ovals, monkeypatch):
+    quick, source = random_circuits.random_circuit, RandomCircuits(episodes=2, count=1000)
+    drawn = []
+    for slow in (0.0, 0.01):
+
+        def late(settings, index, slow=slow):
+            time.sleep(slow * (index % 3))
+            return quick(settings, index)
+
+        monkeypatch.setattr(random_circuits, "random_circuit", late)
+        envs = DriveVectorEnv(3, track=source, opponent=None, start_lines=2, autoreset_mode="DISABLED")
+        for _ in range(2):
+            drawn.append([envs.reset(seed=5)[1]["track"].tolist()])
+            drawn[-1] += [envs.reset()[1]["track"].tolist() for _ in range(5)]
+    seen = drawn[0]
+    assert drawn == [seen] * 4
+    assert seen[0::2] == seen[1::2]  # two episodes on each
+    assert len({tuple(numbers) for numbers in seen}) == 3
+    single = DriveEnv(track=source, opponent=None, start_lines=2)
+    assert [single.reset(seed=6)[1]["track"], *(single.reset()[1]["track"] for _ in range(5))] == [n[1] for n in seen]
+    assert single.outcome()["track"] == f"random-{seen[-1][1]}"
+
+
+def test_the_next_circuit_is_built_while_this_one_is_driven(ovals):
+    env = DriveEnv(track=RandomCircuits(count=10**6), opponent=None, start_lines=2)
+    _, info = env.reset(seed=1)
+    _, later = env.reset()
+    for _ in range(100):
+        if len(ovals) >= 4:
+            break
+        time.sleep(0.01)
+    assert ovals[:3] == [0, info["track"], later["track"]]  # number 0 says what the environment looks like
+    assert len(ovals) == 4  # and the one that comes next
+    env.close()
+
+
+def test_a_random_circuit_can_be_raced_on():
+    settings = RandomCircuits(style="hull")
+    track = random_circuit(settings, 3)
+    assert track.content_hash == random_circuit(settings, 3).content_hash
+    assert 50.0 < track.length < 125.0
+    assert set(track.calibration) == {"paper", "contest"}
+    env = DuelEnv(track, "default", step_seconds=1.0, moves=1)
+    for seed in range(3):
+        env.reset(seed=seed)
+        assert not env.batch.state.race.crashed.any()
+
+
+def test_a_builder_forgets_the_circuits_that_nobody_needs(ovals, monkeypatch):
+    monkeypatch.setattr(random_circuits, "KEPT", 1)
+    builder = CircuitBuilder(RandomCircuits())
+    for index in range(5):
+        assert builder.get(index).name == f"random-{index}"
+    builder.get(4)
+    builder.get(0)
+    assert ovals == [0, 1, 2, 3, 4, 0]
+    builder.close()
+    assert threading.active_count() < 50
+
+
+# Cars
+
+
+def test_cars_are_what_the_argument_says(oval, tmp_path):
+    (tmp_path / "car.yaml").write_text("mu: 0.5\nm: 5.0\n")
+    env = DriveEnv(oval, vehicle=[{"mu": 0.7, "steer_max": 0.3}, tmp_path / "car.yaml"], start_lines=2)
+    first, second = env.batch.setup.vehicles
+    assert (first.mu, first.steer_max) == (0.7, 0.3)
+    assert (second.mu, second.m) == (0.5, 5.0)
+    game = DuelEnv(oval, vehicle=VehicleParams(mu=0.9), **DUEL).game
+    assert [car.mu for car in game.setup.vehicles] == [0.9, 0.9]
+
+
+def test_less_friction_makes_a_car_slide(oval):
+    """With the same commands at speed the car with less grip leaves its line."""
+    offsets = []
+    for mu in (1.0489, 0.4):
+        env = DriveEnv(oval, None, vehicle={"mu": mu}, time_step=0.02)
+        env.reset(seed=0, options={"poses": [[0.0, -4.0, 0.0, 6.0], [5.0, 4.0, 3.1, 0.0]]})
+        for _ in range(20):
+            env.step([0.5, 0.5])
+        offsets.append(env.batch.state.cars[0, 0, 1])
+    assert offsets[1] < offsets[0] - 0.1
+
+
+@pytest.mark.parametrize("opponent", [None, "lattice"])
+def test_a_steering_delay_shifts_the_commands(oval, opponent):
+    """The command in force is the one of two control periods before; with several cars each has its own queue."""
+    asked = np.random.default_rng(0).uniform(-0.4, 0.4, 20)
+    env = DriveEnv(oval, opponent, vehicle={"steer_delay": 0.04}, time_step=0.02)
+    env.reset(seed=0)
+    in_force = []
+    for steering in asked:
+        env.step([steering / 0.4189, 0.0])
+        in_force.append(env.batch.state.command[0, 0, 0])
+    np.testing.assert_allclose(in_force, [0.0, 0.0, *asked[:-2]], atol=1e-7)
+
+
+def test_what_is_drawn_is_what_is_driven():
+    variety = Variety(3, "Pipkin", VehicleParams(), RANGES, None)
+    variety.draw(np.arange(3), [np.random.default_rng(i) for i in range(3)])
+    for row in range(3):
+        values = {name: variety.drawn[name][row] for name in RANGES}
+        cars = [VehicleParams(
+            mu=values["friction"], m=values["mass"], inertia=0.04712 * values["mass"] / 3.74,
+            steer_delay=values["steering_delay"], steer_noise=values["steering_noise"],
+        ).as_row()] * 2  # fmt: skip
+        np.testing.assert_allclose(variety.vehicles[row], cars, rtol=1e-12)
+        assert values["steering_delay"] in (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
+
+
+def test_the_noise_of_the_lidar_is_drawn_for_each_episode(oval):
+    envs = DriveVectorEnv(
+        200, track=oval, opponent=None, beams=40, randomize={"lidar_noise": [0.01, 0.2]}, autoreset_mode="DISABLED"
+    )
+    seen, infos = envs.reset(seed=0)
+    cars = envs.batch.state.cars[:, 0][:, [0, 1, 4]]
+    error = seen[:, -40:] - Lidar(oval, 40).scan(cars)
+    spread = np.sqrt((error**2).mean(axis=1))
+    np.testing.assert_allclose(spread, infos["lidar_noise"], rtol=0.7)
+    assert np.corrcoef(spread, infos["lidar_noise"])[0, 1] > 0.95
+
+
+# Obstacles
+
+
+def test_drawn_obstacles_leave_room_and_keep_away_from_the_start(oval):
+    settings = Obstacles(count=(2, 2), apart=6.0, passage=1.0)
+    for seed in range(20):
+        boxes = settings.draw(oval, [5.0], np.random.default_rng(seed))
+        assert boxes.shape == (2, len(BOX))
+        frenet = oval.to_frenet(boxes[:, :2])
+        between = np.abs(np.diff(frenet[:, 0]))[0]
+        assert 5.99 < between < oval.length - 5.99
+        assert not ((frenet[:, 0] > 2.01) & (frenet[:, 0] < 12.99)).any()
+        reach = 0.5 * np.hypot(*boxes[:, 3:].T)
+        assert (1.1 + np.abs(frenet[:, 1]) - reach > 0.93).all()
+
+
+def test_a_car_crashes_into_a_given_obstacle_that_its_lidar_saw(oval):
+    env = DriveEnv(oval, None, beams=11, time_step=0.02)
+    poses = [[-4.0, -4.0, 0.0, 4.0], [4.0, 4.0, 3.1, 0.0]]
+    observation, _ = env.reset(seed=0, options={"poses": poses, "obstacles": [[0.0, -4.0, 0.0, 0.4, 0.4]]})
+    assert observation[-6] == pytest.approx(3.8, abs=0.03)  # the beam straight ahead
+    terminated, way = False, 0.0
+    while not terminated:
+        _, _, terminated, truncated, info = env.step([0.0, 0.0])
+        assert not truncated
+    way = env.batch.state.cars[0, 0, 0] + 4.0
+    assert info["crash"] == 1
+    assert info["fault"] == 1
+    assert way == pytest.approx(4.0 - 0.2 - 0.29, abs=0.12)
+    observation, _ = env.reset(seed=0, options={"poses": poses})
+    assert observation[-6] > 6.0
+
+
+def test_the_lattice_drives_around_obstacles():
+    """It crashes clearly less often among boxes than a driver that only follows the race line."""
+    track, races = load_track("Tarnfjord"), 24
+    starts = np.linspace(0.0, 0.5 * track.length, races, endpoint=False)
+    starts = np.stack([starts, starts + 0.5 * track.length], axis=1)  # half a lap apart, each car is alone
+    settings = Obstacles(count=(6, 6), passage=1.2)
+    boxes = [settings.draw(track, own, np.random.default_rng(i)) for i, own in enumerate(starts)]
+    conditions = RaceConditions(tracks=tuple(with_obstacles(track, own) for own in boxes))
+    crashes = {}
+    for text in ("lattice:pace=0.3", "pure-pursuit:pace=0.3"):
+        driver = parse_policy(text)
+        setup = RaceSetup(track, load_race_config("paper", duration=12.0), (driver.planner,) * 2)
+        state = empty_state(races, setup.memory_size)
+        state.cars[..., [0, 1, 4]] = track.to_cartesian(np.stack([starts, np.zeros((races, 2))], axis=-1))
+        settle(track, setup.vehicles, state, conditions)
+        assert not state.crashed.any()
+        theta = np.tile(pad_parameters([driver], setup.theta_size), (races, 2, 1))
+        advance(setup, state, theta, 1200, ittc=False, conditions=conditions)
+        crashes[text] = int((state.crash == 1).sum())
+    assert crashes["pure-pursuit:pace=0.3"] > 8
+    assert crashes["lattice:pace=0.3"] < 0.7 * crashes["pure-pursuit:pace=0.3"]
+
+
+# Arguments
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"track": []}, InputError, "track is"),
+        ({"track": [3]}, InputError, "track is"),
+        ({"track": ["Pipkin", "Nowhere"]}, UnknownNameError, "Nowhere"),
+        ({"vehicle": {"weight": 3.0}}, ConfigError, "weight"),
+        ({"vehicle": {"mu": -1.0}}, ConfigError, "mu is -1.0"),
+        ({"vehicle": [{}, {}, {}]}, ConfigError, "lists 3 cars"),
+        ({"vehicle": 3.0}, ConfigError, "vehicle"),
+        ({"vehicle": {"steer_delay": 0.03}}, ConfigError, "multiple of 0.02"),
+        ({"randomize": {"friction": [1.0, 0.5]}}, ConfigError, "friction is"),
+        ({"randomize": {"grip": [0.5, 1.0]}}, ConfigError, "grip"),
+        ({"randomize": {"steering_delay": [0.03, 0.035]}}, ConfigError, "no multiple"),
+        ({"randomize": {"lidar_noise": 0.1}}, ConfigError, "lidar"),
+        ({"randomize": 0.5}, ConfigError, "randomization"),
+        ({"obstacles": {"count": [3, 1]}}, ConfigError, "count is"),
+        ({"obstacles": 200}, ConfigError, "count is"),
+        ({"obstacles": {"size": 5.0}}, ConfigError, "size is"),
+        ({"obstacles": {"speed": 5.0}}, ConfigError, "speed"),
+    ],
+)
+@pytest.mark.parametrize("kind", [DriveEnv, DuelEnv])
+def test_impossible_arguments_are_one_clear_error(kind, arguments, error, message):
+    with pytest.raises(error, match=message):
+        kind(**{"track": "Pipkin", **arguments})
+
+
+@pytest.mark.parametrize(
+    "boxes", ["boxes", [[0.0, 0.0]], [[0.0, 0.0, 0.0, 0.3, np.nan]], [[0.0, -4.0, 0.0, 50.0, 0.3]]]
+)
+@KINDS
+def test_impossible_obstacles_of_a_reset_are_refused(single, vector, usual, oval, boxes):
+    env = single(oval, **usual)
+    with pytest.raises(InputError, match="obstacle"):
+        env.reset(seed=0, options={"obstacles": boxes})
+
+
+def test_a_car_never_starts_in_an_obstacle(oval):
+    """An impossible reset changes nothing that is driven."""
+    env = DriveEnv(oval, None, beams=3)
+    env.reset(seed=0)
+    env.step([0.1, 0.0])
+    before = env.batch.state.copy()
+    poses = [[0.0, -4.0, 0.0], [4.0, 4.0, 3.1]]
+    with pytest.raises(InputError, match="starts in one of the obstacles"):
+        env.reset(options={"poses": poses, "obstacles": [[0.2, -4.0, 0.0, 0.4, 0.4]]})
+    for mine, own in zip(env.batch.state, before, strict=True):
+        np.testing.assert_array_equal(mine, own)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"shortest": 70.0, "longest": 60.0}, {"style": "square"}, {"episodes": 0}, {"width": 1.0}]
+)
+def test_impossible_random_circuits_are_refused(changes):
+    with pytest.raises(ConfigError):
+        RandomCircuits(**changes)
+
+
+def test_a_single_number_is_a_range_and_settings_are_taken_as_they_are():
+    assert load_randomization({"friction": 0.8}) == Randomization(friction=(0.8, 0.8))
+    assert load_randomization(Randomization(mass=(3.0, 4.0))).names == ("mass",)
+    assert circuits.is_circuits("random")

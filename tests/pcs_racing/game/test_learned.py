@@ -1,0 +1,157 @@
+"""Learned characteristics: their values by hand, their files, and games on their axes."""
+
+import pickle
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import yaml
+from gymnasium.utils.env_checker import check_env
+
+from pcs_racing import InputError, PolicyArchive, get_planner, load_archive, save_archive
+from pcs_racing.envs.registration import register_environments
+from pcs_racing.game import characteristics
+from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
+from pcs_racing.game.learned import BOUND, LearnedAxis, LearnedCharacteristics, LearnedInput, register_learned
+from pcs_racing.game.learned_files import load_learned, save_learned
+from pcs_racing.race.state import SUMS
+from pcs_racing.testing import check_archive, check_characteristic
+
+INPUTS = (LearnedInput("aggressiveness", 0.0, 2.0), LearnedInput("restraint", 1.0, 0.5))
+RATING = LearnedAxis("toy_rating", "a rating", 0.5, (("aggressiveness", 2.0), ("aggressiveness * restraint", -1.0)))
+CYCLE = LearnedAxis("toy_cycle", "a cycle", 0.0, (("restraint", 1.0),))
+TOY = LearnedCharacteristics("toy", INPUTS, (RATING, CYCLE), {"seed": 3})
+
+
+@pytest.fixture(autouse=True)
+def own_registry(monkeypatch):
+    """What a test registers is forgotten after it."""
+    monkeypatch.setattr(characteristics, "_registered", dict(characteristics._registered))
+
+
+def archive(**changes) -> PolicyArchive:
+    lattice = get_planner("lattice")
+    policies = [lattice.policy({"pace": pace}).parameters for pace in (0.2, 0.5, 0.8)]
+    values = {
+        "name": "toy",
+        "planner": "lattice",
+        "parameter_names": lattice.parameter_names,
+        "parameters": np.array(policies),
+        "characteristics": ("toy_rating", "toy_cycle"),
+        "coordinates": np.array([[0.0, 1.0], [1.0, 0.0], [2.0, -1.0]]),
+        "learned": TOY,
+    }
+    return PolicyArchive(**{**values, **changes})
+
+
+def piece(lead: float) -> Segment:
+    """One race of 8 s with no sample of time to collision: a restraint of 0, so -2 on the scale of the input."""
+    return Segment(np.array([[40.0 + lead, 40.0]]), np.zeros((1, 2, len(SUMS))), np.array([8.0]), 8.0)
+
+
+def test_a_value_is_the_sum_of_its_weighted_terms():
+    # A lead of 4 m is 2 sd: 0.5 + 2 * 2 - 2 * (-2) for car 0; a deficit is -2: 0.5 - 4 - 4 for car 1.
+    values = measure(piece(4.0), TOY.characteristics)
+    np.testing.assert_allclose(values[0], [[8.5, -2.0], [-7.5, -2.0]])
+
+
+def test_inputs_are_limited():
+    far, limit = (measure(piece(lead), TOY.characteristics) for lead in (1000.0, 2.0 * BOUND))
+    np.testing.assert_array_equal(far, limit)
+
+
+def test_values_of_inputs_give_what_the_segment_gives():
+    inputs = measure(piece(3.0), get_characteristics(["aggressiveness", "restraint"]))
+    np.testing.assert_array_equal(TOY.estimate(inputs), measure(piece(3.0), TOY.characteristics))
+
+
+def test_the_axes_are_ordinary_characteristics():
+    register_learned(TOY)
+    register_learned(LearnedCharacteristics.from_plain(TOY.to_plain()))  # an equal set again: nothing happens
+    for characteristic in get_characteristics(TOY.names):
+        check_characteristic(characteristic)
+    with pytest.raises(InputError, match="toy_rating"):
+        register_learned(replace(TOY, axes=(replace(RATING, intercept=0.0), CYCLE)))
+
+
+def test_a_file_brings_them_back(tmp_path):
+    file = save_learned(TOY, tmp_path / "toy.yaml")
+    read = load_learned(file)
+    assert read == TOY
+    assert read.training == {"seed": 3}
+    assert get_characteristics(["toy_rating"])
+
+
+@pytest.mark.parametrize(
+    ("change", "value"),
+    [
+        (lambda plain: plain["axes"][0]["weights"].update(aggressiveness=2.5), "sha256"),
+        (lambda plain: plain["axes"][0]["weights"].update(charm=1.0), "charm"),
+        (lambda plain: plain["axes"][0].update(intercept=float("nan")), "nan"),
+        (lambda plain: plain["axes"][0].update(weights=[1.0]), "weights"),
+        (lambda plain: plain["axes"][0].update(name="pace"), "pace"),
+        (lambda plain: plain["inputs"][0].update(scale=0.0), "scale"),
+        (lambda plain: plain["inputs"][0].update(name="charm"), "charm"),
+        (lambda plain: plain.update(inputs=3), "inputs"),
+        (lambda plain: plain.update(name="../toy"), "../toy"),
+        (lambda plain: plain.update(training=[]), "training"),
+        (lambda plain: plain.pop("sha256"), "sha256"),
+    ],
+)
+def test_a_damaged_file_is_refused(tmp_path, change, value):
+    file = save_learned(TOY, tmp_path / "toy.yaml")
+    plain = yaml.safe_load(file.read_text())
+    change(plain)
+    file.write_text(yaml.safe_dump(plain))
+    with pytest.raises(InputError, match=value.replace(".", r"\.")):
+        load_learned(file)
+    assert "toy_rating" not in characteristics.characteristic_names()
+
+
+def test_an_archive_brings_its_axes_with_it(tmp_path, monkeypatch):
+    made = archive()
+    check_archive(made)
+    folder = save_archive(made, tmp_path / "toy")
+    without = {name: kind for name, kind in characteristics._registered.items() if not name.startswith("toy_")}
+    data = pickle.dumps(made)
+    for bring in (lambda: load_archive(folder), lambda: pickle.loads(data)):
+        monkeypatch.setattr(characteristics, "_registered", dict(without))  # as in another process
+        read = bring()
+        assert read.learned == TOY
+        assert read.content_hash == made.content_hash
+        assert get_characteristics(["toy_rating", "toy_cycle"])
+
+
+def test_other_weights_make_another_archive():
+    other = replace(TOY, axes=(RATING, replace(CYCLE, intercept=1.0)))
+    first = archive().content_hash
+    characteristics._registered.pop("toy_rating"), characteristics._registered.pop("toy_cycle")
+    assert archive(learned=other).content_hash != first
+
+
+def test_an_archive_does_not_replace_a_characteristic_of_the_same_name(tmp_path):
+    folder = save_archive(archive(), tmp_path / "toy")
+    characteristics._registered["toy_cycle"] = Characteristic(
+        "toy_cycle", "1", "mine", lambda segment: segment.progress
+    )
+    with pytest.raises(InputError, match="toy_cycle"):
+        load_archive(folder)
+
+
+@pytest.mark.parametrize("damage", [{"name": "toy"}, [], 3, "toy"])
+def test_an_archive_with_damaged_axes_is_refused(tmp_path, damage):
+    folder = save_archive(archive(), tmp_path / "toy")
+    manifest = yaml.safe_load((folder / "manifest.yaml").read_text())
+    (folder / "manifest.yaml").write_text(yaml.safe_dump({**manifest, "learned": damage}))
+    with pytest.raises(InputError, match="learned"):
+        load_archive(folder)
+
+
+def test_an_environment_with_learned_axes_passes_the_checker():
+    register_environments()
+    env = gym.make(
+        "pcs_racing/Duel-v1", track="Tarnfjord", archive=archive(), moves=2, step_seconds=1.0, disable_env_checker=True
+    ).unwrapped
+    check_env(env, skip_render_check=True)
+    assert env.game.move_names[:4] == ("toy_rating +", "toy_rating -", "toy_cycle +", "toy_cycle -")

@@ -1,0 +1,197 @@
+"""The benchmark on a small protocol: races, scores, cards, and the leaderboard."""
+
+import json
+
+import numpy as np
+import pytest
+from zoo_games import toy_archive
+
+from pcs_racing import InputError, save_archive
+from pcs_racing_agents.agents import make
+from pcs_racing_agents.agents.sb3_files import load_sb3_policy
+from pcs_racing_agents.benchmark.card import Card, read_card, write_card
+from pcs_racing_agents.benchmark.entrants import load_entrant
+from pcs_racing_agents.benchmark.leaderboard import board_page, board_rows, read_cards
+from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
+from pcs_racing_agents.benchmark.scoring import Score, gain, play_protocol, rating, summarise
+from pcs_racing_agents.cli.main import main
+
+SMALL = {
+    "race": "paper",
+    "archive": "default",
+    "seen": ("Pipkin",),
+    "unseen": ("Larkmoor",),
+    "keeps": ("never-switch",),
+    "switches": ("random-moves",),
+    "planners": ("pure-pursuit",),
+    "agents": ("always-restraint+",),
+    "blind": ("never-switch",),
+    "egos": 2,
+    "variants": 2,
+}
+
+
+@pytest.fixture(scope="module")
+def protocol():
+    return load_protocol(ProtocolConfig(**SMALL))
+
+
+@pytest.fixture(scope="module")
+def results(protocol):
+    return play_protocol(protocol, make("random-moves", archive="default"))
+
+
+def test_every_opponent_is_met_on_every_circuit_by_every_arm(protocol, results):
+    cells = list(protocol.cells)
+    assert {(cell.circuit, cell.kind) for cell in cells} == {(c, k) for c in ("Pipkin", "Larkmoor") for k in KINDS}
+    assert list(results) == ["random-moves", "never-switch"]
+    for races in results.values():
+        assert [one.cell for one in races] == cells
+    for own, blind in zip(*results.values(), strict=True):
+        np.testing.assert_array_equal(own.races.start_s, blind.races.start_s)
+        np.testing.assert_array_equal(own.races.variants, blind.races.variants)
+
+
+def test_scores_are_means_over_the_races(results):
+    own = results["random-moves"]
+    scores = {(score.part, score.circuits): score for score in summarise(own)}
+    every = np.concatenate([one.races.score for one in own])
+    assert scores["all", "all"].score == pytest.approx(every.mean())
+    assert scores["all", "all"].races == len(every)
+    crashed = np.concatenate([one.races.crashed for one in own])
+    assert scores["all", "all"].own_crash + scores["all", "all"].other_crash == pytest.approx(crashed.mean())
+    one = own[0]
+    assert scores[one.cell.opponent, one.cell.circuit].score == pytest.approx(one.races.score.mean())
+
+
+def test_the_gain_is_over_the_best_blind_strategy_on_the_same_races(results):
+    found = gain(results, "random-moves")
+    means = {name: np.concatenate([one.races.score for one in cells]).mean() for name, cells in results.items()}
+    assert found["over"] == "never-switch"
+    assert found["gain"] == pytest.approx(means["random-moves"] - means["never-switch"])
+    assert found["low"] <= found["gain"] <= found["high"]
+
+
+def test_a_rating_explains_the_score(protocol, results, monkeypatch):
+    class Line:
+        rating = 100.0
+
+    table = {("default", "paper", "never-switch"): Line}
+    monkeypatch.setattr("pcs_racing_agents.benchmark.scoring.measurements", lambda: table)
+    own = [one for one in results["random-moves"] if one.cell.opponent == "never-switch"]
+    score = np.mean([one.races.score.mean() for one in own])
+    if 0.0 < score < 1.0:
+        assert rating(protocol, own) == pytest.approx(100.0 + 400.0 * np.log10(score / (1.0 - score)))
+    monkeypatch.setattr("pcs_racing_agents.benchmark.scoring.measurements", dict)
+    assert rating(protocol, own) is None
+
+
+def test_a_protocol_of_another_installation_is_refused(protocol):
+    kept = ProtocolConfig(**SMALL, hashes=protocol.hashes)
+    assert load_protocol(kept).content_hash == protocol.content_hash
+    changed = ProtocolConfig(**SMALL, hashes=(protocol.hashes[0][:-1] + "x", *protocol.hashes[1:]))
+    with pytest.raises(InputError, match="archive default"):
+        load_protocol(changed)
+
+
+# Entrants
+
+
+def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
+    (tmp_path / "brought.py").write_text(
+        "from pcs_racing.game.competitor import SameMove\n"
+        "def agent(setting, weights=None):\n"
+        "    return SameMove('mine' if weights is None else weights.name, 1)\n"
+    )
+    (tmp_path / "net.pt").write_bytes(b"")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert load_entrant("never-switch", protocol.setting).name == "never-switch"
+    assert load_entrant("brought:agent", protocol.setting).name == "agent"
+    assert load_entrant("brought:agent", protocol.setting, weights=tmp_path / "net.pt", name="x").name == "x"
+    assert load_entrant("lattice:pace=0.4", protocol.setting).name == "lattice:pace=0.4"
+    assert load_entrant("ppo-drive", protocol.setting, drive=True).planner.name == "ppo-drive"
+    for text, value in (("brought:nothing", "brought:nothing"), ("nobody", "'nobody'"), ("gone.zip", "gone.zip")):
+        with pytest.raises(InputError, match=value):
+            load_entrant(text, protocol.setting)
+
+
+def test_a_policy_of_stable_baselines3_is_read_without_running_its_code(protocol, tmp_path):
+    sb3 = pytest.importorskip("stable_baselines3")
+    gym = pytest.importorskip("gymnasium")
+    size, moves = len(protocol.setting.elements), protocol.setting.offered
+
+    class Spaces(gym.Env):
+        observation_space = gym.spaces.Box(-5.0, 5.0, (size,), np.float32)
+        action_space = gym.spaces.Discrete(moves)
+
+    model = sb3.PPO("MlpPolicy", Spaces(), seed=3, device="cpu")
+    model.save(tmp_path / "mine.zip")
+    policy = load_sb3_policy(tmp_path / "mine.zip")
+    observations = np.random.default_rng(0).uniform(-1.0, 1.0, (50, size)).astype(np.float32)
+    np.testing.assert_array_equal(policy.predict(observations)[0], model.predict(observations, deterministic=True)[0])
+    (tmp_path / "other.zip").write_bytes(b"not a zip")
+    with pytest.raises(InputError, match=r"other\.zip"):
+        load_sb3_policy(tmp_path / "other.zip")
+
+
+# Cards
+
+
+def card(name="mine", score=0.5, **changes):
+    parts = (("all", "all"), ("all", "seen"), ("all", "unseen"), ("keeps", "seen"))
+    scores = tuple(Score(*part, 10, score, score - 0.1, score + 0.1, 0.1, 0.0) for part in parts)
+    gains = {"all": {"over": "best-fixed", "gain": 0.1, "low": 0.0, "high": 0.2}}
+    values = {"protocol": "p-v1", "protocol_sha256": "ab" * 32, "agent": name, "agent_sha256": "c", "gains": gains}
+    return Card(**{**values, "scores": scores, **changes})
+
+
+def test_a_card_comes_back_as_it_was_written(tmp_path):
+    written = card("<b>mine</b>", rating=12.0, cost_us=3.5)
+    assert {path.name for path in write_card(written, tmp_path)} == {"card.json", "card.md", "card.html"}
+    assert read_card(tmp_path) == written
+    page = (tmp_path / "card.html").read_text()
+    assert "<b>mine" not in page
+    assert "&lt;b&gt;mine" in page
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "pcs-racing card 1"}', '{"format": "other"}'])
+def test_a_damaged_card_is_refused(tmp_path, text):
+    (tmp_path / "card.json").write_text(text)
+    with pytest.raises(InputError, match=r"card\.json"):
+        read_card(tmp_path)
+
+
+def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
+    def folder(name, value):
+        (tmp_path / name).mkdir()
+        write_card(value, tmp_path / name)
+        return tmp_path / name
+
+    good = [folder("a", card("a", 0.3)), folder("b", card("b", 0.6))]
+    cards = read_cards(good)
+    assert [row[0] for row in board_rows(cards)] == ["b", "a"]
+    assert "p-v1" in board_page(cards)
+    for name, value in (
+        ("v2", card("c", protocol="p-v2")),
+        ("hash", card("d", protocol_sha256="0")),
+        ("twice", card("a")),
+    ):
+        with pytest.raises(InputError, match=name):
+            read_cards([*good, folder(name, value)])
+
+
+def test_the_command_writes_a_card_that_the_leaderboard_takes(tmp_path, capsys):
+    archive = toy_archive()
+    save_archive(archive, tmp_path / "toy")
+    settings = {**SMALL, "archive": str(tmp_path / "toy"), "unseen": ["Larkmoor"], "planners": ["pure-pursuit"]}
+    file = tmp_path / "protocol.yaml"
+    file.write_text(
+        json.dumps({key: list(value) if isinstance(value, tuple) else value for key, value in settings.items()})
+    )
+    out = tmp_path / "card"
+    assert main(["benchmark", "random-moves", "--protocol", str(file), "--out", str(out)]) == 0
+    assert "Adaptivity gain over the best blind strategy (never-switch)" in capsys.readouterr().out
+    assert main(["leaderboard", str(out), "--out", str(tmp_path / "board")]) == 0
+    assert (tmp_path / "board" / "leaderboard.html").is_file()
+    assert main(["benchmark", "nobody", "--protocol", str(file), "--out", str(tmp_path / "none")]) == 2
+    assert not (tmp_path / "none" / "card.json").exists()

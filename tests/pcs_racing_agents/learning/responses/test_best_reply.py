@@ -1,0 +1,128 @@
+"""Loss to a learned best reply, in short games in which a good reply is known: to go faster."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcs_racing import make_game
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.config import load_game_config
+from pcs_racing_agents.agents.blind import always, never_switch
+from pcs_racing_agents.agents.drivers import planner_driver
+from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.learning.responses import best_reply, load_response_settings
+from pcs_racing_agents.learning.responses.best_reply import excess_estimate
+
+SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)
+
+
+@pytest.fixture(scope="module")
+def setting(archive):
+    return make_setting(archive, load_game_config("paper", moves=2, step_seconds=2.5))
+
+
+@pytest.fixture(scope="module")
+def games(oval, setting):
+    return [make_game(oval, setting.archive, setting.config, stay=True, threads=1)]
+
+
+def reply_to(agent, games, setting, folder, executor=None, races=1000):
+    with open_job(folder, "best reply", {"agent": agent.name}) as job:
+        return best_reply(games, agent, setting, SMALL, job, races=races, executor=executor)
+
+
+@pytest.fixture(scope="module")
+def slow(games, setting, tmp_path_factory):
+    pytest.importorskip("torch", reason="torch is not installed")
+    folder = tmp_path_factory.mktemp("replies") / "slow"
+    return folder, reply_to(always(setting, "aggressiveness -"), games, setting, folder)
+
+
+def test_an_agent_that_slows_down_loses_to_one_that_was_trained_against_it(slow):
+    _, reply = slow
+    assert reply.loss.low > 0.0
+    assert reply.loss.mean > 0.05
+    assert len(reply.races) == reply.loss.units == 10 * 10 * 5 * 2
+    excess = np.mean(reply.races.winner == 0) - np.mean(reply.races.winner == 1)
+    assert reply.loss.mean == pytest.approx(0.5 * excess)
+
+
+def test_the_races_start_where_the_learner_did_not(slow, games):
+    _, reply = slow
+    assert not set(np.round(reply.races.start_s, 6)) & set(np.round(games[0].start_lines, 6))
+
+
+def test_a_run_that_goes_on_elsewhere_gives_the_same(slow, games, setting):
+    folder, first = slow
+    for file in sorted((folder / "chunks").glob("*.npz"))[::2]:
+        file.unlink()
+    with make_executor("threads", 2) as executor:
+        again = reply_to(always(setting, "aggressiveness -"), games, setting, folder, executor)
+    assert again.loss == first.loss
+    for own, others in zip(first.network.layers.weights, again.network.layers.weights, strict=True):
+        np.testing.assert_array_equal(own, others)
+
+
+def test_networks_are_kept_with_the_job(slow, games, setting, monkeypatch):
+    """A run that goes on does not train again what is there."""
+    from pcs_racing_agents.learning.responses import kept_networks
+
+    def never(*arguments, **options):
+        raise AssertionError("trained again")
+
+    monkeypatch.setattr(kept_networks, "train_network", never)
+    folder, first = slow
+    assert reply_to(always(setting, "aggressiveness -"), games, setting, folder).loss == first.loss
+
+
+def test_a_driver_with_one_policy_can_be_replied_to(games, setting, tmp_path):
+    pytest.importorskip("torch", reason="torch is not installed")
+    reply = reply_to(planner_driver(setting, name="pure-pursuit"), games, setting, tmp_path / "driver", races=40)
+    assert set(reply.races.variants[:, 1]) == {0}
+    assert len(reply.loss.clusters) == 2  # start policies of the reply, and start lines
+
+
+def test_too_few_races_are_refused_before_anything_is_learned(games, setting, tmp_path):
+    with pytest.raises(InputError, match="races is 39"):
+        reply_to(never_switch(setting), games, setting, tmp_path / "few", races=39)
+    assert not (tmp_path / "few" / "chunks").exists()
+
+
+def test_nobody_wins_a_race_against_itself(slow):
+    _, reply = slow
+    even = replace(reply.races, winner=np.tile(np.array([0, 1], np.int8), len(reply.races) // 2))
+    assert excess_estimate(even).mean == 0.0
+    with pytest.raises(InputError, match="no races"):
+        excess_estimate(even.take([]))
+
+
+def test_what_start_policies_bring_is_no_noise(slow):
+    """If the faster start policy always wins, nobody loses to anybody, and the interval says so."""
+    _, reply = slow
+    ego, opponent = reply.races.variants.T.astype(int)
+    faster = replace(reply.races, winner=np.where(ego == opponent, -1, ego < opponent).astype(np.int8))
+    estimate = excess_estimate(faster)
+    assert (estimate.mean, estimate.se) == (pytest.approx(0.0), pytest.approx(0.0, abs=1e-12))
+
+
+def test_the_command_prints_the_loss_and_writes_it(tmp_path, capsys):
+    pytest.importorskip("torch", reason="torch is not installed")
+    config = tmp_path / "small.yaml"
+    config.write_text("rounds: 1\nmembers: 1\nhidden: [8]\nepochs: 2\n", encoding="utf-8")
+    out = tmp_path / "reply"
+    command = ["best-reply", "never-switch", "--track", "Tarnfjord", "Pipkin", "--duration", "2.5", "--starts", "8"]
+    assert main([*command, "--config", str(config), "--races", "80", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "learner: 8 games branched at every step" in printed
+    with open(out / "best_reply.csv", newline="", encoding="utf-8") as file:
+        rows = {row["track"]: row for row in csv.DictReader(file)}
+    assert list(rows) == ["Tarnfjord", "Pipkin", "all"]
+    assert int(rows["all"]["races"]) == 80
+    assert f"{float(rows['all']['loss']):+.3f}" in printed
+    assert (out / "reply" / "manifest.yaml").is_file()
+    assert main([*command, "--config", str(config), "--races", "81", "--out", str(out)]) == 2  # another run
+    assert "races" in capsys.readouterr().err

@@ -1,0 +1,193 @@
+"""Restricted Nash responses, response oracles and their curve, in games of two moves."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcs_racing import make_game
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.blind import always, never_switch
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.learning.responses import learn_response, load_response_settings
+from pcs_racing_agents.learning.responses.best_reply import race_on_circuits
+from pcs_racing_agents.learning.robust import (
+    learn_psro,
+    learn_robust,
+    load_psro_settings,
+    load_robust_settings,
+    restricted,
+)
+from pcs_racing_agents.learning.robust.curve import gain_over, robust_curve
+
+TINY = "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n"
+
+
+@pytest.fixture(autouse=True)
+def _with_torch():
+    pytest.importorskip("torch", reason="torch is not installed")
+
+
+@pytest.fixture(scope="module")
+def learner(tmp_path_factory) -> str:
+    file = tmp_path_factory.mktemp("learner") / "tiny.yaml"
+    file.write_text(TINY, encoding="utf-8")
+    return str(file)
+
+
+@pytest.fixture(scope="module")
+def games(oval, archive):
+    return [make_game(oval, archive, "contest", moves=2, step_seconds=1.2, threads=1)]
+
+
+@pytest.fixture(scope="module")
+def setting(games):
+    return make_setting(games[0].archive, games[0].config)
+
+
+@pytest.fixture(scope="module")
+def pool(setting):
+    return [never_switch(setting), always(setting, "aggressiveness -")]
+
+
+def test_the_opponents_are_those_of_the_method(games, setting, pool, learner, tmp_path, monkeypatch):
+    """The response, then by turns an adversary of all agents so far and a response to pool and adversaries."""
+    asked = []
+
+    def learn(games, opponents, setting, settings, job, *, shares, name, **rest):
+        asked.append(([opponent.name for opponent in opponents], list(shares), settings.seed))
+        return learn_response(games, opponents, setting, settings, job, shares=shares, name=name, **rest)
+
+    monkeypatch.setattr(restricted, "learn_response", learn)
+    settings = load_robust_settings(pool_share=0.6, rounds=2, learner=learner)
+    with open_job(tmp_path / "robust", "robust", {}) as job:
+        networks = learn_robust(games, pool, setting, settings, job)
+    kept, slow = (opponent.name for opponent in pool)
+    names = [opponents for opponents, _, _ in asked]
+    assert names == [
+        [kept, slow],
+        ["robust-response-0"],
+        [kept, slow, "robust-adversary-1"],
+        ["robust-response-0", "robust-response-1"],
+        [kept, slow, "robust-adversary-1", "robust-adversary-2"],
+    ]
+    shares = [np.array(own) for _, own, _ in asked]
+    np.testing.assert_allclose(shares[2], [0.3, 0.3, 0.4])
+    np.testing.assert_allclose(shares[3], [0.0, 1.0])
+    np.testing.assert_allclose(shares[4], [0.3, 0.3, 0.2, 0.2])
+    assert len({seed for *_, seed in asked}) == 5
+    np.testing.assert_allclose(networks.weights, [1 / 3, 2 / 3])
+    build("robust", setting, networks=networks).check_fits(games[0])
+
+
+def test_with_the_pool_alone_it_is_the_response(games, setting, pool, learner, tmp_path):
+    settings = load_robust_settings(pool_share=1.0, learner=learner)
+    with open_job(tmp_path / "robust", "robust", {}) as job:
+        (network,) = learn_robust(games, pool, setting, settings, job).networks
+    with open_job(tmp_path / "response", "response", {}) as job:
+        response = learn_response(games, pool, setting, settings.response(0), job, shares=[1, 1])
+    np.testing.assert_array_equal(network.layers.weights[0], response.layers.weights[0])
+
+
+def test_psro_adds_responses_to_the_equilibrium_and_goes_on_after_a_stop(games, setting, pool, learner, tmp_path):
+    settings = load_psro_settings(rounds=3, races=20, learner=learner)
+    with open_job(tmp_path / "one", "psro", {}) as job:
+        one = learn_psro(games, pool, setting, settings, job)
+    assert 1 <= len(one.networks) <= 3
+    assert one.weights.sum() == pytest.approx(1.0)
+    assert len({network.name for network in one.networks}) == len(one.networks)
+    for file in sorted((tmp_path / "one" / "chunks").glob("*.npz"))[::3]:
+        file.unlink()
+    with make_executor("threads", 2) as executor, open_job(tmp_path / "one", "psro", {}) as job:
+        two = learn_psro(games, pool, setting, settings, job, executor=executor)
+    np.testing.assert_array_equal(one.weights, two.weights)
+    for own, other in zip(one.networks, two.networks, strict=True):
+        np.testing.assert_array_equal(own.layers.weights[0], other.layers.weights[0])
+
+
+def test_shares_divide_the_games(games, setting, pool, learner, tmp_path):
+    settings = load_response_settings(learner)
+    with open_job(tmp_path / "shares", "response", {}) as job:
+        network = learn_response(games, pool, setting, settings, job, shares=[3, 1])
+        # At each of two steps; races that were over before give no row.
+        assert settings.starts < network.training["rows"] <= 2 * settings.starts
+        for shares in ([1.0], [0, 0], [1, -1], [1, np.nan]):
+            with pytest.raises(InputError, match="shares"):
+                learn_response(games, pool, setting, settings, job, shares=shares)
+
+
+def test_the_curve_is_measured_in_the_same_races(games, setting, pool, learner, tmp_path):
+    reply = load_response_settings(learner)
+    settings = load_robust_settings(rounds=1, learner=learner)
+    with open_job(tmp_path / "curve", "curve", {}) as job:
+        points = robust_curve(games, pool, pool[0], setting, settings, reply, job, pool_shares=(0.5, 1.0), races=40)
+        assert [point.pool_share for point in points] == [0.5, 1.0]
+        assert all(point.gain.units == 80 and point.loss.units == 40 for point in points)
+        own, other = (
+            race_on_circuits(games, agent, pool[1], 40, 0, job, name=f"x-{i}") for i, agent in enumerate(pool)
+        )
+        assert gain_over([own], [own]).mean == 0.0
+        assert gain_over([own], [other]).mean == pytest.approx(np.mean(own.score - other.score))
+        with pytest.raises(InputError, match="side"):
+            gain_over([own], [replace(other, side=1 - other.side)])
+        for shares in ((), (0.5, 0.5), (1.5,)):
+            with pytest.raises(InputError):
+                robust_curve(games, pool, pool[0], setting, settings, reply, job, pool_shares=shares)
+
+
+@pytest.mark.parametrize(
+    ("load", "change", "value"),
+    [
+        (load_robust_settings, {"pool_share": 1.1}, "1.1"),
+        (load_robust_settings, {"rounds": 0}, "0"),
+        (load_psro_settings, {"rounds": 1}, "1"),
+    ],
+)
+def test_impossible_settings_are_refused(load, change, value):
+    with pytest.raises(ConfigError, match=value):
+        load(**change)
+    with pytest.raises(InputError, match="nobody"):
+        load(learner="nobody's")
+
+
+GAME = ["--track", "Tarnfjord", "--duration", "2.5"]
+
+
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [
+        ("response", TINY),
+        ("robust", "rounds: 1\nlearner: {learner}\n"),
+        ("psro", "rounds: 2\nraces: 4\nlearner: {learner}\n"),
+        ("self-play", "iterations: 2\nstarts: 8\nhidden: [8]\nepochs: 2\n"),
+    ],
+)
+def test_the_command_learns_an_agent_that_races(method, settings, learner, tmp_path, capsys):
+    config = tmp_path / "settings.yaml"
+    config.write_text(settings.format(learner=learner), encoding="utf-8")
+    out = tmp_path / method
+    assert main(["learn", method, *GAME, "--config", str(config), "--out", str(out)]) == 0
+    (last,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("written: ")]
+    agent = last.rpartition("race it as ")[2]
+    assert main(["tournament", *GAME, "--agents", agent, "never-switch", "--races", "2"]) == 0
+
+
+def test_the_curve_command_prints_the_table_and_draws(learner, tmp_path, capsys):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+    config = tmp_path / "settings.yaml"
+    config.write_text(f"rounds: 1\nlearner: {learner}\n", encoding="utf-8")
+    out = tmp_path / "curve"
+    command = ["robust-curve", *GAME, "--config", str(config), "--reply", learner, "--out", str(out)]
+    assert main([*command, "--shares", "0.5", "1", "--races", "40", "--pool", "never-switch"]) == 0
+    printed = capsys.readouterr().out
+    with open(out / "curve.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["pool_share"] for row in rows] == ["0.5", "1"]
+    for row in rows:
+        assert f"{float(row['loss']):+.3f}" in printed
+    assert (out / "curve.png").stat().st_size > 10_000
+    assert (out / "p-0.5" / "set.yaml").is_file()

@@ -1,0 +1,40 @@
+"""The code in docs/self_play.md runs, and its table of families is that of the package."""
+
+import pytest
+from repository import python_blocks, read_page, run_block
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.agents.families import FAMILIES, families_for, family_of
+from pcs_racing_agents.agents.zoo import SHIPPED
+
+PAGE = read_page("self_play.md")
+BLOCKS = python_blocks(PAGE)
+
+
+@pytest.mark.parametrize("number", range(len(BLOCKS)))
+def test_the_code_runs(number, tmp_path, monkeypatch):
+    pytest.importorskip("torch", reason="torch is not installed")
+    monkeypatch.chdir(tmp_path)
+    run_block(BLOCKS[number])
+
+
+def test_the_page_names_every_family_and_its_use():
+    rows = [
+        line.split(" | ")
+        for line in PAGE.splitlines()
+        if line.startswith("| ") and line.endswith(("training |", "test |"))
+    ]
+    assert [(row[0].removeprefix("| "), row[-1].removesuffix(" |")) for row in rows] == [
+        (family.name, family.use) for family in FAMILIES
+    ]
+
+
+def test_an_opponent_is_for_training_or_for_tests_never_both():
+    members = [member for family in FAMILIES for member in family.members]
+    assert len(members) == len(set(members))
+    assert set(members) <= set(SHIPPED)
+    assert family_of("lane-switcher:3").use == "test"
+    assert family_of("always-pace+") is None
+    assert {family.name for family in families_for("training")} == {"archive", "random moves", "gap follower"}
+    with pytest.raises(InputError, match="'fun'"):
+        families_for("fun")

@@ -1,0 +1,73 @@
+"""Sets of networks as folders."""
+
+import numpy as np
+import pytest
+import yaml
+from zoo_games import untrained
+
+from pcs_racing import InputError, UnknownNameError
+from pcs_racing_agents.networks import NetworkSet, list_networks, load_network_set, save_network, save_network_set
+
+
+@pytest.fixture
+def known(setting) -> NetworkSet:
+    networks = tuple(untrained(setting, "advantage", seed) for seed in (1, 2))
+    return NetworkSet("two", networks, np.array([3.0, 1.0]), "argmax", {"rounds": 2})
+
+
+def test_a_set_comes_back_as_it_was(known, tmp_path):
+    folder = save_network_set(known, tmp_path / "set")
+    back = load_network_set(folder)
+    assert (back.name, back.decision, back.training) == ("two", "argmax", {"rounds": 2})
+    np.testing.assert_array_equal(back.weights, [0.75, 0.25])
+    for own, other in zip(known.networks, back.networks, strict=True):
+        np.testing.assert_array_equal(own.layers.weights[0], other.layers.weights[0])
+    assert load_network_set(back) is back
+    assert "set" not in list_networks()
+
+
+def test_a_smaller_set_replaces_a_larger_one(known, setting, tmp_path):
+    save_network_set(known, tmp_path / "set")
+    one = NetworkSet("one", (untrained(setting, "advantage", 5),), np.ones(1), "argmax")
+    assert len(load_network_set(save_network_set(one, tmp_path / "set")).networks) == 1
+
+
+def test_a_network_that_was_exchanged_is_noticed(known, setting, tmp_path):
+    folder = save_network_set(known, tmp_path / "set")
+    save_network(untrained(setting, "advantage", 9), folder / "01")
+    with pytest.raises(InputError, match="01"):
+        load_network_set(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "value"),
+    [
+        ({"format": "x"}, "network set"),
+        ({"weights": [1.0]}, "1 weights for 2"),
+        ({"weights": ["a", "b"]}, "weights"),
+        ({"networks": ["00", "../01"]}, "../01"),
+        ({"decision": 3}, "3"),
+        ({"training": []}, r"\[\]"),
+        ({"weights": [0.0, 0.0]}, "all weights are 0"),
+    ],
+)
+def test_files_that_are_no_set_are_refused(known, tmp_path, change, value):
+    folder = save_network_set(known, tmp_path / "set")
+    file = folder / "set.yaml"
+    file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **change}))
+    with pytest.raises(InputError, match=value):
+        load_network_set(folder)
+
+
+def test_sets_that_can_not_be_are_refused(known, tmp_path):
+    with pytest.raises(InputError, match="0 networks"):
+        NetworkSet("none", (), np.zeros(0), "argmax")
+    with pytest.raises(InputError, match="weights"):
+        NetworkSet("odd", known.networks, np.array([1.0, -1.0]), "argmax")
+    with pytest.raises(UnknownNameError, match="'nowhere'"):
+        load_network_set("nowhere")
+    with pytest.raises(InputError, match="5"):
+        load_network_set(5)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"set\.yaml"):
+        load_network_set(tmp_path / "empty")

@@ -1,0 +1,165 @@
+"""Headroom on pools whose true payoffs are known."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcs_racing import InputError
+from pcs_racing_agents.payoffs.headroom import (
+    cyclic_part,
+    cyclic_planes,
+    headroom,
+    ratings,
+    slot_headroom,
+    transitive_share,
+)
+
+FOLDS, RACES = 4, 400
+
+
+def ladder(policies: int, step: float = 0.02) -> np.ndarray:
+    """Payoffs of policies that only differ in strength."""
+    strength = step * np.arange(policies)
+    return strength[:, None] - strength[None, :]
+
+
+def wheel(policies: int, size: float = 0.3) -> np.ndarray:
+    """Payoffs of policies on a circle: each beats those up to half a turn behind it."""
+    angle = 2.0 * np.pi * np.arange(policies) / policies
+    return size * np.sin(angle[:, None] - angle[None, :])
+
+
+def true_headroom(payoffs: np.ndarray) -> float:
+    return float(payoffs.max(axis=0).mean() - payoffs.mean(axis=1).max())
+
+
+def played(payoffs: np.ndarray, seed: int, races: int = RACES, folds: int = FOLDS) -> np.ndarray:
+    """Payoffs as races show them: each fold is a mean of races that are won or lost."""
+    rng = np.random.default_rng(seed)
+    won = np.triu(rng.binomial(races, 0.5 + payoffs, size=(folds, *payoffs.shape)) / races - 0.5, 1)
+    return won - won.transpose(0, 2, 1)
+
+
+def test_a_pool_whose_fastest_policy_beats_all_has_no_headroom():
+    estimates = [headroom(played(ladder(10), seed)).value for seed in range(10)]
+    assert abs(np.mean(estimates)) < 0.01
+
+
+@pytest.mark.parametrize("strength", [0.0, 0.02])
+def test_headroom_of_a_wheel_is_what_its_true_payoffs_say(strength):
+    truth = wheel(9, 0.15) + ladder(9, strength)
+    estimates = [headroom(played(truth, seed)) for seed in range(10)]
+    error = np.mean([estimate.opponents_error for estimate in estimates])
+    assert abs(np.mean([estimate.value for estimate in estimates]) - true_headroom(truth)) < error
+    assert all(estimate.low <= estimate.value + 1e-12 for estimate in estimates)
+
+
+def test_replies_are_judged_on_races_that_had_no_say():
+    """In the first fold policy 0 beats everybody by luck; nothing of that is left in the others."""
+    folds = np.zeros((2, 3, 3))
+    folds[0, 0, 1:], folds[0, 1:, 0] = 0.5, -0.5
+    folds[1, 2, :2], folds[1, :2, 2] = 0.5, -0.5
+    # Chosen on fold 1, policy 2 is fixed and the reply to all; on fold 0, policy 0 is.
+    assert headroom(folds).value == 0.0
+
+
+def test_the_gain_of_each_opponent_adds_up_to_the_headroom():
+    result = headroom(played(wheel(6), 3))
+    assert result.gains.shape == (6,)
+    assert result.gains.mean() == pytest.approx(result.value)
+    assert result.opponents_error == pytest.approx(result.gains.std(ddof=1) / np.sqrt(6))
+
+
+def test_the_error_over_the_pool_is_near_what_fresh_pools_of_the_same_kind_vary_by():
+    """Pools of 12 drawn from a family: points at random angles of a wheel."""
+    rng = np.random.default_rng(5)
+    values, errors = [], []
+    for seed in range(60):
+        angle = rng.uniform(0.0, 2.0 * np.pi, 12)
+        result = headroom(played(0.2 * np.sin(angle[:, None] - angle[None, :]), seed, 2000))
+        values.append(result.value)
+        errors.append(result.pool_error)
+    assert 0.5 < np.mean(errors) / np.std(values) < 2.0
+
+
+def test_ratings_and_cyclic_part_add_up_to_the_payoffs():
+    folds = played(wheel(7) + ladder(7), 1)
+    rating = ratings(folds)
+    np.testing.assert_allclose(rating[:, None] - rating[None, :] + cyclic_part(folds), folds.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(cyclic_part(folds).sum(axis=1), 0.0, atol=1e-12)
+
+
+def test_the_transitive_share_is_free_of_noise():
+    """With few races noise is most of the raw variance, and none of it belongs to the ratings."""
+    step = 0.02
+    truth = wheel(9, 0.1) + ladder(9, step)
+    transitive = ladder(9, step)
+    share = np.square(transitive).sum() / np.square(truth).sum()
+    estimates = [transitive_share(played(truth, seed, 30)) for seed in range(60)]
+    assert np.mean(estimates) == pytest.approx(share, abs=0.05)
+
+
+@given(seed=st.integers(0, 1000))
+def test_planes_add_up_to_the_cyclic_part(seed):
+    folds = played(wheel(6) + ladder(6), seed, 20)
+    parts = [
+        np.outer(p.points[:, 0], p.points[:, 1]) - np.outer(p.points[:, 1], p.points[:, 0])
+        for p in cyclic_planes(folds)
+    ]
+    np.testing.assert_allclose(sum(parts), cyclic_part(folds), atol=1e-10)
+
+
+def test_rock_paper_scissors_lie_around_the_origin_of_the_first_plane():
+    plane, *others = cyclic_planes(played(wheel(3, 0.3), 2))
+    assert plane.strength > plane.noise
+    assert not any(other.strength > other.noise for other in others)
+    angles = np.unwrap(np.arctan2(plane.points[:, 1], plane.points[:, 0]))
+    np.testing.assert_allclose(np.abs(np.diff(angles)), 2.0 * np.pi / 3.0, atol=0.1)
+
+
+def test_noise_alone_passes_its_edge_in_one_of_twenty():
+    """One of sixteen with 16 folds: 6 % and two standard errors of 100 draws are 11."""
+    passed = [cyclic_planes(played(ladder(8), seed, 100, folds=16))[0] for seed in range(100)]
+    assert 1 <= sum(plane.strength > plane.noise for plane in passed) <= 11
+
+
+def in_slots(front: np.ndarray, seed: int, races: int = RACES, folds: int = 16) -> np.ndarray:
+    """Payoffs of both slots as races show them, from the true ones of the policy in front, shape (N, N)."""
+    rng = np.random.default_rng(seed)
+    won = rng.binomial(races, 0.5 + front, size=(folds, *front.shape)) / races - 0.5
+    return np.stack([won, -won.transpose(0, 2, 1)], axis=1)
+
+
+def test_within_a_slot_no_headroom_is_left_of_policies_that_are_only_good_in_a_slot():
+    """Even ones win 0.2 more in front, odd ones 0.2 more behind: it pays to know the slot, not the opponent."""
+    ahead, behind = np.where(np.arange(8) % 2, 0.0, 0.2), np.where(np.arange(8) % 2, 0.2, 0.0)
+    front = ahead[:, None] - behind[None, :]
+    estimates = [slot_headroom(in_slots(front, seed)) for seed in range(10)]
+    assert abs(np.mean([estimate.value for estimate in estimates])) < 0.005
+    assert np.mean([estimate.slot_alone for estimate in estimates]) == pytest.approx(0.1, abs=0.01)
+
+
+def test_headroom_within_slots_is_what_the_true_payoffs_say():
+    """A wheel for those in front, on top of what the place is worth; behind, each reply is another one."""
+    front = wheel(9, 0.2) + 0.25
+    truth = np.mean([true_headroom(front), true_headroom(-front.T)])
+    estimates = [slot_headroom(in_slots(front, seed)) for seed in range(10)]
+    error = np.mean([estimate.opponents_error for estimate in estimates])
+    assert np.mean([estimate.value for estimate in estimates]) == pytest.approx(truth, abs=max(error, 0.01))
+    assert all(estimate.low <= estimate.value + 1e-12 for estimate in estimates)
+    assert np.mean([np.mean(e.slots) for e in estimates]) == pytest.approx(np.mean([e.value for e in estimates]))
+
+
+def test_payoffs_without_slots_are_refused():
+    with pytest.raises(InputError):
+        slot_headroom(np.zeros((4, 3, 3)))
+
+
+@pytest.mark.parametrize(
+    "payoffs",
+    [np.zeros((1, 4, 4)), np.zeros((4, 2, 2)), np.zeros((4, 4)), np.full((2, 3, 3), 0.1), np.full((2, 3, 3), np.nan)],
+)
+def test_other_payoffs_are_refused(payoffs):
+    with pytest.raises(InputError):
+        headroom(payoffs)

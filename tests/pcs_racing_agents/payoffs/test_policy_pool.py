@@ -1,0 +1,63 @@
+"""Payoffs of a pool: every pair races on the same lines, from both sides, wherever the races are driven."""
+
+import numpy as np
+import pytest
+
+from pcs_racing import InputError, load_race_config, parse_policy
+from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, slot_payoffs
+
+SLOW, EQUAL, FAST = (parse_policy(f"lattice:pace={pace}") for pace in (0.2, 0.5, 1.0))
+
+
+def pool(**changes) -> PolicyPool:
+    given = {
+        "policies": (SLOW, EQUAL, FAST),
+        "tracks": ("Tarnfjord",),
+        "config": load_race_config("paper", duration=6.0),
+        "races": 8,
+        "folds": 4,
+        "seed": 3,
+    }
+    return PolicyPool(**given | changes)
+
+
+@pytest.fixture(scope="module")
+def payoffs():
+    return slot_payoffs(pool())
+
+
+def test_the_faster_policy_wins_and_what_it_wins_the_other_one_loses(payoffs):
+    assert payoffs.shape == (1, 4, 2, 3, 3)
+    # What the row wins in one slot the column loses in the other.
+    np.testing.assert_array_equal(payoffs[:, :, 0], -payoffs[:, :, 1].transpose(0, 1, 3, 2))
+    assert payoffs.mean(axis=(0, 1, 2))[2, 0] > 0.2
+
+
+def test_of_two_equal_cars_the_one_in_front_wins():
+    """Staggered, without noise; also against itself, where either car may be the policy."""
+    rules = load_race_config("contest", duration=6.0, steering_noise=0.0)
+    front, behind = slot_payoffs(pool(config=rules)).mean(axis=(0, 1))
+    assert (np.diag(front) > 0.3).all()
+    np.testing.assert_array_equal(np.diag(front), -np.diag(behind))
+
+
+def test_processes_and_blocks_of_pairs_make_no_difference(payoffs, monkeypatch):
+    monkeypatch.setattr("pcs_racing_agents.payoffs.policy_pool._RACES_AT_ONCE", 1)
+    with make_executor("processes", 2) as executor:
+        np.testing.assert_array_equal(slot_payoffs(pool(), executor=executor), payoffs)
+
+
+def test_a_job_is_taken_up_where_it_was_left(payoffs, tmp_path, monkeypatch):
+    for _ in range(2):
+        with open_job(tmp_path, "headroom", {}) as job:
+            np.testing.assert_array_equal(pool_payoffs(pool(), job=job), payoffs.mean(axis=2))
+        monkeypatch.setattr("pcs_racing_agents.payoffs.policy_pool.advance", None)  # nothing is raced again
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"policies": (SLOW, FAST)}, {"tracks": ()}, {"races": 10}, {"folds": 1}, {"races": 4}]
+)
+def test_races_that_cannot_be_divided_are_refused(wrong):
+    with pytest.raises(InputError):
+        pool(**wrong)

@@ -1,0 +1,137 @@
+"""An archive chosen for headroom: an ordinary archive, made by a job like any other."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcs_racing import InputError, load_archive
+from pcs_racing.testing import check_archive
+from pcs_racing_agents.jobs.jobs import make_executor
+from pcs_racing_agents.payoffs.headroom import headroom
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
+from pcs_racing_agents.synthesis.archive_run import make_archive
+from pcs_racing_agents.synthesis.config import ArchiveConfig, load_archive_config
+from pcs_racing_agents.synthesis.headroom_choice import best_of_each_interval
+
+pytest.importorskip("cma")
+pytest.importorskip("moocore")
+
+TINY = ArchiveConfig(
+    name="tiny",
+    preset="contest",
+    tracks=("Pipkin",),
+    duration=4.0,
+    final_duration=4.0,
+    segment_seconds=2.0,
+    generations=1,
+    population=4,
+    scouts=16,
+    opponents=1,
+    starts=1,
+    crash_limit=1.0,
+    choose="headroom",
+    candidates=8,
+    groups=2,
+    payoff_races=16,
+    judging_races=32,
+    judging_tracks=("Tarnfjord",),
+    final_opponents=1,
+    final_starts=1,
+    fewest=3,
+    most=4,
+    seed=5,
+)
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in sorted(folder.iterdir()) if file.is_file()}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """An archive, its folder, and the news told on the way."""
+    folder, news = tmp_path_factory.mktemp("archive") / "made", []
+    return make_archive(TINY, folder, callback=news.append), folder, news
+
+
+def test_it_is_an_ordinary_archive(made):
+    archive = load_archive(made[1])
+    check_archive(archive)
+    assert len(archive) == 4
+    assert archive.characteristics == TINY.axes
+    assert (np.diff(archive.coordinates[:, 0]) >= 0.0).all()
+    assert len(archive.explored.parameters) == 16 + 4
+    assert archive.own_crash.shape == (4,)
+    assert all((archive.explored.parameters == theta).all(axis=1).any() for theta in archive.parameters)
+
+
+def test_the_manifest_says_how_it_was_chosen_and_what_it_holds(made):
+    settings = made[0].settings
+    assert settings["choose"] == "headroom"
+    assert settings["choice_candidates"] == 8
+    assert set(settings["track_hashes"].replace(",", "").split()) >= {"Pipkin", "Tarnfjord"}
+    for name in ("headroom", "headroom_elsewhere"):
+        assert settings[name.replace("headroom", "headroom_low")] <= settings[name] + 1e-9
+        assert name.replace("headroom", "transitive_share") in settings
+    assert float(settings["headroom_Tarnfjord"].split()[0]) == pytest.approx(settings["headroom_elsewhere"], abs=5e-4)
+
+
+def test_its_headroom_is_judged_on_races_that_chose_nobody(made):
+    """The races of the choice, of the judgement and of another seed are different ones."""
+    chunks = {name: sorted((made[1] / "job" / "chunks").glob(f"{name}-*.npz")) for name in ("choice", "judgement")}
+    first = {name: np.load(files[0])["payoffs"] for name, files in chunks.items()}
+    assert first["choice"].shape[1] == 8
+    assert first["judgement"].shape[1] == 16
+    policies = tuple(made[0].policy(k) for k in range(4))
+    again = PolicyPool(policies, ("Tarnfjord",), TINY.rules_of(4.0), races=32, seed=3)
+    assert abs(headroom(pool_payoffs(again)[0]).value - made[0].settings["headroom_elsewhere"]) < 0.3
+
+
+def test_the_stages_are_told_in_order(made):
+    stages = list(dict.fromkeys(n.stage for n in made[2]))
+    assert stages == ["search", "choice", "measurement", "judgement"]
+    assert all(a.done <= b.done for a, b in pairwise(made[2]))
+    assert made[2][-1].done == pytest.approx(1.0)
+
+
+def test_the_executor_has_no_influence_and_a_finished_run_races_nothing(made, tmp_path, monkeypatch):
+    with make_executor("threads", 2) as executor:
+        make_archive(TINY, tmp_path / "again", executor=executor)
+    assert results(tmp_path / "again") == results(made[1])
+    monkeypatch.setattr("pcs_racing_agents.synthesis.evaluate.advance", None)
+    monkeypatch.setattr("pcs_racing_agents.payoffs.policy_pool.advance", None)
+    make_archive(TINY, tmp_path / "again")
+    assert results(tmp_path / "again") == results(made[1])
+
+
+def test_candidates_are_the_best_of_each_interval_of_the_axis():
+    axis = np.array([0.0, 0.1, 0.2, 0.3, 0.6, 0.9, 1.0])
+    score = np.array([0.5, 0.9, 0.1, 0.8, 0.0, 0.3, 0.2])
+    # Two intervals: 0, 1, 2, 3 and 4, 5, 6. They take turns, each with its best.
+    assert best_of_each_interval(axis, score, 4, 2).tolist() == [1, 3, 5, 6]
+    assert best_of_each_interval(axis, score, 7, 2).tolist() == list(range(7))
+    assert best_of_each_interval(axis, score, 1, 2).tolist() == [1]
+
+
+def test_too_few_candidates_are_told(tmp_path):
+    with pytest.raises(InputError):
+        make_archive(load_archive_config(TINY, scouts=8, generations=0, most=10, candidates=10), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "value"),
+    [
+        ({"most": 2, "fewest": 2, "groups": 1}, "2"),
+        ({"candidates": 3}, "3"),
+        ({"groups": 5}, "5"),
+        ({"payoff_races": 22}, "22"),
+        ({"judging_races": 50}, "50"),
+        ({"judging_tracks": ("Pipkin",)}, "Pipkin"),
+        ({"choose": "luck"}, "luck"),
+    ],
+)
+def test_impossible_settings_are_refused(changes, value):
+    with pytest.raises(InputError, match=value):
+        load_archive_config(TINY, **changes)
