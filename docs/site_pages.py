@@ -72,6 +72,7 @@ REFERENCE = {
     "pcs_racing_agents.learning.characteristics": "Learned characteristics",
     "pcs_racing_agents.explain": "Explanations",
     "pcs_racing_agents.study": "The study",
+    "pcs_racing_agents.benchmark": "The benchmark",
     "pcs_racing_agents.view": "The race viewer",
 }
 """Packages with a page of the reference each: their own modules, not those of packages inside them."""
