@@ -28,6 +28,7 @@ TEXTS = {page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8
 
 # Pages whose code runs here. The others have tests of their own beside the code that they explain.
 RUN_HERE = (
+    "docs/benchmark.md",
     "docs/bring_a_map.md",
     "docs/environments_drive_duel.md",
     "docs/faq.md",
