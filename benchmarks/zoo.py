@@ -1,7 +1,7 @@
-"""How strong every agent of the zoo is, and what a decision costs; and from that the pages of docs/zoo.md.
+"""How strong every agent of the zoo is, and what a decision costs; and from that docs/zoo.md and docs/zoo/.
 
     python benchmarks/zoo.py                     # measures and prints
-    python benchmarks/zoo.py --write             # and writes agents/measured.csv and docs/zoo.md
+    python benchmarks/zoo.py --write             # and writes agents/measured.csv and the pages
 
 Every agent that there is with its defaults races six others, on a circuit that some agents learned on and on one that
 none learned on (but for the driver ppo-drive, which learned on Kestrelheim), once with the archive "default" in the
@@ -125,7 +125,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--races", type=int, default=30, help="races against each of six opponents on each circuit")
     parser.add_argument("--out", type=Path, default=Path("out/zoo"), help="folder in which the races are kept")
-    parser.add_argument("--write", action="store_true", help="write measured.csv and docs/zoo.md of this checkout")
+    parser.add_argument(
+        "--write", action="store_true", help="write measured.csv, docs/zoo.md and docs/zoo/ of this checkout"
+    )
     arguments = parser.parse_args()
     found = []
     for archive, race in zoo_page.SETTINGS:
@@ -136,7 +138,7 @@ def main() -> None:
         )
     if arguments.write:
         print(zoo_page.write_measurements(found))
-        print(zoo_page.write_page(zoo_page.PAGE))
+        print(zoo_page.write_pages())
 
 
 if __name__ == "__main__":

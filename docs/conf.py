@@ -1,14 +1,16 @@
 """Settings of the documentation's site: ``make docs`` builds it into ``out/docs``."""
 
-import os
 import sys
 import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
+import numba
+
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
-os.environ["NUMBA_DISABLE_JIT"] = "1"  # compiled functions are then functions, with their signatures
+# Compiled functions are then functions, with their signatures. Notebooks run in processes of their own, compiled.
+numba.config.DISABLE_JIT = True
 
 import site_pages  # noqa: E402
 
@@ -18,11 +20,19 @@ copyright = f"2026, {author}"  # noqa: A001
 release = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 version = release
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 exclude_patterns = ["_build", "images", "__pycache__"]
 myst_heading_anchors = 3
 myst_enable_extensions = ["colon_fence", "deflist"]
 suppress_warnings = ["myst.header"]  # a page's only heading may be any level
+
+# The notebooks hold no outputs: they are run when the site is built, and again when a notebook has changed.
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(HERE.parent / "out" / "notebooks")
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600
+nb_output_stderr = "remove"  # notes on compilation and progress
 
 autodoc_member_order = "bysource"
 autodoc_mock_imports = [name for name in ("stable_baselines3", "torch") if find_spec(name) is None]
@@ -34,12 +44,13 @@ napoleon_custom_sections = [("Attributes", "params_style")]
 
 html_theme = "furo"
 html_title = f"pcs-racing {release}"
-html_static_path: list[str] = []
+html_static_path = ["static"]
+html_js_files = ["access.js"]
 html_copy_source = False
 html_theme_options = {"navigation_with_keys": True}
 copybutton_exclude = ".linenos, .gp, .go"
-pygments_style = "friendly"
-pygments_dark_style = "monokai"
+pygments_style = "a11y-high-contrast-light"  # of accessible-pygments, which furo brings
+pygments_dark_style = "a11y-high-contrast-dark"
 
 site_pages.write(HERE)
 

@@ -37,7 +37,6 @@ NAMES = {
 COPIES = {
     "changelog": "CHANGELOG.md",
     "contributing": "CONTRIBUTING.md",
-    "circuits": "maps/README.md",
     "shipped_archives": "archives/README.md",
     "shipped_drivers": "drivers/README.md",
     "shipped_networks": "networks/README.md",

@@ -5,13 +5,25 @@ import io
 import re
 import shlex
 import sys
+import types
 from pathlib import Path
 
+import numpy as np
 import pytest
-from repository import REPOSITORY, python_blocks, run_block
+from repository import REPOSITORY, load_tool, python_blocks, run_block
+
+from pcs_racing.race.replay import ReplayEvent
 
 DOCS = REPOSITORY / "docs"
-PAGES = sorted([*DOCS.glob("*.md"), *REPOSITORY.glob("*.md"), *REPOSITORY.glob("*/README.md")])
+PAGES = sorted(
+    [
+        *DOCS.glob("*.md"),
+        *DOCS.glob("zoo/*.md"),
+        *DOCS.glob("notebooks/*.md"),
+        *REPOSITORY.glob("*.md"),
+        *REPOSITORY.glob("*/README.md"),
+    ]
+)
 TEXTS = {page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 
 # Pages whose code runs here. The others have tests of their own beside the code that they explain.
@@ -197,3 +209,97 @@ def test_the_picture_of_the_house_names_what_there_is():
     named = re.findall(r"\w+\.py|\w+/", drawn)
     assert len(named) > 15
     assert [name for name in named if not list(REPOSITORY.glob(f"pcs_racing*/{name.strip('/')}"))] == []
+
+
+# Kinds of pages, and the pages that tools write
+
+KINDS = {"Tutorials": "tutorial", "How-to guides": "how-to", "Reference": "reference", "Explanation": "explanation"}
+
+
+def kind_of(text: str) -> str | None:
+    """Return the kind that a page gives itself in the first sentence below its title."""
+    body = re.sub(r"\A---\n.*?\n---\n|<!--.*?-->", "", text, flags=re.DOTALL)
+    first = re.search(r"^# .*\n+(.*)", body, flags=re.MULTILINE)
+    said = re.match(r"This (?:page is an? )?(tutorial|how-to|reference|explanation)\b", first[1]) if first else None
+    return said[1] if said else None
+
+
+def listed_pages() -> dict[str, str]:
+    """Return the kind under which the index lists each page."""
+    lists = re.findall(r"```\{toctree\}\n:caption: \"?([\w -]+).*?\n(.*?)```", TEXTS["docs/index.md"], flags=re.DOTALL)
+    pages = {}
+    for caption, body in lists:
+        for page in re.findall(r"^(?:.*<)?([\w/-]+)>?$", body, flags=re.MULTILINE):
+            pages[page] = KINDS.get(caption, caption)
+    return pages
+
+
+def test_every_page_is_of_one_kind_and_listed_under_it():
+    listed = listed_pages()
+    for page, text in TEXTS.items():
+        if page.startswith("docs/") and page != "docs/index.md":
+            name = page.removeprefix("docs/").removesuffix(".md")
+            assert kind_of(text) in KINDS.values(), f"{page} does not say in its first sentence of which kind it is"
+            if not name.startswith("zoo/"):  # which docs/zoo.md lists
+                assert listed.get(name) == kind_of(text), f"{page} is no {listed.get(name)}, or the index lacks it"
+    for folder in ("archives", "drivers", "maps", "networks"):
+        assert kind_of(TEXTS[f"{folder}/README.md"]) == "reference"
+
+
+def test_the_kind_of_a_page():
+    assert kind_of("---\na: b\n---\n\n# T\n\n<!-- x -->\n\nThis tutorial is short.\n") == "tutorial"
+    assert kind_of("# T\n\nThis page is an explanation.\n") == "explanation"
+    assert kind_of("# T\n\nThis page explains and is a reference.\n") is None
+
+
+def test_results_name_every_benchmark_and_link_a_table_of_it():
+    text = TEXTS["docs/results.md"]
+    for script in (REPOSITORY / "benchmarks").glob("*.py"):
+        rows = [line for line in text.splitlines() if f"`benchmarks/{script.name}`" in line]
+        assert rows, f"docs/results.md has no row for benchmarks/{script.name}"
+        pages = re.findall(r"\]\(([\w/]+\.md)", " ".join(rows))
+        assert not pages or any(f"benchmarks/{script.name}" in TEXTS[f"docs/{page}"] for page in pages), script.name
+
+
+def test_the_readme_is_short_and_the_index_leads_to_citation_and_versions():
+    assert len(TEXTS["README.md"].splitlines()) <= 150
+    assert {"](cite.md)", "](versions.md)", "](results.md)"} <= set(re.findall(r"\]\([^)]+\)", TEXTS["docs/index.md"]))
+
+
+def test_the_page_of_circuits_is_what_the_files_say():
+    circuits_page = load_tool("circuits_page")
+    assert TEXTS["docs/circuits.md"] == circuits_page.circuits_page(), "run: python tools/circuits_page.py"
+
+
+def test_the_gallery_is_small_and_complete():
+    gallery = load_tool("gallery")
+    pictures = sorted((DOCS / gallery.FOLDER).iterdir())
+    wanted = {f"{kind}-{circuit.lower()}.gif" for kind in gallery.SCENES for circuit in gallery.CIRCUITS}
+    assert {picture.name for picture in pictures} == wanted, "run: python tools/gallery.py"
+    for picture in pictures:
+        assert picture.stat().st_size <= gallery.LARGEST
+        assert f"]({gallery.FOLDER}/{picture.name})" in TEXTS["docs/gallery.md"]
+    for scene in gallery.SCENES.values():
+        assert scene.rule in TEXTS["docs/gallery.md"]
+
+
+def test_scenes_of_the_gallery_are_found_by_their_rules():
+    """In a race of 12 s that is nothing but its lead and its events."""
+    gallery = load_tool("gallery")
+
+    def race(lead, *events):
+        return types.SimpleNamespace(lead=np.asarray(lead), events=events, frame_dt=0.04)
+
+    time = np.arange(0.0, 12.0, 0.04)
+    passing = np.where(time < 6.0, -1.0, 1.0)
+    overtake = ReplayEvent(6.0, 0, "overtake")
+    assert gallery.find_overtake(race(passing, overtake)) == 6.0
+    assert gallery.find_overtake(race(-passing, overtake)) is None  # the other car leads afterwards
+    assert gallery.find_overtake(race(passing, ReplayEvent(3.0, 0, "overtake"))) is None  # too early
+    assert gallery.find_overtake(race(np.where(time < 7.0, passing, -1.0), overtake)) is None  # passed again
+    assert gallery.find_defence(race(np.ones_like(time))) == pytest.approx(6.0)
+    assert gallery.find_defence(race(np.where(time % 3.0 < 1.0, -1.0, 1.0))) is None
+    assert gallery.find_defence(race(np.full_like(time, 5.0))) is None
+    crash = ReplayEvent(8.0, 1, "crash", "crashes into the other car")
+    assert gallery.find_crash(race(passing, crash)) == 8.0
+    assert gallery.find_crash(race(passing, ReplayEvent(8.0, 1, "crash", "crashes into the wall"))) is None

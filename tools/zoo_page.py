@@ -1,8 +1,9 @@
-"""Write docs/zoo.md: what each agent and driver does, what it learned from, how strong it is and what it costs.
+"""Write docs/zoo.md, a table of all agents and drivers, and docs/zoo/NAME.md, a page for each of them.
 
     python tools/zoo_page.py
 
-``benchmarks/zoo.py --write`` measures, writes the table of measurements and then this page.
+``benchmarks/zoo.py --write`` measures, writes the table of measurements and then these pages. An agent without
+measurements, or without a shipped network, has a page that says so.
 """
 
 import csv
@@ -15,7 +16,7 @@ import numpy as np
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.describe import describe, facts_of, microseconds, rating_text
+from pcs_racing_agents.agents.describe import NOT_SHIPPED, describe, facts_of, microseconds, rating_text
 from pcs_racing_agents.agents.measured import (
     AGAINST,
     NUMBERS,
@@ -26,29 +27,36 @@ from pcs_racing_agents.agents.measured import (
     measurements,
 )
 from pcs_racing_agents.agents.setting import Setting, make_setting
-from pcs_racing_agents.agents.zoo import ALWAYS, SHIPPED, build, entries, names
+from pcs_racing_agents.agents.zoo import ALWAYS, SHIPPED, Entry, build, entries, names
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "zoo.md"
+DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 SETTINGS = (("default", "paper"), ("contest", "contest"))
 """Archive and rules of the games in which agents are measured: those that networks and choices are shipped for."""
 
-HEAD = """# The zoo, agent by agent
+TABLE = "zoo.md"
+CONSTANT = f"{ALWAYS}MOVE"
+"""Name under which the agents that always make the same move share a page."""
+
+HEAD = """# The zoo
 
 <!-- Written by `python benchmarks/zoo.py --write`, which measures as well, and by
 `python tools/zoo_page.py`, which does not. -->
 
-What each agent and driver does, the source of its idea, what it learned from, how strong it is, and what a decision
-costs. This page is a reference; [agents.md](agents.md) explains how to use agents and how to add your own.
-`pcs-racing agents NAME` prints the same for one of them.
+This page is a reference: all agents and drivers in a table, and how strong they are. Each name leads to a page with
+the source of the idea, options, training, strength, cost and hash; `pcs-racing agents NAME` prints the same.
+[agents.md](agents.md) explains how to use agents and how to add your own.
+"""
+
+STRENGTH = """## Strength and cost
 
 `python benchmarks/zoo.py --write` measures all agents and drivers that race with their defaults:
 
 - **score**: share of races won, where a tie counts half; the mean over six opponents (without the agent itself),
-  {field}, on two circuits,
-  which are named below. With either archive, some agents trained on the first circuit and none on the second; the
-  driver `ppo-drive` trained on Tarnfjord and Kestrelheim. All drive the same races. With {races:.0f} races a score
-  has a standard error of at least {error:.3f};
+  {field},
+  on two circuits, which the agents' pages name. With either archive, some agents trained on the first circuit and none
+  on the second; the driver `ppo-drive` trained on Tarnfjord and Kestrelheim. All drive the same races.
+  {precision}
 - **rating**: Bradley-Terry with ties over the same races, with its 95 % interval. The mean is 0, and a difference of
   400 means odds of ten to one. Crashes that pay neither car, as all in the paper's race, are left out. An agent that
   either wins or crashes therefore has a high rating; read the rating together with score and crashes;
@@ -57,64 +65,126 @@ costs. This page is a reference; [agents.md](agents.md) explains how to use agen
   2-core machine that had other work at the time. A driver plans ten times a second, and its cost is that of one plan
   with 0.1 s of simulation;
 - **hash**: the beginning of the SHA-256 of everything that determines its behaviour: weights or fit, archive, rules.
-  Measurements belong to a hash. After an agent has changed, the page shows none until the script has run again.
+  Measurements belong to a hash. After an agent has changed, the pages show none until the script has run again.
 """
 
+CONSTANT_PAGE = """Makes the same move at every step; one agent for each move.
 
-def zoo_page() -> str:
-    """Return the whole page."""
-    shipped = {name: entries()[name] for name in SHIPPED}
+- Source: baseline, never observes the race.
+- Needs nothing."""
+
+
+def zoo_pages() -> dict[str, str]:
+    """Return all pages: paths below ``docs`` and texts."""
     settings = [make_setting(*pair) for pair in SETTINGS]
-    every = [list(_table(setting)) for setting in settings]
-    known = [one for rows in every for one in rows if one is not None]
+    shipped = {name: entries()[name] for name in SHIPPED}
+    pages = {TABLE: table_page(shipped, settings)}
+    pages |= {page_path(name): agent_page(name, entry, settings) for name, entry in shipped.items()}
+    pages[page_path(CONSTANT)] = constant_page(settings)
+    return pages
+
+
+def page_path(name: str) -> str:
+    """Return the path of an agent's page below ``docs``."""
+    return f"zoo/{CONSTANT if name.startswith(ALWAYS) else name}.md"
+
+
+def table_page(shipped: dict[str, Entry], settings: list[Setting]) -> str:
+    """Return the page with all agents in a table, and the tables of their strength."""
+    every = [list(_measured(setting)) for setting in settings]
+    known = [one for rows in every for one in rows]
     races = max((one.races for one in known), default=0.0)
     field = ", ".join(f"`{name}`" for name in dict.fromkeys(rival for one in known for rival in one.against))
-    error = 0.5 / np.sqrt(races) if races else np.nan
-    blocks = [HEAD.format(field=field or "none measured yet", races=races, error=error).strip(), "## At a glance"]
+    precision = "Nothing is measured of the agents as they are now;"
+    if races:
+        precision = f"With {races:.0f} races a score has a standard error of at least {0.5 / np.sqrt(races):.3f};"
+    blocks = [HEAD.strip()]
+    for title, moves in (("Agents", True), ("Drivers", False)):
+        lines = [f"| {title.lower()[:-1]} | what it does | needs |", "|---|---|---|"]
+        lines += [_row(name, entry.summary, entry.needs) for name, entry in shipped.items() if entry.moves is moves]
+        if moves:
+            lines.append(_row(CONSTANT, "makes the same move at every step", ""))
+        blocks += [f"## {title}", "\n".join(lines)]
+    blocks.append(STRENGTH.format(field=field or "named once they are measured", precision=precision).strip())
     for setting, rows in zip(settings, every, strict=True):
-        blocks.append(f"Archive `{setting.archive.name}`, {setting.race} race:")
-        blocks.append("\n".join(_lines([one for one in rows if one is not None])))
-    blocks.append("## Agents")
-    blocks += [_page(name, describe(name, entry), settings) for name, entry in shipped.items() if entry.moves]
-    constant = [f"### `{ALWAYS}MOVE`", "", "Makes the same move at every step; one agent for each move.", ""]
-    constant += ["- Source: baseline, never observes the race.", "- Needs nothing."]
-    blocks.append("\n".join([*constant, *_constant(settings)]))
-    blocks.append("## Drivers")
-    blocks += [_page(name, describe(name, entry), settings) for name, entry in shipped.items() if not entry.moves]
+        blocks.append(f"### Archive `{setting.archive.name}`, {setting.race} race")
+        blocks.append("\n".join(_lines(rows)) if rows else "Not measured yet with the agents as they are.")
+    blocks.append("```{toctree}\n:hidden:\n:maxdepth: 1\n:glob:\n\nzoo/*\n```")
     return "\n\n".join(blocks) + "\n"
 
 
-def write_page(path: Path) -> Path:
-    """Write the page to a file."""
-    path.write_text(zoo_page(), encoding="utf-8")
-    return path
-
-
-def _page(name: str, told: str, settings: list[Setting]) -> str:
-    lines = [told]
+def agent_page(name: str, entry: Entry, settings: list[Setting]) -> str:
+    """Return the page of an agent or a driver."""
+    blocks = [_page_head(name, "an agent" if entry.moves else "a driver"), describe(name, entry)]
+    shipped = []
     for setting in settings:
-        lines.append(f"- Archive `{setting.archive.name}`, {setting.race} race:")
-        lines += [f"  - {line}" for line in facts_of(name, setting)]
-    return "\n".join(lines)
+        facts = facts_of(name, setting)
+        if facts != NOT_SHIPPED:
+            shipped.append(setting)
+        blocks += [
+            f"## Archive `{setting.archive.name}`, {setting.race} race",
+            "\n".join(f"- {line}" for line in facts),
+        ]
+    if shipped:
+        blocks += ["## Try it", _command(name, shipped[0])]
+    return "\n\n".join(blocks) + "\n"
 
 
-def _constant(settings: list[Setting]) -> Iterator[str]:
+def constant_page(settings: list[Setting]) -> str:
+    """Return the page of the agents that always make the same move."""
+    blocks = [_page_head(CONSTANT, "a family of agents"), CONSTANT_PAGE]
     for setting in settings:
+        blocks.append(f"## Archive `{setting.archive.name}`, {setting.race} race")
+        lines = []
         for name in (name for name in names(setting.archive, setting.race) if name.startswith(ALWAYS)):
-            yield f"- `{name}`, archive `{setting.archive.name}`, {setting.race} race:"
-            yield from (f"  - {line}" for line in facts_of(name, setting))
+            lines += [f"- `{name}`:", *(f"  - {line}" for line in facts_of(name, setting))]
+        blocks.append("\n".join(lines))
+    first = next(name for name in names(settings[0].archive, settings[0].race) if name.startswith(ALWAYS))
+    blocks += ["## Try it", _command(first, settings[0])]
+    return "\n\n".join(blocks) + "\n"
 
 
-def _table(setting: Setting) -> Iterator[Measured | None]:
+def write_pages(docs: Path = DOCS) -> Path:
+    """Write all pages below a folder, and delete pages of agents that there are no more; return the table's path."""
+    (docs / "zoo").mkdir(parents=True, exist_ok=True)
+    pages = zoo_pages()
+    for path, text in pages.items():
+        (docs / path).write_text(text, encoding="utf-8")
+    for file in (docs / "zoo").glob("*.md"):
+        if f"zoo/{file.name}" not in pages:
+            file.unlink()
+    return docs / TABLE
+
+
+def _page_head(name: str, kind: str) -> str:
+    return (
+        f"# `{name}`\n\n<!-- Written by `python tools/zoo_page.py`. -->\n\n"
+        f"This reference describes `{name}`, {kind} of the [zoo](../zoo.md#strength-and-cost)."
+    )
+
+
+def _command(name: str, setting: Setting) -> str:
+    """Return commands that race an agent where it is shipped, and show the races."""
+    rival = "never-switch" if name != "never-switch" else "random-moves"
+    game = f"--archive {setting.archive.name} --race {setting.race}"
+    line = f"pcs-racing tournament --track Tarnfjord {game} --agents {name} {rival} --races 10 --out out/races"
+    return f"```console\n{line}\npcs-racing view out/races\n```"
+
+
+def _row(name: str, summary: str, needs: str) -> str:
+    return f"| [`{name}`]({page_path(name)}) | {summary.replace('|', ' or ')} | {needs or 'nothing'} |"
+
+
+def _measured(setting: Setting) -> list[Measured]:
     """What was measured of the agents as they are, best first."""
     found = []
     for name in names(setting.archive, setting.race):
         try:
             agent = build(name, setting)
-        except UnknownNameError:
+        except UnknownNameError:  # nothing is shipped for it in this game
             continue
         found.append(measured(setting.archive.name, setting.race, name, competitor_hash(agent)))
-    return iter(sorted(found, key=lambda one: 0.0 if one is None else -one.score))
+    return sorted((one for one in found if one is not None), key=lambda one: -one.score)
 
 
 def _lines(rows: list[Measured]) -> Iterator[str]:
@@ -123,7 +193,7 @@ def _lines(rows: list[Measured]) -> Iterator[str]:
     for one in rows:
         costs = [microseconds(value) for value in (one.one_us, one.many_us)]
         told = (f"{one.score:.3f}", rating_text(one), f"{one.own_crash:.1%}", *costs, f"`{one.sha256[:12]}`")
-        yield f"| `{one.agent}` | {' | '.join(told)} |"
+        yield f"| [`{one.agent}`]({page_path(one.agent)}) | {' | '.join(told)} |"
 
 
 def write_measurements(rows: Iterable[Measured]) -> Path:
@@ -147,4 +217,4 @@ def _number(value: float) -> str:
 
 
 if __name__ == "__main__":
-    print(write_page(PAGE))
+    print(write_pages())

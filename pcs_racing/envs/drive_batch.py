@@ -497,13 +497,14 @@ class DriveBatch:
         cars = self.state.cars[race, :1] if self.alone else self.state.cars[race]
         info = self.info(race * self.players)
         text = f"{info['time']:.1f} s    {info['progress']:.1f} m"
-        if not self.alone:
-            text += f"    lead {info['lead']:+.1f} m"
+        names = ("car_0", "car_1") if self.players == 2 else ("you", "opponent")
         if self.opponents:
-            text += f"    against {self.opponents[info['opponent']].name}"
+            names = ("you", self.opponents[info["opponent"]].name)
+        if not self.alone:
+            text += f"    lead of {names[0]} {info['lead']:+.1f} m"
         plans = [np.full((1, 2), np.nan), self.state.path[race, 1]] if self.opponents else None
         renderer.show(self.variety.track(race), half_sizes(self.vehicles[race]))
-        return renderer.render(cars, plans=plans, text=text)
+        return renderer.render(cars, plans=plans, names=names, text=text)
 
     def film(
         self, renderer: Renderer, environment: int, ticks: int | None = None

@@ -386,12 +386,14 @@ class GameBatch:
         self, renderer: Renderer, episode: int, race: RaceState, at: int, trails: NDArray[np.float64] | None
     ) -> NDArray[np.uint8] | None:
         """Draw a moment of an episode: race ``at`` of some races."""
-        moves = " | ".join(f"car_{car}: {self.codes['move'][int(self.moves[episode, car])]}" for car in range(2))
-        opponent = f" | against {self.opponents[self.drawn[episode]].name}" if self.opponents else ""
-        text = f"{race.tick[at] * DT:.1f} s | lead of car_0 {race.lead[at]:+.1f} m | {moves}{opponent}"
+        names = ("you", self.opponents[self.drawn[episode]].name) if self.opponents else ("car_0", "car_1")
+        codes = self.codes["move"]
+        moves = " | ".join(f"{name}: {codes[int(self.moves[episode, car])]}" for car, name in enumerate(names))
+        text = f"{race.tick[at] * DT:.1f} s | lead of {names[0]} {race.lead[at]:+.1f} m | {moves}"
         plans = [path[:, :2] for path in race.path[at] if path.any()]
         renderer.show(self.variety.track(episode), half_sizes(self.variety.vehicles[episode]))
-        return renderer.render(race.cars[at], plans=plans if len(plans) == 2 else None, trails=trails, text=text)
+        shown = plans if len(plans) == 2 else None
+        return renderer.render(race.cars[at], plans=shown, trails=trails, names=names, text=text)
 
     def forget(self, rows: NDArray[np.int64]) -> None:
         """Let what lasts for several episodes begin anew, as the generators of some episodes do."""

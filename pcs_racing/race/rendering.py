@@ -29,17 +29,19 @@ __all__ = ["MODES", "THEMES", "VIEWS", "Renderer", "half_sizes", "replay_frames"
 MODES = ("rgb_array", "human")
 VIEWS = ("track", "both", "car_0", "car_1")
 
-# The colours of replay.html.
+# The colours of replay.html; names are darker in the light theme, for letters need more contrast than cars.
 _THEMES = {
     "light": {
         "ground": "#e3e8ed", "asphalt": "#fdfdfe", "wall": "#7c8897", "ink": "#17202b", "tyre": "#1c232c",
         "car0": "#1b6fd8", "car1": "#e08700", "slow": "#9a5fc0", "mid": "#6f8fd0", "fast": "#2fb3a0",
         "best": "#00695c", "worst": "#c9d3d6", "rejected": "#d12c4c",
+        "name0": "#1559b0", "name1": "#945900",
     },
     "dark": {
         "ground": "#0c1117", "asphalt": "#222c37", "wall": "#74869b", "ink": "#e6ebf1", "tyre": "#070a0e",
         "car0": "#58a6ff", "car1": "#ffb03b", "slow": "#a772cf", "mid": "#6d8ed6", "fast": "#36c5ae",
         "best": "#8ef5d6", "worst": "#35454f", "rejected": "#ff5570",
+        "name0": "#58a6ff", "name1": "#ffb03b",
     },
 }  # fmt: skip
 THEMES = tuple(_THEMES)
@@ -60,6 +62,12 @@ _BODY = (
 )
 _COCKPIT = ((0.2, 0.22), (-0.12, 0.34), (-0.3, 0.26), (-0.3, -0.26), (-0.12, -0.34), (0.2, -0.22))
 _ARROW = ((1.15, 0.0), (-1.0, 1.7), (-0.6, 0.0), (-1.0, -1.7))
+_AHEAD = ((1.85, 0.0), (1.25, 0.8), (1.42, 0.0), (1.25, -0.8))
+_LEAST_CAR = 8.0  # pixels of half a length: a smaller car is an arrow of _ARROW_SIZE
+_ARROW_SIZE = 11.0
+_NAME = 24  # characters of a name
+_TEXT_HEIGHT = 32.0  # pixels at the top that a line of text takes
+_HALO = 3  # pixels around the letters of a name
 _WHEELS = ((0.55, 0.8), (0.55, -0.8), (-0.57, 0.8), (-0.57, -0.8))
 
 Colour = tuple[int, ...]
@@ -144,6 +152,7 @@ class Renderer:
         candidates: np.ndarray | None = None,
         costs: np.ndarray | None = None,
         trails: np.ndarray | None = None,
+        names: Sequence[str] = (),
         text: str = "",
     ) -> np.ndarray | None:
         """Draw one moment.
@@ -158,6 +167,8 @@ class Renderer:
             Paths considered, with their ``costs`` (cars, C), infinite for a rejected one.
         trails : ndarray, shape (M, cars, 2), optional
             Where the cars have been, oldest first.
+        names : sequence of str
+            A label for each car, drawn beside it in its colour; cut after 24 characters.
         text : str
             A line in the corner.
 
@@ -189,8 +200,11 @@ class Renderer:
         for car in reversed(range(len(cars))):
             self._draw_car(pen, camera, car, cars[car])
         image = image.reduce(_FINER)
+        pen = ImageDraw.Draw(image)
+        if names:
+            self._draw_names(pen, camera, cars, names, _TEXT_HEIGHT if text else 0.0)
         if text:
-            ImageDraw.Draw(image).text((14, 10), text, fill=self._colours["ink"], font=self._font)
+            pen.text((14, 10), text, fill=self._colours["ink"], font=self._font)
         frame = np.array(image)
         if self.mode == "human":
             self._show(frame)
@@ -304,10 +318,11 @@ class Renderer:
             turn = np.array([[np.cos(psi), np.sin(psi)], [-np.sin(psi), np.cos(psi)]])
             return _flat(self._to_pixels(camera, np.array([x, y]) + corners @ turn))
 
-        if half_length * camera.scale < 8 * _FINER:
+        if half_length * camera.scale < _LEAST_CAR * _FINER:
             # On a whole track an arrow larger than the car: small, but never lost.
-            pen.polygon(place(_ARROW, 11 * _FINER / (half_length * camera.scale)), fill=colour)
+            pen.polygon(place(_ARROW, _ARROW_SIZE * _FINER / (half_length * camera.scale)), fill=colour)
             return
+        pen.polygon(place(_AHEAD), fill=colour)
         box = ((1, 1), (-1, 1), (-1, -1), (1, -1))
         pen.polygon(place(box), fill=(*colour, 50), outline=(*colour, 160), width=_FINER)
         for at_x, at_y in _WHEELS:
@@ -324,6 +339,34 @@ class Renderer:
                 fill=colour,
             )
         pen.polygon(place(_COCKPIT), fill=self._colours["tyre"])
+
+    def _draw_names(
+        self, pen: ImageDraw.ImageDraw, camera: _Camera, cars: np.ndarray, names: Sequence[str], top: float
+    ) -> None:
+        """Write who drives each car beside it, away from the other car, within the frame and below its line of text."""
+        places = self._to_pixels(camera, cars[:, :2]) / _FINER
+        for car, name in enumerate(names[: len(cars)]):
+            apart = places[car] - places[1 - car] if len(cars) == 2 else np.zeros(2)
+            distance = float(np.hypot(*apart))
+            # Cars at one place, or one car alone: the first name above, the second below.
+            away = apart / distance if distance > 1.0 else np.array([0.0, 1.0 if car else -1.0])
+            box = np.array(pen.textbbox((0, 0), name[:_NAME], font=self._font, stroke_width=_HALO))
+            half = 0.5 * (box[2:] - box[:2])
+            half_length = self._half_sizes[min(car, len(self._half_sizes) - 1), 0] * camera.scale / _FINER
+            gap = 4.0 + (_ARROW_SIZE * 1.7 if half_length < _LEAST_CAR else _AHEAD[0][0] * half_length)
+            # So far that the box of the text, seen in this direction, ends a gap before the car.
+            reach = gap + float(np.min(half / np.maximum(np.abs(away), 1e-6)))
+            low = half + np.array([0.0, top])
+            middle = np.clip(places[car] + away * reach, low, np.maximum((self.width, self.height) - half, low))
+            corner = middle - half - box[:2]
+            pen.text(
+                (float(corner[0]), float(corner[1])),
+                name[:_NAME],
+                fill=self._colours[f"name{car}"],
+                font=self._font,
+                stroke_width=_HALO,
+                stroke_fill=self._colours["asphalt"],
+            )
 
     def _show(self, frame: np.ndarray) -> None:
         """Put a frame into the window, opening it first; closing it by hand ends nothing but the showing."""
@@ -396,6 +439,7 @@ def _frames(replay: Replay, renderer: Renderer, step: float, candidates: bool) -
         frame = renderer.render(
             replay.cars[i],
             trails=replay.cars[since : i + 1, :, :2],
+            names=replay.car_names,
             text=f"{time:.1f} s    {replay.car_names[leader]:.60} leads by {abs(lead[i]):.1f} m",
             **shown,
         )

@@ -13,7 +13,7 @@ from pcs_racing_agents.agents.measured import Measured, measured
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build, entries, options
 
-__all__ = ["describe", "facts_of", "microseconds", "option_meanings", "rating_text"]
+__all__ = ["NOT_SHIPPED", "describe", "facts_of", "microseconds", "option_meanings", "rating_text"]
 
 NEEDS = {
     "": "nothing",
@@ -22,6 +22,10 @@ NEEDS = {
     "networks": "the network set `ARCHIVE-RACE-{kind}`, or `networks=FOLDER`",
     "table": "a table of behaviours of the archive's policies, `table=FOLDER`, which `pcs-racing match` writes",
 }
+
+
+NOT_SHIPPED = ["Not shipped for this game."]
+"""What is told of an agent in a game for which nothing of it is shipped."""
 
 
 def option_meanings(function: Callable[..., Any]) -> dict[str, str]:
@@ -46,7 +50,7 @@ def describe(name: str, entry: Entry) -> str:
     """Return what an agent or driver is and takes, in Markdown."""
     summary = f"{entry.summary[0].upper()}{entry.summary[1:]}."
     needs = NEEDS[entry.needs].format(name=name, kind=options(name).get("kind", ""))
-    lines = [f"### `{name}`", "", summary, ""]
+    lines = [summary, ""]
     if entry.source:
         lines.append(f"- Source: {entry.source}.")
     lines.append(f"- Needs {needs}.")
@@ -62,7 +66,7 @@ def facts_of(name: str, setting: Setting) -> list[str]:
     try:
         agent = build(name, setting)
     except UnknownNameError:
-        return ["Not shipped for this game."]
+        return NOT_SHIPPED
     facts = dict(getattr(agent, "facts", {}))
     for key in ("does", "source", "weights sha256"):
         facts.pop(key, None)

@@ -43,7 +43,8 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.agent not in listed:
         raise UnknownNameError(f"agent {arguments.agent!r} is unknown; there are: {', '.join(listed)}")
     if arguments.agent in available:
-        print(describe(arguments.agent, available[arguments.agent]).replace("`", "").replace("### ", ""))
+        told = describe(arguments.agent, available[arguments.agent]).replace("`", "")
+        print(f"{arguments.agent}\n\n{told}")
     else:
         print(f"{arguments.agent}\n\nMakes the same move again and again.\n")
     print(f"\nWith archive {setting.archive.name} in the {setting.race} race:")

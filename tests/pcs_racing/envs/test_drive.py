@@ -310,6 +310,8 @@ def test_a_frame_shows_the_race():
     first = env.render()
     assert first.dtype == np.uint8
     assert first.shape == (640, 960, 3)
+    for colour in [(21, 89, 176), (148, 89, 0)]:  # of the names of both cars
+        assert (np.abs(first.astype(int) - colour).sum(axis=-1) < 9).sum() > 20
     for _ in range(5):
         env.step([0.0, 0.5])
     assert (env.render() != first).any()

@@ -320,6 +320,8 @@ def test_a_frame_shows_the_game():
     env.reset(seed=0)
     first = env.render()
     assert first.shape == (640, 960, 3)
+    for colour in [(21, 89, 176), (148, 89, 0)]:  # of the names of both cars
+        assert (np.abs(first.astype(int) - colour).sum(axis=-1) < 9).sum() > 20
     env.step(0)
     assert (env.render() != first).any()
     env.close()

@@ -122,7 +122,7 @@ def test_plans_trails_and_candidates_are_drawn(race):
     all_good = renderer.render(cars, candidates=fan, costs=np.ones((2, 3)))
     one_bad = renderer.render(cars, candidates=fan, costs=np.array([[1.0, 2.0, np.inf]] * 2))
     reddish = [np.count_nonzero(f[..., 0].astype(int) > f[..., 1] + 20 + f[..., 2] * 0.1) for f in (all_good, one_bad)]
-    assert reddish[1] > reddish[0] + 50
+    assert reddish[1] > reddish[0] + 40
 
 
 @pytest.mark.parametrize("theme", THEMES)
@@ -219,3 +219,55 @@ def test_one_car_and_sizes_of_its_own(race):
     assert near(large, BLUE).sum() > 2 * near(small, BLUE).sum()
     from_replay = Renderer(dataclasses.replace(race, half_sizes=[[0.6, 0.3]] * 2), 400, 200, view="car_0")
     assert np.array_equal(from_replay.render(race.cars[0, :1]), large)
+
+
+NAME_BLUE, NAME_AMBER = (21, 89, 176), (148, 89, 0)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("apart", [(0.0, 0.0), (0.6, 0.0), (0.0, 0.5), (3.0, -0.3), (-3.0, 0.3)])
+def test_each_car_has_its_name_beside_it(race, view, apart):
+    """Even where both cars are at one place: neither name covers the other, and none leaves the frame."""
+    renderer = Renderer(race, 600, 400, view=view)
+    cars = np.array([state(5.0, 1.0, 0.0), state(5.0 + apart[0], 1.0 + apart[1], 0.0)])
+    frame = renderer.render(cars, names=("you", "opponent"))
+    alone = [renderer.render(cars, names=names) for names in (("you", ""), ("", "opponent"))]
+    letters = [near(alone[0], NAME_BLUE, 9), near(alone[1], NAME_AMBER, 9)]
+    for shown, colour in zip(letters, (NAME_BLUE, NAME_AMBER), strict=True):
+        assert shown.sum() > 20
+        assert near(frame, colour, 9)[shown].all()
+    assert not (letters[0] & letters[1]).any()
+
+
+def test_names_stand_on_the_side_away_from_the_other_car(race):
+    cars = np.array([state(6.0, 1.0, 0.0), state(9.0, 1.0, 0.0)])
+    frame = Renderer(race, 600, 400, view="both").render(cars, names=("you", "opponent"))
+    columns = [np.nonzero(near(frame, colour, 9))[1] for colour in (NAME_BLUE, NAME_AMBER, BLUE, AMBER)]
+    you, opponent, blue, amber = (np.median(found) for found in columns)
+    assert you < blue < amber < opponent
+
+
+@pytest.mark.parametrize("view", ["track", "car_0"])
+@pytest.mark.parametrize("heading", [0.0, np.pi / 2, np.pi, -np.pi / 2])
+def test_a_frame_tells_which_way_a_car_drives(race, view, heading):
+    """What points ahead, an arrow or a mark before the car, comes to a point; the rear does not."""
+    frame = Renderer(race, 600, 400, view=view).render(np.array([state(5.0, 5.0, heading)]))
+    rows, columns = np.nonzero(near(frame, BLUE))
+    centre = (300, 200) if view == "car_0" else (300 + (5.0 - 10.0) * 0.91 * 600 / 20, 200)
+    ahead = (columns - centre[0]) * np.cos(heading) - (rows - centre[1]) * np.sin(heading)
+    across = np.abs((columns - centre[0]) * np.sin(heading) + (rows - centre[1]) * np.cos(heading))
+    assert across[ahead > 0.85 * ahead.max()].max() < 0.6 * across[ahead < 0.7 * ahead.min()].max()
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_names_can_be_read(race, theme):
+    """Contrast of the letters to the halo around them: at least 4.5 to 1, as WCAG 2.2 asks for text."""
+
+    def luminance(colour):
+        share = np.array(colour) / 255
+        return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+
+    colours = Renderer(race, 64, 64, theme=theme)._colours
+    for car in range(2):
+        dark, light = sorted(luminance(colours[name]) + 0.05 for name in (f"name{car}", "asphalt"))
+        assert light / dark >= 4.5

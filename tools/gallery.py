@@ -1,0 +1,196 @@
+"""Write docs/gallery.md and its GIFs in docs/images/gallery: overtakes, defences and crashes, selected by a rule.
+
+    python tools/gallery.py
+
+For each circuit of `CIRCUITS`, the races 0, 1, 2, ... of one seed are simulated in this order. The first race that
+contains a scene of a kind gives the GIF of that kind; `SCENES` says what counts as one.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pcs_racing import CONTEST, load_track, parse_policy, record_race
+from pcs_racing.base.files import write_atomically
+from pcs_racing.race.rendering import Renderer, write_gif
+from pcs_racing.race.replay import Replay
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+FOLDER = "images/gallery"
+
+CIRCUITS = ("Tarnfjord", "Quillburg")
+FAST, SLOW = "lattice:pace=0.95,overtaking=1", "lattice:pace=0.55"
+SEED = 1
+RACES = 300
+LARGEST = 600_000  # bytes of a GIF
+
+BEFORE, AFTER = 4.0, 2.0  # s of a clip before and after its moment
+CLOSE, DEFENDED = 1.5, 4.0  # m behind, and for how many s
+
+
+def find_overtake(replay: Replay) -> float | None:
+    """Return the moment of the first overtake after which the new leader leads for at least AFTER, or None."""
+    lead = np.asarray(replay.lead)
+    kept = round(AFTER / replay.frame_dt)
+    for event in replay.events:
+        at = round(event.time / replay.frame_dt)
+        sign = 1.0 if event.car == 0 else -1.0
+        after = sign * lead[at : at + kept]
+        if event.kind == "overtake" and event.time >= BEFORE and len(after) == kept and (after > 0.0).all():
+            return float(event.time)
+    return None
+
+
+def find_defence(replay: Replay) -> float | None:
+    """Return when one car has stayed less than CLOSE behind the other for DEFENDED without overtaking, or None."""
+    lead = np.asarray(replay.lead)
+    run = 0
+    for i, value in enumerate(lead):
+        same = i > 0 and value * lead[i - 1] > 0.0 and 0.3 < abs(value) < CLOSE
+        run = run + 1 if same else 0
+        if run * replay.frame_dt >= DEFENDED and i * replay.frame_dt >= BEFORE + AFTER:
+            return i * replay.frame_dt
+    return None
+
+
+def find_crash(replay: Replay) -> float | None:
+    """Return the moment of the first contact between the cars that has a guilty one, or None."""
+    times = [event.time for event in replay.events if event.kind == "crash" and event.text.endswith("the other car")]
+    return float(times[0]) if times and times[0] >= BEFORE else None
+
+
+class Scene(NamedTuple):
+    """A kind of scene: its title, how it is told, and what finds its moment in a race."""
+
+    title: str
+    rule: str
+    find: Callable[[Replay], float | None]
+
+
+SCENES = {
+    "overtake": Scene(
+        "Overtakes",
+        f"A car passes the other one at least {BEFORE:.0f} s after the start, and leads for the next {AFTER:.0f} s.",
+        find_overtake,
+    ),
+    "defence": Scene(
+        "Defences",
+        f"For {DEFENDED:.0f} s one car is less than {CLOSE} m behind the other and does not pass.",
+        find_defence,
+    ),
+    "crash": Scene(
+        "Crashes",
+        "The cars touch, and the rules find one of them at fault. The race ends with the contact.",
+        find_crash,
+    ),
+}
+
+
+HEAD = """# Gallery
+
+<!-- Written by `python tools/gallery.py`. -->
+
+This page is a reference of what happens in races: overtakes, defences and crashes. A rule selects them. On each circuit
+the races 0, 1, 2, ... of seed {seed} are simulated under the rules of the preset `contest`, between
+`{fast}` (fast, blue) and `{slow}` (slow, orange).
+The first race with a scene of a kind gives its GIF. It plays at the speed of the race, and its clock begins
+with the clip. The arrow, or the mark ahead of a car, shows which way the car drives.
+"""
+
+END = """## Make your own
+
+`pcs-racing view` shows, filters and plays the races of a tournament or a study ([watch races](view.md)).
+`pcs_racing.race.rendering.write_gif` writes a recorded race as a GIF ([a notebook](notebooks/first_race.md) does it).
+"""
+
+
+class Clip(NamedTuple):
+    """A scene that was found: kind, circuit, number of the race, moment in s, and how the race ended."""
+
+    kind: str
+    circuit: str
+    race: int
+    time: float
+    outcome: str
+
+    @property
+    def path(self) -> str:
+        """Path of its GIF below ``docs``."""
+        return f"{FOLDER}/{self.kind}-{self.circuit.lower()}.gif"
+
+
+def find_clips(circuit: str) -> list[tuple[Clip, Replay]]:
+    """Return the first scene of each kind on a circuit, with the race that it is taken from."""
+    track, drivers = load_track(circuit), (parse_policy(FAST), parse_policy(SLOW))
+    found: dict[str, tuple[Clip, Replay]] = {}
+    for race in range(RACES):
+        replay = record_race(track, *drivers, CONTEST, seed=SEED, index=race, candidates=False)
+        for kind in SCENES.keys() - found.keys():
+            time = SCENES[kind].find(replay)
+            if time is not None:
+                outcome = replay.outcome.replace(FAST, "fast").replace(SLOW, "slow")
+                found[kind] = Clip(kind, circuit, race, time, outcome), replace(replay, car_names=("fast", "slow"))
+        if len(found) == len(SCENES):
+            break
+    missing = SCENES.keys() - found.keys()
+    if missing:
+        raise SystemExit(f"gallery: no {', '.join(sorted(missing))} in {RACES} races on {circuit}")
+    return [found[kind] for kind in SCENES]
+
+
+def cut(replay: Replay, time: float) -> Replay:
+    """Return the part of a race around a moment, without its plans."""
+    first = max(0, round((time - BEFORE) / replay.frame_dt))
+    last = round((time + AFTER) / replay.frame_dt) + 1
+    return replace(
+        replay,
+        cars=replay.cars[first:last],
+        progress=replay.progress[first:last],
+        ittc=None,
+        paths=None,
+        candidate_steps=None,
+        candidates=None,
+        costs=None,
+        events=(),
+    )
+
+
+def gallery_page(clips: list[Clip]) -> str:
+    """Return the page."""
+    blocks = [HEAD.format(seed=SEED, fast=FAST, slow=SLOW).strip()]
+    for kind, scene in SCENES.items():
+        blocks += [f"## {scene.title}", scene.rule]
+        for clip in (clip for clip in clips if clip.kind == kind):
+            blocks += [
+                f"![{scene.title[:-1]} on {clip.circuit}, seen from above]({clip.path})",
+                f"{clip.circuit}, race {clip.race}, around {clip.time:.1f} s. How the race ended: {clip.outcome}.",
+            ]
+    blocks.append(END.strip())
+    return "\n\n".join(blocks) + "\n"
+
+
+def main() -> None:
+    """Find the scenes, and write GIFs and page."""
+    (DOCS / FOLDER).mkdir(parents=True, exist_ok=True)
+    clips = []
+    for circuit in CIRCUITS:
+        for clip, replay in find_clips(circuit):
+            scene = cut(replay, clip.time)
+            path = write_gif(
+                scene, DOCS / clip.path, renderer=Renderer(scene, 420, 300, view="both"), fps=10.0, speed=1.0
+            )
+            size = path.stat().st_size
+            print(f"{path}: race {clip.race}, {clip.time:.1f} s, {size:,} bytes", flush=True)
+            if size > LARGEST:
+                raise SystemExit(f"gallery: {path.name} has {size:,} bytes; at most {LARGEST:,} are allowed")
+            clips.append(clip)
+    page = DOCS / "gallery.md"
+    write_atomically(page, lambda file: file.write(gallery_page(clips).encode("utf-8")))
+    print(page)
+
+
+if __name__ == "__main__":
+    main()
