@@ -27,7 +27,7 @@ class Arguments:
 
     track: str = "Tarnfjord"
     """name of a shipped circuit or a map folder"""
-    preset: str = "contest"
+    race: str = "contest"
     """rules of the race: paper, contest or a YAML file"""
     races: int = 60
     """races of each pair, even: every start line is driven from both sides"""

@@ -156,7 +156,6 @@ MODULES = {
         """
         ratings: ratings
         meta_game: meta_game
-        best_response: ; best_response
         table: ; tournament_table
         statistics/clusters: statistics
         statistics/comparison: statistics

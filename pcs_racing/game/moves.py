@@ -125,7 +125,8 @@ def check_epsilon(epsilon: Any) -> tuple[float, ...]:
     InputError
         If they are anything else.
     """
-    lengths = list(epsilon) if isinstance(epsilon, list | tuple | np.ndarray) else [epsilon]
+    given = list(epsilon) if isinstance(epsilon, list | tuple) or np.ndim(epsilon) == 1 else [epsilon]
+    lengths = [length.item() if isinstance(length, np.ndarray) and length.ndim == 0 else length for length in given]
     steps = tuple(float(length) for length in lengths if is_number(length) and 0.0 < length <= 10.0)
     if not steps or len(steps) < len(lengths) or len(set(steps)) < len(steps):
         raise InputError(f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones")

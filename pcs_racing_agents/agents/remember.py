@@ -7,6 +7,7 @@ probable at first). Nothing is learned from the races of the match but this.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from pcs_racing.game.match_observation import decode_match, seen_races
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.behaviours import Behaviours, features, load_behaviours
 from pcs_racing_agents.agents.blind import walk_to
+from pcs_racing_agents.agents.fits import shipped_fits
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.jobs.fingerprint import fingerprint
@@ -102,14 +104,17 @@ def remember(
         Not used.
     table : Behaviours or path
         What each policy of the archive sees of a pool of opponents and wins against them; `pcs-racing match` writes it.
+        By default the one that is shipped for the archive and the rules.
     reply : str
         "likely": the best policy against all opponents of the pool, each by the likelihood of what was seen; "nearest":
         the best policy against the one whose behaviour is nearest.
     """
     check_choice("reply", reply, REPLIES)
     if table is None:
+        table = shipped_fits() / f"{setting.archive.name}-{setting.race}-behaviours"
+    if isinstance(table, Path) and not table.is_dir():
         raise UnknownNameError(
-            f"agent {name!r} needs a table of behaviours, and none is shipped for archive {setting.archive.name!r}; "
+            f"agent {name!r} needs a table of behaviours, and there is none at {table.name!r}; "
             "'pcs-racing match --out DIR' measures one: give it as table=DIR/behaviours"
         )
     known = load_behaviours(table)

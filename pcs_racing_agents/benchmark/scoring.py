@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from pcs_racing.game.competitor import competitor_name
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
@@ -181,6 +180,8 @@ def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
     None if none of the opponents was measured (:mod:`pcs_racing_agents.agents.measured`), or if it won or lost all
     races against them.
     """
+    from scipy.optimize import brentq  # takes a second
+
     table = measurements()
     archive, race = protocol.setting.archive.name, protocol.setting.race
     pairs = [

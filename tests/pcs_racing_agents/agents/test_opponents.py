@@ -16,7 +16,9 @@ from pcs_racing.game.competitor_names import competitor_names, make_competitor
 from pcs_racing_agents.agents.drivers import planner_driver
 
 SHORT = {"step_seconds": 0.4}
-NAMES = pcs_racing_agents.names()
+UNTRAINED = {"psro", "remember", "robust", "self-play"}
+"""Agents that are shipped for the contest alone; of these games they say so."""
+NAMES = [name for name in pcs_racing_agents.names() if name not in UNTRAINED]
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +37,12 @@ def test_every_name_and_every_object_is_an_opponent_of_a_duel(name):
         assert env.outcome()["opponent"].replace(" ", "") == name
         drives = len(env.opponents[0].policies) > 0
         assert (info["opponent_move"] == -1) is drives
+
+
+@pytest.mark.parametrize("name", sorted(UNTRAINED))
+def test_a_name_without_a_network_for_the_game_says_what_is_missing(name):
+    with pytest.raises(UnknownNameError, match=f"'{name}'"):
+        DuelEnv(opponent=name, **SHORT)
 
 
 @pytest.mark.parametrize("name", NAMES)

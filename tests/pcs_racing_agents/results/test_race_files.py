@@ -42,9 +42,9 @@ def as_file(rows, path):
 
 def test_a_race_is_one_line(tmp_path):
     races = race_table([
-        RaceRow("paper", "a", "b, c", "Oval", 0, 12.5, 0, 7, -1.23456, "opponent", "", "", 0, 1, 40.0, 3, 0,
+        RaceRow("paper", "a", "b, c", "Oval", 0, 12.5, 0, 7, -1.23456, "opponent", "none", "none", 0, 1, 40.0, 3, 0,
                 (3, 5, 5), (), ("pace +", "stay"), ()),
-        RaceRow("paper", "b, c", "a", "Oval", 1, 12.5, 1, 7, 0.0, "", "car", "both", 2, 0, 3.1, 0, 3, (), (3,)),
+        RaceRow("paper", "b, c", "a", "Oval", 1, 12.5, 1, 7, 0.0, "none", "car", "both", 2, 0, 3.1, 0, 3, (), (3,)),
     ])  # fmt: skip
     path = write_results(races, tmp_path / "results.csv")
     assert path.read_text(encoding="utf-8") == EXAMPLE

@@ -76,7 +76,7 @@ def test_what_the_races_do_not_tell_is_left_open():
     assert np.isnan(result.noise)
     assert np.isnan(result.scores[2]).all()
     assert np.isnan(result.rating("c")[0])
-    nothing = round_robin(("a", "b"), table(["a"], ["b"], [""], [True], [1]))
+    nothing = round_robin(("a", "b"), table(["a"], ["b"], ["none"], [True], [1]))
     assert nothing.ratings is None
     assert np.isnan(nothing.rating("a")).all()
 

@@ -67,8 +67,8 @@ def test_agents_and_outcomes_take_turns_and_the_typical_comes_first():
 
 words = st.sampled_from(["a", "b", "c"])
 races = st.tuples(
-    words, words, st.sampled_from(["s", "t"]), st.floats(-50, 50), st.sampled_from(["", "ego", "opponent"]),
-    st.sampled_from(["", "wall", "car"]), st.sampled_from(["", "ego", "opponent", "both"]),
+    words, words, st.sampled_from(["s", "t"]), st.floats(-50, 50), st.sampled_from(["none", "ego", "opponent"]),
+    st.sampled_from(["none", "wall", "car"]), st.sampled_from(["none", "ego", "opponent", "both"]),
     st.sampled_from(["1; 1", "1; 2"]),
 )  # fmt: skip
 

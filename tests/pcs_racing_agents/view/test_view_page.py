@@ -33,8 +33,8 @@ def test_packing_loses_nothing_that_is_shown(races):
             assert values[f"variants{car}"][number] == variant
             assert values[f"switches{car}"][number] == races.switches[number, car]
         assert ("none", "ego", "opponent")[int(values["winner"][number])] == row.winner
-        assert ("", "wall", "car")[int(values["crash"][number])] == row.crash
-        assert ("", "ego", "opponent", "both")[int(values["fault"][number])] == row.fault
+        assert ("none", "wall", "car")[int(values["crash"][number])] == row.crash
+        assert ("none", "ego", "opponent", "both")[int(values["fault"][number])] == row.fault
 
 
 def test_of_what_is_not_known_the_page_says_so(races):
