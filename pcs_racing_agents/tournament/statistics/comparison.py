@@ -81,7 +81,7 @@ def compare(
         Scores of the arms (:func:`score`: 1 win, 0.5 tie, 0 else), race by race in the same order
         (:func:`match_units`).
     ego, opponent : array_like, shape (U,)
-        Labels of the ego start policy and of the opponent of each race.
+        Labels of the ego start policy and of the opponent of each race. A single opponent is taken as given.
     start : array_like, shape (U,), optional
         Labels of the start lines, where all pairs shared the same few: they are then a third kind of cluster. Leave it
         out where every pair had lines of its own.
@@ -97,10 +97,11 @@ def compare(
     Raises
     ------
     InputError
-        If a score is not finite, shapes differ, or there are fewer than two ego variants, opponents or start lines.
+        If a score is not finite, shapes differ, or there are fewer than two ego variants or start lines.
     """
     first, second = check_arms(a, b)
-    kinds = (ego, opponent) if start is None else (ego, opponent, start)
+    single = len(np.unique(np.asarray(opponent))) == 1  # such as a driver with one policy: the interval is for this one
+    kinds = [ego, *([] if single else [opponent]), *([] if start is None else [start])]
     result = clustered_mean(first - second, *kinds, same_pool=same_pool, level=level)
     p_paired_t, cohen_d = _paired_t(first - second, ego)
     return Comparison(
@@ -116,7 +117,7 @@ def compare(
         cohen_d=cohen_d,
         units=result.units,
         egos=result.clusters[0],
-        opponents=result.clusters[1],
+        opponents=1 if single else result.clusters[1],
         level=level,
     )
 
