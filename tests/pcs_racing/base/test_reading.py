@@ -131,7 +131,7 @@ def test_files_are_read_up_to_a_limit(tmp_path):
     path = tmp_path / "file"
     path.write_bytes(bytes(10))
     assert read_limited(path, 10, "a test") == bytes(10)
-    with pytest.raises(InputError, match="more than 9 bytes; that is not a test"):
+    with pytest.raises(InputError, match="more than 9 bytes"):
         read_limited(path, 9, "a test")
     with pytest.raises(OSError, match="No such file"):
         read_limited(tmp_path / "none", 9, "a test")

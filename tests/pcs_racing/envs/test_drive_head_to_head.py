@@ -380,9 +380,9 @@ def test_max_cycles_truncates_and_decides_nothing(coarse_oval):
 
 def test_after_the_end_no_agent_is_left(coarse_oval):
     env = make(coarse_oval, duration=0.3)
-    with pytest.raises(InputError, match="not begun; call reset"):
+    with pytest.raises(InputError, match="not begun"):
         env.step(SLOW)
-    with pytest.raises(InputError, match="not begun; call reset"):
+    with pytest.raises(InputError, match="not begun"):
         env.state()
     env.reset(seed=0)
     for _ in range(3):
@@ -461,7 +461,7 @@ def test_a_batch_has_two_environments_for_each_race(coarse_oval):
             break
     assert terminated[::2].tolist() == terminated[1::2].tolist()
     assert sorted(envs.outcome()[0]) == sorted(name for name in info if not name.startswith("_"))
-    with pytest.raises(InputError, match="num_envs is 5; it must be even"):
+    with pytest.raises(InputError, match="num_envs is 5"):
         DriveHeadToHeadVectorEnv(5, track=coarse_oval)
     with pytest.raises(InputError, match="both cars belong to agents"):
         DriveHeadToHeadVectorEnv(2, track=coarse_oval, opponent="lattice")

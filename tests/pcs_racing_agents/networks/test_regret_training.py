@@ -196,11 +196,11 @@ def test_constant_inputs_and_targets_are_no_trouble():
 
 def test_bad_input_is_one_clear_error():
     rows = rows_of(*situations(100))
-    with pytest.raises(InputError, match="observations have 7 numbers; the game has 8"):
+    with pytest.raises(InputError, match="observations have 7 numbers"):
         train_network(rows, identity(8), QUICK, name="net")
-    with pytest.raises(InputError, match="targets have 4 numbers; the game has 3"):
+    with pytest.raises(InputError, match="targets have 4 numbers"):
         train_network(rows, identity(7, MOVES[:3]), QUICK, name="net")
     with pytest.raises(InputError, match="one starting pair"):
         train_network(rows.take(rows.pair == 3), identity(), QUICK, name="net")
-    with pytest.raises(InputError, match=r"the loss is (nan|inf) after epoch \d+; take a learning_rate below 10"):
+    with pytest.raises(InputError, match=r"the loss is (nan|inf) after epoch \d+"):
         train_layers(rows, load_train_settings(QUICK, learning_rate=10.0, weight_decay=10.0))

@@ -123,7 +123,7 @@ def test_a_refreshed_set_of_opponents(scenarios):
     fresh = scenarios.against(policies(3, 9))
     np.testing.assert_array_equal(fresh.start_s, scenarios.start_s)
     assert (fresh.opponents != scenarios.opponents).any()
-    with pytest.raises(InputError, match=r"opponents have shape \(2, 17\); these races need \(3, 17\)"):
+    with pytest.raises(InputError, match=r"opponents have shape \(2, 17\)"):
         scenarios.against(policies(2))
 
 
@@ -156,7 +156,7 @@ def test_impossible_races(oval, change, message):
 
 
 def test_policies_of_the_wrong_shape(scenarios):
-    with pytest.raises(InputError, match=r"parameters has shape \(2, 3\); it must have \(any, 17\)"):
+    with pytest.raises(InputError, match=r"parameters has shape \(2, 3\)"):
         evaluate(scenarios, np.zeros((2, 3)))
 
 
@@ -166,7 +166,7 @@ def test_a_characteristic_that_is_not_a_number(oval, monkeypatch):
     scenarios = draw_scenarios([oval], SHORT, policies(1), ("pace", "broken"), starts=1, segment_seconds=2.0)
     with (
         np.errstate(all="ignore"),
-        pytest.raises(InputError, match="characteristic 'broken' is nan in race 0 of policy 0; it must be finite"),
+        pytest.raises(InputError, match="characteristic 'broken' is nan in race 0 of policy 0"),
     ):
         evaluate(scenarios, policies(2))
 

@@ -223,7 +223,7 @@ def test_stored_results_of_another_search_are_refused():
     ]
     with pytest.raises(InputError, match="belong to other points than those after 0 evaluations"):
         synthesize(spheres, UNIT, **{**SMALL, "seed": 4}, evaluated=stored)
-    with pytest.raises(InputError, match="holds 6 results; this search needs at most 5"):
+    with pytest.raises(InputError, match="holds 6 results"):
         synthesize(spheres, UNIT, **{**SMALL, "generations": 5}, evaluated=stored)
 
 
@@ -390,7 +390,7 @@ def test_impossible_arguments_are_named(options, words):
 
 
 def test_an_unknown_method_is_named():
-    with pytest.raises(UnknownNameError, match="method is 'cmaes'; it must be one of mo-cma-es, nsga2"):
+    with pytest.raises(UnknownNameError, match="method is 'cmaes'"):
         synthesize(spheres, UNIT, method="cmaes")
 
 
@@ -432,7 +432,7 @@ def test_points_from_elsewhere_must_fit(points, words):
 def test_the_number_of_objectives_can_not_change():
     search = Search(UNIT, population=12)
     search.tell(spheres(search.ask()))
-    with pytest.raises(InputError, match=r"shape \(12, 3\); for 12 points they must have \(12, 2\)"):
+    with pytest.raises(InputError, match=r"shape \(12, 3\)"):
         search.tell(three(search.ask()))
 
 

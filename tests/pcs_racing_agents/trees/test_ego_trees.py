@@ -108,7 +108,7 @@ def test_rows_hold_each_situation_once(noisy, trees):
 
 def test_trees_without_a_decision_give_no_rows(trees):
     dead = replace(trees, over=tuple(np.ones_like(level) for level in trees.over))
-    with pytest.raises(InputError, match="every race is over before the first move; no ego tree gives a row"):
+    with pytest.raises(InputError, match="every race is over before the first move"):
         ego_rows(dead)
 
 
@@ -164,5 +164,5 @@ def test_impossible_settings_are_refused(noisy, settings, kind, message):
 def test_impossible_continuations_are_refused(trees, continuation, message):
     with pytest.raises(InputError, match=message):
         ego_values(trees, continuation)
-    with pytest.raises(InputError, match="move 2 is none of the trees'; it must lie in 0 to 1"):
+    with pytest.raises(InputError, match="move 2 is none of the trees'"):
         trees.observations(2)

@@ -167,7 +167,7 @@ def test_games_without_a_tree_are_refused(track, paper):
     with pytest.raises(InputError, match="4 moves with 9 choices for each player"):
         build_tree(make_game(track, paper.archive, epsilon=(0.2, 0.4), stay=True), (2, 7), (20.0, 0))
     outside = replace(paper, opponent_planner="pure-pursuit")
-    with pytest.raises(InputError, match="car 1 is driven by planner 'pure-pursuit'; in a game tree both cars"):
+    with pytest.raises(InputError, match="car 1 is driven by planner 'pure-pursuit'"):
         build_tree(outside, (2, 7), (20.0, 0))
-    with pytest.raises(InputError, match="move 2 is none of the tree's; it must lie in 0 to 1"):
+    with pytest.raises(InputError, match="move 2 is none of the tree's"):
         build_tree(paper, (2, 7), (20.0, 0)).observations(2)

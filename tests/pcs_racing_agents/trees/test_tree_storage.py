@@ -91,7 +91,7 @@ def test_numbers_that_are_not_finite_are_refused(stored):
     arrays = read_chunk(stored.file(1))
     arrays["payoffs"][0, 0, 0] = np.nan
     write_chunk(stored.file(1), arrays, "0" * 64)
-    with pytest.raises(InputError, match=r"tree-00001.npz: payoffs holds NaN or infinity; every number of a tree"):
+    with pytest.raises(InputError, match=r"tree-00001.npz: payoffs holds NaN or infinity"):
         stored[1]
 
 
@@ -113,7 +113,7 @@ def test_files_that_do_not_fit_are_refused(stored, change, message):
 
 def test_a_file_that_was_renamed_is_noticed(stored):
     stored.file(2).rename(stored.file(1))
-    with pytest.raises(InputError, match=r"is the tree of policies \[4, 4\]; there should be that of \[5, 1\]"):
+    with pytest.raises(InputError, match=r"is the tree of policies \[4, 4\]"):
         stored[1]
 
 
@@ -121,7 +121,7 @@ def test_folders_of_something_else_are_refused(paper, tmp_path):
     with pytest.raises(InputError, match=r"holds no game trees: job.yaml: No such file"):
         load_trees(tmp_path)
     (tmp_path / "job.yaml").write_text("format: pcs-racing job\nkind: ego trees\nsettings: {}\n")
-    with pytest.raises(InputError, match=r"is no manifest of game trees; choose a folder that 'pcs-racing tree' wrote"):
+    with pytest.raises(InputError, match=r"is no manifest of game trees"):
         load_trees(tmp_path)
 
 

@@ -48,7 +48,7 @@ def test_games_must_be_alike(game, setting, tmp_path):
     with open_job(tmp_path / "c", "response", {}) as job:
         with pytest.raises(InputError, match="give at least one of each"):
             learn_response([game], [], setting, SMALL, job)
-        with pytest.raises(InputError, match="made for games of 2 moves; the game has 3"):
+        with pytest.raises(InputError, match="made for games of 2 moves"):
             learn_response([game, other], [never_switch(setting)], setting, SMALL, job)
 
 
