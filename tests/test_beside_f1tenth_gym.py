@@ -1,0 +1,63 @@
+"""The comparison with the F1TENTH gym: our half, the errors, and the half that runs there, with a stand-in."""
+
+import importlib.util
+import stat
+import sys
+
+import pytest
+from repository import REPOSITORY
+
+
+@pytest.fixture(scope="module")
+def beside():
+    spec = importlib.util.spec_from_file_location("beside", REPOSITORY / "benchmarks" / "beside_f1tenth_gym.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_our_half_drives_both_cars_to_the_end(beside, capsys):
+    assert beside.main(["--seconds", "2", "--races", "2"]) == 0
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| here")]
+    assert [row.split("|")[2].strip() for row in rows] == ["2", "2"]
+    assert not any("crashed" in row for row in rows)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--checkout", "."],
+        ["--checkout", "nowhere", "--python", sys.executable],
+        ["--seconds", "0"],
+        ["--track", "no such track"],
+    ],
+)
+def test_what_cannot_be_compared_is_one_line(beside, arguments, capsys):
+    assert beside.main(arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+
+
+def test_the_gym_is_run_by_its_own_python(beside, tmp_path, capsys):
+    """A stand-in for the other Python takes the task and answers as the gym's half does."""
+    (tmp_path / "f1tenth_gym" / "envs").mkdir(parents=True)
+    python = tmp_path / "python"
+    answer = '{"spent": 4.0, "driven": task["seconds"], "crashed": False}'
+    python.write_text(
+        f"#!{sys.executable}\nimport json, sys\ntask = json.load(sys.stdin)\nprint(json.dumps({answer}))\n"
+    )
+    python.chmod(python.stat().st_mode | stat.S_IXUSR)
+    given = ["--checkout", str(tmp_path), "--python", str(python), "--seconds", "2", "--races", "1"]
+    assert beside.main(given) == 0
+    row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("| F1TENTH gym"))
+    assert [cell.strip() for cell in row.split("|")[2:5]] == ["2", "0", "1.0"]
+
+
+def test_a_gym_that_fails_is_named(beside, tmp_path, capsys):
+    (tmp_path / "f1tenth_gym" / "envs").mkdir(parents=True)
+    python = tmp_path / "python"
+    python.write_text(f"#!{sys.executable}\nraise SystemExit('no gym here')\n")
+    python.chmod(python.stat().st_mode | stat.S_IXUSR)
+    assert beside.main(["--checkout", str(tmp_path), "--python", str(python), "--seconds", "2"]) == 2
+    assert "no gym here" in capsys.readouterr().err
