@@ -144,7 +144,8 @@ def _findings(table: StudyTable) -> Iterator[str]:
         yield verdict_text(arm, table.base, results)
     gains = [row.gain.result for row in table.rows if row.gain is not None]
     if gains and table.best is not None:
-        yield f"What looking at the race brings: {verdict_text(table.best, f'{table.blind}, the best blind agent in training', gains)}"
+        blind = f"{table.blind}, the best blind agent in training"
+        yield f"What looking at the race brings: {verdict_text(table.best, blind, gains)}"
 
 
 def _curves(study: Study) -> dict[str, list[Curve]]:
