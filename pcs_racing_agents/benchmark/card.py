@@ -1,4 +1,4 @@
-"""Score cards: what an agent scored by a protocol, as values, JSON, Markdown and a page."""
+"""CardScore cards: what an agent scored by a protocol, as values, JSON, Markdown and a page."""
 
 import json
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited
 from pcs_racing.race.replay import Replay, replay_page
-from pcs_racing_agents.benchmark.scoring import Score
+from pcs_racing_agents.benchmark.scoring import CardScore
 from pcs_racing_agents.results.text_table import markdown
 
 __all__ = ["Card", "card_markdown", "card_page", "read_card", "write_card"]
@@ -32,7 +32,7 @@ class Card:
     protocol_sha256 : str
         Hash of the protocol and of everything that its results depend on.
     agent, agent_sha256 : str
-    scores : tuple of Score
+    scores : tuple of CardScore
         Over everything, by kind of opponent, and cell by cell.
     gains : dict of str to dict
         Adaptivity gain on ``"seen"``, ``"unseen"`` and ``"all"`` circuits: ``over``, ``gain``, ``low``, ``high``.
@@ -47,13 +47,13 @@ class Card:
     protocol_sha256: str
     agent: str
     agent_sha256: str
-    scores: tuple[Score, ...]
+    scores: tuple[CardScore, ...]
     gains: dict[str, dict[str, Any]]
     rating: float | None = None
     cost_us: float | None = None
     best_reply: dict[str, Any] | None = None
 
-    def score(self, part: str = "all", circuits: str = "all") -> Score:
+    def score(self, part: str = "all", circuits: str = "all") -> CardScore:
         """Return the score of a part of the races.
 
         Raises
@@ -111,7 +111,7 @@ def read_card(path: Path) -> Card:
     try:
         if values.pop("format") != FORMAT:
             raise InputError(f"{file} is no card of this version; its format must be {FORMAT!r}")
-        scores = tuple(Score(**score) for score in values.pop("scores"))
+        scores = tuple(CardScore(**score) for score in values.pop("scores"))
         card = Card(scores=scores, **values)
         card.score()
     except (KeyError, TypeError, AttributeError) as error:

@@ -18,7 +18,7 @@ from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
 
-__all__ = ["CellRaces", "Score", "decision_cost", "gain", "play_protocol", "rating", "summarise"]
+__all__ = ["CardScore", "CellRaces", "decision_cost", "gain", "play_protocol", "rating", "summarise"]
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class CellRaces(NamedTuple):
     races: RaceTable
 
 
-class Score(NamedTuple):
+class CardScore(NamedTuple):
     """The score over a part of the races.
 
     Attributes
@@ -110,7 +110,7 @@ def play_protocol(
     return results
 
 
-def summarise(races: Iterable[CellRaces]) -> list[Score]:
+def summarise(races: Iterable[CellRaces]) -> list[CardScore]:
     """Return the scores of an agent: over everything, by kind of opponent, and cell by cell."""
     cells = list(races)
     scores = []
@@ -132,13 +132,13 @@ def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]
     return scores, egos, opponents
 
 
-def _score(part: str, circuits: str, cells: list[CellRaces]) -> Score:
+def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     scores, egos, opponents = _columns(cells)
     clusters = [labels for labels in (egos, opponents) if len(np.unique(labels)) > 1]
     estimate = clustered_mean(scores, *clusters)
     own = np.concatenate([one.races.fault[:, 0] > 0 for one in cells])
     crashed = np.concatenate([one.races.crashed for one in cells])
-    return Score(
+    return CardScore(
         part,
         circuits,
         len(scores),

@@ -13,7 +13,7 @@ from pcs_racing_agents.benchmark.card import Card, read_card, write_card
 from pcs_racing_agents.benchmark.entrants import load_entrant
 from pcs_racing_agents.benchmark.leaderboard import board_page, board_rows, read_cards
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
-from pcs_racing_agents.benchmark.scoring import Score, gain, play_protocol, rating, summarise
+from pcs_racing_agents.benchmark.scoring import CardScore, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main
 
 SMALL = {
@@ -139,7 +139,7 @@ def test_a_policy_of_stable_baselines3_is_read_without_running_its_code(protocol
 
 def card(name="mine", score=0.5, **changes):
     parts = (("all", "all"), ("all", "seen"), ("all", "unseen"), ("keeps", "seen"))
-    scores = tuple(Score(*part, 10, score, score - 0.1, score + 0.1, 0.1, 0.0) for part in parts)
+    scores = tuple(CardScore(*part, 10, score, score - 0.1, score + 0.1, 0.1, 0.0) for part in parts)
     gains = {"all": {"over": "best-fixed", "gain": 0.1, "low": 0.0, "high": 0.2}}
     values = {"protocol": "p-v1", "protocol_sha256": "ab" * 32, "agent": name, "agent_sha256": "c", "gains": gains}
     return Card(**{**values, "scores": scores, **changes})
