@@ -1,4 +1,4 @@
-"""CardScore cards: what an agent scored by a protocol, as values, JSON, Markdown and a page."""
+"""Score cards: what an agent scored by a protocol, as values, JSON, Markdown and a page."""
 
 import json
 from collections.abc import Sequence
