@@ -6,14 +6,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited
-from pcs_racing.race.replay import Replay, replay_page
+from pcs_racing.race.replay import Replay
 from pcs_racing_agents.benchmark.scoring import CardScore
 from pcs_racing_agents.results.text_table import markdown
+from pcs_racing_agents.study.report import page_environment
 
 __all__ = ["Card", "card_markdown", "card_page", "read_card", "write_card"]
 
@@ -172,12 +171,4 @@ def card_page(card: Card, races: Sequence[tuple[str, Replay]] = ()) -> str:
 
 def render(name: str, **values: Any) -> str:
     """Return a page from a template of this folder."""
-    environment = Environment(
-        loader=PackageLoader("pcs_racing_agents.benchmark", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["page"] = replay_page
-    return environment.get_template(name).render(**values)
+    return page_environment("pcs_racing_agents.benchmark").get_template(name).render(**values)

@@ -7,6 +7,7 @@ A protocol is a YAML file with a version in its name. It also lists the hashes o
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import zip_longest
 from typing import Any, NamedTuple
 
 from pcs_racing.base.errors import InputError
@@ -132,7 +133,9 @@ class Protocol:
         InputError
             If archive, rules, a circuit or an opponent differ; the first one is named.
         """
-        for wanted, here in zip(self.config.hashes, self.hashes, strict=False):
+        if not self.config.hashes:
+            return
+        for wanted, here in zip_longest(self.config.hashes, self.hashes, fillvalue="nothing"):
             if wanted != here:
                 raise InputError(
                     f"protocol {self.config.name!r} was written for {wanted!r}, but this installation has {here!r}; "

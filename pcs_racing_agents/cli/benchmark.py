@@ -145,6 +145,7 @@ def _watched(own: "list[CellRaces]", results: "dict[str, list[CellRaces]]") -> "
     others = next(iter(cells for name, cells in results.items() if cells is not own), own)
     telling: list[tuple[float, CellRaces, int]] = []
     for cell, other in zip(own, others, strict=True):
+        # Races that the agent wins and the other one loses, and the other way round, in turn.
         surprise = (cell.races.score - other.races.score) * (1.0 if len(telling) % 2 == 0 else -1.0)
         race = int(np.argmax(surprise))
         telling.append((float(surprise[race]), cell, race))

@@ -1,10 +1,9 @@
 """``pcs-racing play``: drive races against an agent by making the moves of one car on a page."""
 
 import argparse
-import sys
 
 from pcs_racing.base.checks import check_seed
-from pcs_racing_agents.cli.browser import open_page
+from pcs_racing_agents.cli.browser import serve
 from pcs_racing_agents.cli.options import Commands, add_command, add_rules, add_track, rules
 
 __all__ = ["add"]
@@ -50,11 +49,4 @@ def run(arguments: argparse.Namespace) -> None:
     races = PersonRaces(game, rival, arguments.seed)
     races.situation(0, ())  # a competitor that does not fit is told now, and kernels are compiled before the page opens
     with make_server(play_page(races), races.answer, arguments.port) as server:
-        address = f"http://127.0.0.1:{server.server_address[1]}/"
-        print(f"play at {address} (Ctrl-C ends it)", flush=True)
-        if not arguments.no_open:
-            open_page(address)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            print("ended", file=sys.stderr)
+        serve(server, "play", open_it=not arguments.no_open)

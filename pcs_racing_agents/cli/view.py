@@ -1,13 +1,12 @@
 """``pcs-racing view``: write or serve a page that lists the races of a tournament and plays them."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.cli.browser import open_page
+from pcs_racing_agents.cli.browser import open_page, serve
 from pcs_racing_agents.cli.options import Commands, add_command, output_file
 
 if TYPE_CHECKING:
@@ -193,11 +192,4 @@ def _serve(
     page = view_page(replace(_content(arguments, races, results, picks), serve=True))
     service = RaceService(RaceDriver(results), len(races))
     with make_server(page, service.answer, arguments.port or 0) as server:
-        address = f"http://127.0.0.1:{server.server_address[1]}/"
-        print(f"{len(races)} races at {address} (Ctrl-C ends it)", flush=True)
-        if not arguments.no_open:
-            open_page(address)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            print("ended", file=sys.stderr)
+        serve(server, f"{len(races)} races", open_it=not arguments.no_open)

@@ -25,7 +25,7 @@ from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.folders import GO_ON, JobError, claim_folder, package_version
 from pcs_racing_agents.jobs.progress import Progress, show_line, show_progress
-from pcs_racing_agents.jobs.tasks import Task, run_tasks
+from pcs_racing_agents.jobs.tasks import Task, numbered_tasks, run_tasks
 
 __all__ = [
     "Arrays",
@@ -41,6 +41,7 @@ __all__ = [
     "package_version",
     "read_chunk",
     "run_groups",
+    "run_with_or_without",
     "show_line",
     "show_progress",
 ]
@@ -280,6 +281,32 @@ def run_groups(
         if progress is not None:
             progress(done, total, groups[i].name)
     return results
+
+
+def run_with_or_without(
+    job: Job | None,
+    name: str,
+    function: Callable[[A], Mapping[str, Any]],
+    arguments: Sequence[A],
+    *,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> list[Any]:
+    """Return the results of all tasks in their order, kept in a job if there is one; arguments as for :meth:`Job.run`.
+
+    Raises
+    ------
+    JobError
+        If a chunk can't be written, or the executor is broken.
+    """
+    if job is not None:
+        return job.run(name, function, arguments, executor=executor, progress=progress)
+    results: dict[int, Any] = {}
+    for index, result in run_tasks(numbered_tasks(function, arguments), executor, name):
+        results[index] = result
+        if progress is not None:
+            progress(len(results), len(arguments), name)
+    return [results[index] for index in range(len(arguments))]
 
 
 def _plain_arrays(value: Any, where: str) -> Arrays:

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import RaceSetup, advance, start_races
+from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, race_scores
 
 __all__ = ["LeadPlanValue", "lead_plan_payoffs", "lead_plan_value", "make_lead_plans"]
@@ -99,10 +99,7 @@ def lead_plan_payoffs(
         raise InputError("the pool holds policies of several planners; a lead plan can't change the planner in a race")
     tasks = [(pool, track, plan, ticks) for track in range(len(pool.tracks)) for plan in plans]
     race = _race_plan if executor is None else partial(_race_plan, threads=1)
-    if job is not None:
-        results = job.run("lead-plans", race, tasks, executor=executor, progress=progress)
-    else:
-        results = list((map if executor is None else executor.map)(race, tasks))
+    results = run_with_or_without(job, "lead-plans", race, tasks, executor=executor, progress=progress)
     payoffs = np.array([result["payoffs"] for result in results])
     return np.moveaxis(payoffs.reshape(len(pool.tracks), len(plans), len(pool.policies), pool.folds), 3, 1)
 
@@ -162,5 +159,5 @@ def _race_plan(task: tuple[PolicyPool, int, Plan, int], threads: int | None = No
             leads = state.progress[:, 0] > state.progress[:, 1]
             theta[:, 0] = own[np.where(leads, 0, 1)]
             advance(setup, state, theta, min(ticks, pool.config.ticks - first), threads=threads, ittc=False)
-        scores[j] = race_scores(pool.config, state)
+        scores[j] = race_scores(winners(pool.config, state))
     return {"payoffs": pool.by_fold(scores).mean(axis=-1)}

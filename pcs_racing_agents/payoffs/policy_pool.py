@@ -18,10 +18,9 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track, as_track
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
 
 __all__ = ["PolicyPool", "pool_payoffs", "race_scores", "slot_payoffs"]
 
@@ -143,10 +142,7 @@ def slot_payoffs(
     blocks = [pool.pairs[first : first + step] for first in range(0, len(pool.pairs), step)]
     tasks = [(pool, track, block) for track in range(len(pool.tracks)) for block in blocks]
     race = _race_block if executor is None else partial(_race_block, threads=1)
-    if job is not None:
-        results = job.run(name, race, tasks, executor=executor, progress=progress)
-    else:
-        results = list((map if executor is None else executor.map)(race, tasks))
+    results = run_with_or_without(job, name, race, tasks, executor=executor, progress=progress)
     count = len(pool.policies)
     payoffs = np.zeros((len(pool.tracks), pool.folds, 2, count, count))
     for (_, track, block), result in zip(tasks, results, strict=True):
@@ -171,11 +167,10 @@ def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: in
         theta = np.stack([pad_parameters([policy], setup.theta_size)[0] for policy in (ego, rival)])
         theta = np.ascontiguousarray(np.broadcast_to(theta, (pool.races, *theta.shape)))
         advance(setup, state, theta, pool.config.ticks, threads=threads, ittc=False)
-        scores[row] = race_scores(pool.config, state)
+        scores[row] = race_scores(winners(pool.config, state))
     return {"payoffs": pool.by_fold(scores)}
 
 
-def race_scores(config: RaceConfig, state: RaceState) -> Floats:
+def race_scores(winner: NDArray[np.int8]) -> Floats:
     """Return the score of car 0 in races that are over: 1 for a win, 0 for a loss, else one half."""
-    won = winners(config, state)
-    return np.where(won == 0, 1.0, np.where(won == 1, 0.0, 0.5))
+    return np.where(winner == 0, 1.0, np.where(winner == 1, 0.0, 0.5))

@@ -37,27 +37,24 @@ REPLY_SEED = 7_000_000
 def learn_robust_agent(study: Study) -> None:
     """Learn the agent "robust"; nothing to do without settings for it."""
     if study.config.robust is not None:
-        settings = load_robust_settings(study.config.robust)
-        seeded = replace(settings, seed=settings.seed + study.config.seed + PLAYING_SEED)
-        games, pool = _games_and_pool(study)
-
-        def learn(job: Job, **told: Any) -> NetworkSet:
-            return learn_robust(games, pool, study.setting, seeded, job, **told)
-
-        _learn(study, "robust", "robust", plain_settings(seeded), learn)
+        _learn_from_pool(study, "robust", load_robust_settings(study.config.robust), learn_robust)
 
 
 def learn_psro_agent(study: Study) -> None:
     """Learn the agent "psro"; nothing to do without settings for it."""
     if study.config.psro is not None:
-        settings = load_psro_settings(study.config.psro)
-        seeded = replace(settings, seed=settings.seed + study.config.seed + PLAYING_SEED)
-        games, pool = _games_and_pool(study)
+        _learn_from_pool(study, "psro", load_psro_settings(study.config.psro), learn_psro)
 
-        def learn(job: Job, **told: Any) -> NetworkSet:
-            return learn_psro(games, pool, study.setting, seeded, job, **told)
 
-        _learn(study, "psro", "psro", plain_settings(seeded), learn)
+def _learn_from_pool(study: Study, name: str, settings: Any, learn_agent: Callable[..., NetworkSet]) -> None:
+    """Learn an agent that begins with the study's pool of opponents."""
+    seeded = replace(settings, seed=settings.seed + study.config.seed + PLAYING_SEED)
+    games, pool = _games_and_pool(study)
+
+    def learn(job: Job, **told: Any) -> NetworkSet:
+        return learn_agent(games, pool, study.setting, seeded, job, **told)
+
+    _learn(study, name, name, plain_settings(seeded), learn)
 
 
 def play_against_itself(study: Study) -> None:

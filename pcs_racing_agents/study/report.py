@@ -23,7 +23,7 @@ from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
 
-__all__ = ["Picture", "ReportContent", "Sheet", "report_page", "write_page"]
+__all__ = ["Picture", "ReportContent", "Sheet", "page_environment", "report_page", "write_page"]
 
 
 class Sheet(NamedTuple):
@@ -132,16 +132,23 @@ def write_page(content: ReportContent, path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
-def report_page(content: ReportContent) -> str:
-    """Return the report as HTML from the template ``report.html``; all text is escaped."""
+def page_environment(package: str) -> Environment:
+    """Return the environment of a package's page templates: all text is escaped, and ``page`` embeds a replay."""
     environment = Environment(
-        loader=PackageLoader("pcs_racing_agents.study", ""),
+        loader=PackageLoader(package, ""),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"page": replay_page, "p_value": p_text, "plain": _plain, "data": _data}
+    environment.filters["page"] = replay_page
+    return environment
+
+
+def report_page(content: ReportContent) -> str:
+    """Return the report as HTML from the template ``report.html``; all text is escaped."""
+    environment = page_environment("pcs_racing_agents.study")
+    environment.filters |= {"p_value": p_text, "plain": _plain, "data": _data}
     environment.tests["number"] = is_number
     return environment.get_template("report.html").render(
         content=content,

@@ -20,7 +20,7 @@ from pcs_racing_agents.agents.behaviours import Behaviours
 from pcs_racing_agents.agents.remember import RememberedReply
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.tournament.match_play import FixedChoice, KnownOpponentChoice, play_matches
@@ -154,10 +154,7 @@ def match_gains(
     opponents = range(len(test.table.opponents))
     tasks = [(test, track, opponent) for track in range(len(test.tracks)) for opponent in opponents]
     play = _play_opponent if executor is None else partial(_play_opponent, threads=1)
-    if job is not None:
-        results = job.run("matches", play, tasks, executor=executor, progress=progress)
-    else:
-        results = list((map if executor is None else executor.map)(play, tasks))
+    results = run_with_or_without(job, "matches", play, tasks, executor=executor, progress=progress)
     known = str(test.table.training.get("tracks", "")).split(", ")
     gains = []
     for number, track in enumerate(test.tracks):

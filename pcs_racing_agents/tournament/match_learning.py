@@ -19,7 +19,7 @@ from pcs_racing.track.track import Track, as_track
 from pcs_racing_agents.agents.behaviours import Behaviours, features
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
 from pcs_racing_agents.tournament.match_play import play_matches
 
 __all__ = ["LearningRaces", "learn_behaviours"]
@@ -94,10 +94,7 @@ def learn_behaviours(
         for first in range(0, len(pairs), step)
     ]
     race = _race_block if executor is None else partial(_race_block, threads=1)
-    if job is not None:
-        results = job.run("learning", race, tasks, executor=executor, progress=progress)
-    else:
-        results = list((map if executor is None else executor.map)(race, tasks))
+    results = run_with_or_without(job, "learning", race, tasks, executor=executor, progress=progress)
     blocks = [(block, result) for (_, _, block), result in zip(tasks, results, strict=True)]
     return _table(learning, archive.name, blocks)
 

@@ -107,7 +107,8 @@ class PersonRaces:
         replay, played, steps = self._drive(number, moves)
         game, archive = self.game, self.game.archive
         made, over = len(moves), self._over(played, len(moves))
-        policy = int(played.policy[0, 0, made]) if played.policy[0, 0, made] >= 0 else int(played.policy[0, 0].max())
+        # Steps after a crash have no policy (-1): then it is the last one that was driven.
+        policy = int([policy for policy in played.policy[0, 0, : made + 1] if policy >= 0][-1])
         axes = get_characteristics(archive.characteristics)
         seen = [
             opponent(earlier(played.observations[:, car], len(axes), made), len(axes))[0].astype(float).tolist()

@@ -13,7 +13,8 @@ from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
+from pcs_racing_agents.payoffs.policy_pool import race_scores
 from pcs_racing_agents.synthesis.evaluate import PolicyTask, join, race_pieces, race_policies
 from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
 
@@ -23,7 +24,6 @@ __all__ = [
     "measure_payoffs",
     "parameters_of",
     "race_learned",
-    "race_scores",
     "run_blocks",
 ]
 
@@ -149,11 +149,6 @@ def measure_payoffs(
     return won
 
 
-def race_scores(winner: NDArray[np.int8]) -> Floats:
-    """Return the score of the first car of races: 1 for a win, one half if nobody wins."""
-    return np.where(winner == 0, 1.0, np.where(winner == 1, 0.0, 0.5))
-
-
 def run_blocks(
     scenarios: Scenarios,
     parameters: Floats,
@@ -169,9 +164,7 @@ def run_blocks(
         (learned, (scenarios, parameters[first : first + _BLOCK])) for first in range(0, len(parameters), _BLOCK)
     ]
     run = partial(race_learned, race=race, threads=None if executor is None else 1)
-    if job is not None:
-        return join(job.run(name, run, tasks, executor=executor, progress=progress))
-    return join(list((map if executor is None else executor.map)(run, tasks)))
+    return join(run_with_or_without(job, name, run, tasks, executor=executor, progress=progress))
 
 
 def race_learned(task: LearnedTask, race: Race = race_policies, threads: int | None = None) -> Arrays:

@@ -12,7 +12,8 @@ from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.jobs import Job, Progress
-from pcs_racing_agents.learning.characteristics.behaviour import race_scores, run_blocks
+from pcs_racing_agents.learning.characteristics.behaviour import run_blocks
+from pcs_racing_agents.payoffs.policy_pool import race_scores
 from pcs_racing_agents.synthesis.archive_run import draw_policies
 from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
 from pcs_racing_agents.synthesis.scenarios import draw_scenarios

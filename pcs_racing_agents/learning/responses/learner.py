@@ -17,7 +17,7 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.base.settings import Settings, choice, load_settings, number, setting, whole, wholes
+from pcs_racing.base.settings import load_settings, setting, whole
 from pcs_racing.game.identity import game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
@@ -26,9 +26,10 @@ from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
-from pcs_racing_agents.learning.responses.branches import WORTH, branch_games
+from pcs_racing_agents.learning.responses.branches import branch_games
 from pcs_racing_agents.learning.responses.ensemble import merge_networks
 from pcs_racing_agents.learning.responses.kept_networks import train_kept
+from pcs_racing_agents.learning.responses.learner_settings import LearnerSettings
 from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.tournament.games import game_between
@@ -39,7 +40,7 @@ BLOCK = 256  # games branched in one task: about a second of work
 
 
 @dataclass(frozen=True)
-class ResponseSettings(Settings):
+class ResponseSettings(LearnerSettings):
     """Settings of the training of a response."""
 
     starts: int = setting(
@@ -54,28 +55,12 @@ class ResponseSettings(Settings):
         "Passes from the last step to the first. In the first pass, games reach a step by random moves; in later "
         "passes, every other game reaches it by the moves of the current network.",
     )
-    worth: str = setting("win", choice(WORTH), "Value of an outcome: a race won, or the game's utility.")
     members: int = setting(4, whole(1, 32), "Networks of the ensemble; the response is their mean.")
-    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer of a member.")
-    learning_rate: float = setting(3e-3, number(1e-8, 10.0), "Initial learning rate of Adam.")
-    weight_decay: float = setting(1e-3, number(0.0, 10.0), "Weight decay of AdamW.")
-    batch_size: int = setting(512, whole(1, 1_000_000), "Rows in the batch of a gradient step.")
-    epochs: int = setting(60, whole(1, 100_000), "Maximum number of epochs.")
-    patience: int = setting(12, whole(1, 100_000), "Epochs without a lower validation loss after which training stops.")
     seed: int = setting(0, whole(0, 2**57 - 1), "Seed of the games and of the networks.")
 
     def train_settings(self, member: int) -> TrainSettings:
         """Return the settings of one of the networks."""
-        return TrainSettings(
-            hidden=self.hidden,
-            learning_rate=self.learning_rate,
-            weight_decay=self.weight_decay,
-            batch_size=self.batch_size,
-            epochs=self.epochs,
-            patience=self.patience,
-            rows_per_epoch=50_000,
-            seed=self.seed * 64 + member,
-        )
+        return self.fit_settings(self.seed * 64 + member)
 
 
 def load_response_settings(source: str | Path | ResponseSettings | None = None, **changes: Any) -> ResponseSettings:

@@ -1,6 +1,6 @@
 """Settings of restricted Nash responses and of policy-space response oracles."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,26 @@ __all__ = ["PSROSettings", "RobustSettings", "load_psro_settings", "load_robust_
 
 
 @dataclass(frozen=True)
-class RobustSettings(Settings):
+class _ResponsesSettings(Settings):
+    """What the settings of agents that are made of several learned responses share."""
+
+    learner: str = setting(
+        "robust", text(), "Settings of each learned response (response configuration: a name or a YAML file)."
+    )
+    seed: int = setting(0, whole(0, 2**40), "Seed of the games and of the networks.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.response(0)
+
+    def response(self, number: int) -> ResponseSettings:
+        """Return the settings of one of the responses, each with a seed of its own."""
+        settings = load_response_settings(self.learner)
+        return replace(settings, seed=settings.seed + self.seed * 64 + number)
+
+
+@dataclass(frozen=True)
+class RobustSettings(_ResponsesSettings):
     """Settings of a restricted Nash response."""
 
     pool_share: float = setting(
@@ -21,38 +40,14 @@ class RobustSettings(Settings):
         "Share of the games against the pool; the others are against adversaries. 1 is the response to the pool.",
     )
     rounds: int = setting(4, whole(1, 20), "Adversaries that are learned, each followed by a response.")
-    learner: str = setting(
-        "robust", text(), "Settings of each learned response (response configuration: a name or a YAML file)."
-    )
-    seed: int = setting(0, whole(0, 2**40), "Seed of the games and of the networks.")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.response(0)
-
-    def response(self, number: int) -> ResponseSettings:
-        """Return the settings of one of the responses, each with a seed of its own."""
-        return _seeded(self.learner, self.seed, number)
 
 
 @dataclass(frozen=True)
-class PSROSettings(Settings):
+class PSROSettings(_ResponsesSettings):
     """Settings of policy-space response oracles."""
 
     rounds: int = setting(6, whole(2, 32), "Responses that are learned.")
     races: int = setting(200, whole(2, 2000), "Races of each two responses on each circuit, for the equilibrium; even.")
-    learner: str = setting(
-        "robust", text(), "Settings of each learned response (response configuration: a name or a YAML file)."
-    )
-    seed: int = setting(0, whole(0, 2**40), "Seed of the games and of the networks.")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.response(0)
-
-    def response(self, number: int) -> ResponseSettings:
-        """Return the settings of one of the responses, each with a seed of its own."""
-        return _seeded(self.learner, self.seed, number)
 
 
 def load_robust_settings(source: str | Path | RobustSettings | None = None, **changes: Any) -> RobustSettings:
@@ -79,8 +74,3 @@ def load_psro_settings(source: str | Path | PSROSettings | None = None, **change
         If the name is no configuration and no file.
     """
     return load_settings("psro", PSROSettings(), source, shipped_configs("psro"), **changes)
-
-
-def _seeded(learner: str, seed: int, number: int) -> ResponseSettings:
-    settings = load_response_settings(learner)
-    return load_response_settings(settings, seed=settings.seed + seed * 64 + number)

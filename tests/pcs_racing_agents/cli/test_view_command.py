@@ -13,7 +13,7 @@ import yaml
 from pcs_racing import load_track, save_archive
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import plain_settings
-from pcs_racing_agents.cli import browser, view
+from pcs_racing_agents.cli import browser
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import open_job
@@ -299,7 +299,7 @@ def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):
         addresses.append(self.server_address)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(view, "open_page", addresses.append)
+    monkeypatch.setattr(browser, "open_page", addresses.append)
     monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
     assert main(["view", str(folder), "--serve"]) == 0
     assert addresses[0] == f"http://127.0.0.1:{addresses[1][1]}/"
