@@ -1,6 +1,7 @@
 """A browser without a display, driven through a pipe: frames need real time, which ``--dump-dom`` does not give."""
 
 import base64
+import fcntl
 import io
 import json
 import os
@@ -42,11 +43,10 @@ class Browser:
         self._in, write = os.pipe()
 
         def pipes():
-            # Chromium reads from 3 and writes to 4; the copies must not step on each other.
-            a, b = os.dup(read), os.dup(write)
-            high = [os.dup2(a, 20), os.dup2(b, 21)]
-            os.dup2(high[0], 3)
-            os.dup2(high[1], 4)
+            # Chromium reads from 3 and writes to 4. Either may be one of the two here, so both are copied away first.
+            away = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (read, write)]
+            os.dup2(away[0], 3)
+            os.dup2(away[1], 4)
 
         self.process = subprocess.Popen(
             command, preexec_fn=pipes, close_fds=False, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
@@ -88,7 +88,9 @@ class Browser:
         while b"\0" not in self._buffer:
             ready, _, _ = select.select([self._in], [], [], max(0.0, end - time.monotonic()))
             assert ready, "the browser does not answer"
-            self._buffer += os.read(self._in, 1 << 20)
+            received = os.read(self._in, 1 << 20)
+            assert received, "the browser has ended"
+            self._buffer += received
         text, self._buffer = self._buffer.split(b"\0", 1)
         message = json.loads(text)
         kind, told = message.get("method"), message.get("params", {})
