@@ -380,12 +380,18 @@ class RaceGame:
 
     def winner(self, state: GameState) -> NDArray[np.int8]:
         """The car that won (0 or 1), shape (B,); -1 for a tie, a crash that pays nobody, and while a game goes on."""
-        return np.where(self.done(state), winners(self.config.race, state.race), -1).astype(np.int8)
+        over = self.done(state)
+        if not over.any():
+            return np.full(state.games, -1, np.int8)
+        return np.where(over, winners(self.config.race, state.race), -1).astype(np.int8)
 
     def reward(self, state: GameState) -> Floats:
         """Reward of each car, shape (B, 2): 0 while a game goes on, then :func:`pcs_racing.game.reward.reward`."""
-        first = np.where(self.done(state), reward(self.config, state.race, state.step), 0.0)
-        return np.stack([first, 0.0 - first], axis=1)
+        over, both = self.done(state), np.zeros((state.games, 2))
+        if over.any():
+            both[:, 0] = np.where(over, reward(self.config, state.race, state.step), 0.0)
+            both[:, 1] = 0.0 - both[:, 0]
+        return both
 
     # Observations
 
@@ -532,9 +538,9 @@ def check_moves(
         wanted = f"whole numbers of shape {shape}" if shape else "a whole number"
         found = f"{moves!r:.60}, of shape {given.shape} and type {given.dtype}"
         raise InputError(f"{by}moves are {found}; they must be {wanted}, {known}")
-    wrong = np.argwhere((given < 0) | (given >= len(names)))
-    if len(wrong):
-        at = tuple(int(i) for i in wrong[0])
+    wrong = (given < 0) | (given >= len(names))
+    if wrong.any():
+        at = tuple(int(i) for i in np.argwhere(wrong)[0])
         index = at if rows is None else (int(rows[at[0]]), *at[1:])
         where = ", ".join(f"{axis} {i}" for axis, i in zip(axes, index, strict=False))
         raise InputError(f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}")

@@ -6,8 +6,8 @@ from repository import REPOSITORY, python_blocks, run_python
 from pcs_racing import get_planner
 from pcs_racing.planners import planner
 from pcs_racing.planners.network import INPUTS
-from pcs_racing.planners.planner import VIEW
 from pcs_racing.planners.registry import SHIPPED
+from pcs_racing.planners.view import VIEW
 
 PAGE = (REPOSITORY / "docs" / "planners.md").read_text(encoding="utf-8")
 

@@ -5,9 +5,10 @@ import pytest
 
 from pcs_racing import CONTEST, PAPER, Planner, RaceConfig, RaceSetup, Starts, advance, list_tracks, load_track
 from pcs_racing.base.compilation import compiled
-from pcs_racing.planners import planner as view_index
-from pcs_racing.planners.planner import OWN_D, PATH_POINTS, TIME, calm_speed, pursuit_steering
+from pcs_racing.planners import view as view_index
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
+from pcs_racing.planners.pursuit import calm_speed, pursuit_steering
+from pcs_racing.planners.view import OWN_D, PATH_POINTS, TIME
 from pcs_racing.race.races import run_races, start_races
 from pcs_racing.track.frenet import KAPPA, SPEED, to_cartesian
 
