@@ -94,7 +94,8 @@ class DriveBatch:
             planner = shared_planner(self.opponents, self._moving.game if self._moving else None)
         delay = self.variety.randomization.most_delay
         self.setup = RaceSetup(self.variety.circuits.track(0), config, (EXTERNAL, planner), self.variety.cars, delay)
-        self.horizon = -(-self.setup.config.ticks // options.ticks)
+        self._ticks = options.ticks
+        self.horizon = -(-self.setup.config.ticks // self._ticks)
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
             "crash": codes(Crash),
@@ -319,7 +320,7 @@ class DriveBatch:
 
     def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
         """Drive every race one step on."""
-        races, ticks = self.episodes, self.options.ticks
+        races, ticks = self.episodes, self._ticks
         results = self._results()
         if self._in_python:
             set_commands(actions, *self._limits, self.state.memory, 0, races)
