@@ -165,9 +165,9 @@ def test_an_unknown_name_lists_what_there_is():
         load_settings("soup", Soup(), "borscht")
     with pytest.raises(UnknownNameError, match="did you mean 'salty'"):
         load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})
-    with pytest.raises(ConfigError, match="the arguments: unknown soup setting 'pepper'"):
+    with pytest.raises(ConfigError, match=r"the arguments: .*'pepper'"):
         load_settings("soup", Soup(), pepper=1)
-    with pytest.raises(ConfigError, match="soup settings are 3; use a name"):
+    with pytest.raises(ConfigError, match="soup settings are 3;"):
         load_settings("soup", Soup(), 3)
 
 

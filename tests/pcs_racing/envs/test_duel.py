@@ -279,7 +279,7 @@ def test_an_opponent_may_stay_whatever_moves_the_rules_offer(rules):
     assert env.batch.state.policy[0, 1] == before
     assert env.action_space.n == (5 if rules else 4)
     if not rules:
-        with pytest.raises(InputError, match="move 4 is not one of the moves from 0 to 3"):
+        with pytest.raises(InputError, match=r"move 4 .*0 to 3"):
             env.step(4)
 
 

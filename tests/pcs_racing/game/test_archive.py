@@ -295,7 +295,7 @@ def test_an_impossible_epsilon_is_one_clear_error(epsilon):
 def test_files_that_are_no_archive(tmp_path):
     with pytest.raises(UnknownNameError, match=r"unknown archive 'nonsense'.*default"):
         load_archive("nonsense")
-    with pytest.raises(InputError, match="must be a name or a folder"):
+    with pytest.raises(InputError, match="name or a folder"):
         load_archive(3)
     with pytest.raises(InputError, match=r"can't read .*manifest.yaml"):
         load_archive(tmp_path)

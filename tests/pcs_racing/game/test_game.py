@@ -331,9 +331,9 @@ def test_drivers_from_outside_the_archive(track):
     assert_same(a, b)
     np.testing.assert_array_equal(a.own[:, 1], a.estimates[:, 1])
     assert (a.policy[:, 0] >= 0).all()
-    with pytest.raises(InputError, match="game 0: car 1 is driven by planner 'pure-pursuit'"):
+    with pytest.raises(InputError, match=r"game 0: car 1 .*'pure-pursuit'"):
         game.reset(1)
-    with pytest.raises(InputError, match="game 0: the opponent is of planner 'lattice'"):
+    with pytest.raises(InputError, match=r"game 0: the opponent .*'lattice'"):
         game.reset(1, opponents=LATTICE.policy())
 
     mixed = make_game(track, step_seconds=2.0)
@@ -368,11 +368,11 @@ def test_drivers_from_outside_in_either_car(track):
     end = play(small, small.reset([1], egos=egos[0], opponents=egos[1]), [(0, 0)] * 4)
     assert small.done(end).all()
 
-    with pytest.raises(InputError, match=r"game 0: car 0 is driven by planner 'pure-pursuit', .* give egos"):
+    with pytest.raises(InputError, match=r"game 0: car 0 .*'pure-pursuit'.* egos"):
         game.reset(1, opponents=wild)
-    with pytest.raises(InputError, match="there are 1 games but 2 egos"):
+    with pytest.raises(InputError, match=r"1 games .*2 egos"):
         game.reset(1, egos=egos)
-    with pytest.raises(InputError, match="game 0: the ego is of planner 'lattice'"):
+    with pytest.raises(InputError, match=r"game 0: the ego .*'lattice'"):
         game.reset(1, egos=wild)
 
 

@@ -36,11 +36,11 @@ def test_a_registered_planner_is_found_by_name():
 
 def test_two_planners_can_not_share_a_name():
     register_planner(Planner("mine", (PACE,)))
-    with pytest.raises(InputError, match="there is a planner 'mine' already"):
+    with pytest.raises(InputError, match="planner 'mine' already"):
         register_planner(Planner("mine", (PACE,), memory_size=1))
-    with pytest.raises(InputError, match="there is a planner 'lattice' already"):
+    with pytest.raises(InputError, match="planner 'lattice' already"):
         register_planner(Planner("lattice", ()))
-    with pytest.raises(InputError, match="there is a planner 'lattice' already"):
+    with pytest.raises(InputError, match="planner 'lattice' already"):
         register_planner("somewhere.else:LATTICE", name="lattice")
 
 

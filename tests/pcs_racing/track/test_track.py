@@ -334,7 +334,7 @@ def test_a_race_line_without_air_to_the_walls_is_replaced(folder, oval, caplog):
     assert "comes within 0.1" in caplog.text
     rows[:, 1:3] *= 0.8
     np.savetxt(file, rows, delimiter=";")
-    with pytest.raises(MapError, match=r"Big Oval_raceline\.csv leads through a wall"):
+    with pytest.raises(MapError, match=r"Oval_raceline\.csv leads"):
         load_track(folder)
 
 
@@ -342,7 +342,7 @@ def test_without_the_mapping_tools_complete_maps_load_and_others_say_what_to_ins
     monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None)
     load_track(folder)
     (folder / "Big Oval_raceline.csv").unlink()
-    with pytest.raises(ModuleNotFoundError, match=r"it has no race line; .*pip install \"pcs-racing\[mapping\]\""):
+    with pytest.raises(ModuleNotFoundError, match=r"race line; .*pcs-racing\[mapping\]"):
         load_track(folder)
 
 
@@ -369,7 +369,7 @@ def test_names_that_stand_for_nothing_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UnknownNameError, match="unknown track 'Nowhere'"):
         load_track("Nowhere")
-    with pytest.raises(MapError, match=r"no map folder at .*nowhere"):
+    with pytest.raises(MapError, match=r"map folder .*nowhere"):
         load_track(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
     with pytest.raises(MapError, match=r"holds no map: .*empty_map\.yaml"):

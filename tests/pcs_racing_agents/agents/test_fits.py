@@ -37,7 +37,7 @@ def test_a_fit_of_another_game_is_refused(setting, archive):
     for kind, option in OPTIONS.items():
         with pytest.raises(InputError, match=f"agent '{kind}' got .* and a fit"):
             build(kind, setting, fit=fit, **{option: CHOICES[kind]})
-    with pytest.raises(UnknownNameError, match="none is shipped for archive 'toy' and rules 'paper'"):
+    with pytest.raises(UnknownNameError, match="archive 'toy' and rules 'paper'"):
         find_fit("best-schedule", setting)
 
 

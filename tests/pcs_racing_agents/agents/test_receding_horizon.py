@@ -256,7 +256,7 @@ def test_impossible_options(setting, options, message):
 def test_networks_that_say_nothing_of_worth(setting, archive):
     with pytest.raises(InputError, match=r"has target 'regret', .* must be 'static-q'"):
         receding_horizon(setting, leaf="network", network=untrained(setting, "regret"))
-    with pytest.raises(UnknownNameError, match="needs a network, and none called 'toy-paper-static-q'"):
+    with pytest.raises(UnknownNameError, match=r"network, .*'toy-paper-static-q'"):
         build("receding-horizon", setting, leaf="network")
     faster = make_setting(archive, replace(setting.config, moves=9, step_seconds=0.4))
     with pytest.raises(InputError, match="sees 31"):
@@ -266,12 +266,12 @@ def test_networks_that_say_nothing_of_worth(setting, archive):
 def test_games_that_it_is_not_made_for(game, setting):
     agent = receding_horizon(setting)
     longer = replace(game, config=replace(game.config, moves=5))
-    with pytest.raises(InputError, match="was made for games of 4 moves"):
+    with pytest.raises(InputError, match="games of 4 moves"):
         agent.decide(longer, longer.reset(games=1), 0)
     driver = get_planner("pure-pursuit").policy()
     outside = replace(game, opponent_planner="pure-pursuit")
     state = outside.reset(games=2, opponents=driver)
-    with pytest.raises(InputError, match="is to move car 1 of game 0, which is driven from outside the archive"):
+    with pytest.raises(InputError, match=r"car 1 of game 0, .*outside"):
         agent.decide(outside, state, 1)
 
 

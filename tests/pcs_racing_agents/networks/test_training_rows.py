@@ -60,7 +60,7 @@ def test_rows_can_be_taken_and_joined():
     again = join_rows([made.take(np.arange(12) < 5), made.take(np.arange(12) >= 5)])
     for key in ("observations", "targets", "weights", "pair", "step", "mask"):
         np.testing.assert_array_equal(getattr(again, key), getattr(made, key))
-    with pytest.raises(InputError, match="source 1 has targets of 2 numbers, source 0 of 3"):
+    with pytest.raises(InputError, match=r"source 1 .*2 numbers, source 0 of 3"):
         join_rows([made, rows(targets=np.ones((12, 2)))])
     with pytest.raises(InputError, match="no rows to join"):
         join_rows([])
@@ -85,7 +85,7 @@ def test_no_pair_is_on_both_sides_of_the_split(pairs, share, seed):
 
 
 def test_the_split_needs_two_pairs():
-    with pytest.raises(InputError, match="all rows come from one starting pair"):
+    with pytest.raises(InputError, match="one starting pair"):
         split_by_pair(rows(pairs=1), 0.2, 0)
-    with pytest.raises(InputError, match="one side has weights of 0 only"):
+    with pytest.raises(InputError, match="weights of 0"):
         split_by_pair(rows(pairs=2, weights=np.arange(12) % 2 + 0.0), 0.5, 0)

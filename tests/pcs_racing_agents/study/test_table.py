@@ -192,7 +192,7 @@ def test_tables_of_a_study_are_told_apart_by_their_seeds():
         for seed, winner in ((7, "ego"), (107, "opponent"))
         for arm in ("a", "c") for ego in range(2) for variant in range(2) for line in range(2)
     ])  # fmt: skip
-    with pytest.raises(InputError, match="a raced b on Oval with seeds 7 and 107"):
+    with pytest.raises(InputError, match=r"a raced b .*seeds 7 and 107"):
         make_table(races)
     assert make_table(races.with_seeds(range(7, 9))).rows[0].arms[0].score == 1.0
     assert make_table(races.with_seeds([107])).rows[0].arms[0].score == 0.0

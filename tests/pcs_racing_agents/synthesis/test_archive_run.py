@@ -222,9 +222,7 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     assert archive.settings["search_hypervolume"] < archive.settings["search_hypervolume_without_crash_limit"]
     assert archive.preset == "wild"
     wild.write_text("preset: contest\nname: wild\nspeed_range: [2.0, 3.0]\n")
-    with pytest.raises(
-        InputError, match=r"all 30 policies crash in more than|policies remain below the crash limit of 0%"
-    ):
+    with pytest.raises(InputError, match=r"all 30 policies|crash limit of 0%"):
         make_archive(with_(preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",)), tmp_path / "none")
 
 
@@ -265,7 +263,7 @@ def test_too_few_policies_are_told(tmp_path, caplog):
 def test_a_folder_with_something_else_is_left_alone(tmp_path, made):
     shipped = Path(shutil.copytree(made[1], tmp_path / "shipped", ignore=shutil.ignore_patterns("job")))
     before = results(shipped)
-    with pytest.raises(InputError, match=r"holds archive\.npz but no run of a synthesis"):
+    with pytest.raises(InputError, match=r"archive\.npz but no run"):
         make_archive(TINY, shipped)
     assert results(shipped) == before
     assert len(list(shipped.iterdir())) == len(before)
@@ -273,7 +271,7 @@ def test_a_folder_with_something_else_is_left_alone(tmp_path, made):
 
 def test_another_run_is_refused(made):
     before = results(made[1])
-    with pytest.raises(InputError, match="holds another run: its generations is 3, not 4"):
+    with pytest.raises(InputError, match="generations is 3, not 4"):
         make_archive(with_(generations=4), made[1])
     assert results(made[1]) == before
 

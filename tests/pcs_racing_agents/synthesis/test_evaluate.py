@@ -123,7 +123,7 @@ def test_a_refreshed_set_of_opponents(scenarios):
     fresh = scenarios.against(policies(3, 9))
     np.testing.assert_array_equal(fresh.start_s, scenarios.start_s)
     assert (fresh.opponents != scenarios.opponents).any()
-    with pytest.raises(InputError, match=r"opponents have shape \(2, 17\)"):
+    with pytest.raises(InputError, match=r"opponents .*\(2, 17\)"):
         scenarios.against(policies(2))
 
 
@@ -156,7 +156,7 @@ def test_impossible_races(oval, change, message):
 
 
 def test_policies_of_the_wrong_shape(scenarios):
-    with pytest.raises(InputError, match=r"parameters has shape \(2, 3\)"):
+    with pytest.raises(InputError, match=r"parameters .*\(2, 3\)"):
         evaluate(scenarios, np.zeros((2, 3)))
 
 

@@ -221,7 +221,7 @@ def test_stored_results_of_another_search_are_refused():
     stored = [
         Evaluated(news.objectives, None, news.parameters) for news in synthesize(spheres, UNIT, **SMALL).generations
     ]
-    with pytest.raises(InputError, match="belong to other points than those after 0 evaluations"):
+    with pytest.raises(InputError, match=r"other points .*0 evaluations"):
         synthesize(spheres, UNIT, **{**SMALL, "seed": 4}, evaluated=stored)
     with pytest.raises(InputError, match="holds 6 results"):
         synthesize(spheres, UNIT, **{**SMALL, "generations": 5}, evaluated=stored)

@@ -98,7 +98,7 @@ def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(oval, short):
     assert (meta.weights @ meta.payoffs).min() >= -1e-6  # nobody beats the mixture on these races
     again = fit_psro(training, members, known=fit_psro(training, members[:3]))
     np.testing.assert_array_equal(again.payoffs, meta.payoffs)
-    with pytest.raises(InputError, match="payoffs of 4 agents are known"):
+    with pytest.raises(InputError, match="4 agents"):
         fit_psro(training, members[:2], known=meta)
 
 
@@ -110,7 +110,7 @@ def test_bad_input(training, oval, short):
         fit_best_schedule(replace(training, setting=long), method="all")
     with pytest.raises(InputError, match="objective is 'lead'"):
         TrainingRaces((oval,), (build("never-switch", short),), short, objective="lead")
-    with pytest.raises(InputError, match="at least one track and one opponent"):
+    with pytest.raises(InputError, match="one track"):
         TrainingRaces((oval,), (), short)
-    with pytest.raises(InputError, match="psro needs at least two"):
+    with pytest.raises(InputError, match=r"^psro"):
         fit_psro(training, [build("never-switch", short)])

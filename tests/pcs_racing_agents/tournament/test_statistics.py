@@ -268,11 +268,11 @@ def test_units_are_matched_by_what_they_are():
     a = [("x", 1), ("x", 2), ("y", 1)]
     b = [("y", 1), ("x", 1), ("x", 2)]
     assert [b[i] for i in match_units(a, b)] == a
-    with pytest.raises(InputError, match=r"arm b did not race unit \('y', 1\) \(1 missing\)"):
+    with pytest.raises(InputError, match=r"arm b .*\('y', 1\)"):
         match_units(a, b[1:])
-    with pytest.raises(InputError, match=r"arm a did not race unit \('z', 1\)"):
+    with pytest.raises(InputError, match=r"arm a .*\('z', 1\)"):
         match_units(a, [*b, ("z", 1)])
-    with pytest.raises(InputError, match=r"arm b raced unit \('x', 1\) more than once"):
+    with pytest.raises(InputError, match=r"arm b .*\('x', 1\)"):
         match_units(a, [*b, ("x", 1)])
 
 

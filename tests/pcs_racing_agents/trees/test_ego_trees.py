@@ -108,7 +108,7 @@ def test_rows_hold_each_situation_once(noisy, trees):
 
 def test_trees_without_a_decision_give_no_rows(trees):
     dead = replace(trees, over=tuple(np.ones_like(level) for level in trees.over))
-    with pytest.raises(InputError, match="every race is over before the first move"):
+    with pytest.raises(InputError, match="every race is over"):
         ego_rows(dead)
 
 
@@ -127,11 +127,11 @@ def test_a_folder_of_ego_trees_resumes_whatever_the_executor(noisy, tmp_path):
     arrays = read_chunk(chunk)
     arrays["payoffs"][0, 0] = np.inf
     write_chunk(chunk, arrays, "0" * 64)
-    with pytest.raises(InputError, match=r"ego-00001.npz: payoffs holds NaN or infinity"):
+    with pytest.raises(InputError, match=r"ego-00001\.npz: payoffs"):
         load_ego_trees(tmp_path / "b")
     del arrays["own_0"]
     write_chunk(chunk, arrays, "0" * 64)
-    with pytest.raises(InputError, match=r"ego-00001.npz holds no ego trees: 'own_0' is missing"):
+    with pytest.raises(InputError, match=r"ego-00001\.npz .*'own_0'"):
         load_ego_trees(tmp_path / "b")
 
 
@@ -164,5 +164,5 @@ def test_impossible_settings_are_refused(noisy, settings, kind, message):
 def test_impossible_continuations_are_refused(trees, continuation, message):
     with pytest.raises(InputError, match=message):
         ego_values(trees, continuation)
-    with pytest.raises(InputError, match="move 2 is none of the trees'"):
+    with pytest.raises(InputError, match="move 2 "):
         trees.observations(2)

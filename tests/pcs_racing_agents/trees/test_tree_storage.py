@@ -60,9 +60,9 @@ def test_what_is_missing_or_damaged_is_made_again_to_the_byte(paper, stored, cap
     damaged = bytearray(whole[2])
     damaged[len(damaged) // 2] ^= 1
     stored.file(2).write_bytes(damaged)
-    with pytest.raises(InputError, match=r"tree-00000.npz missing of 3 trees: run the command .* again"):
+    with pytest.raises(InputError, match=r"tree-00000\.npz missing of 3 trees"):
         load_trees(stored.folder)
-    with pytest.raises(InputError, match=r"tree-00002.npz is damaged.*; run the command that made the folder again"):
+    with pytest.raises(InputError, match=r"tree-00002\.npz is damaged"):
         stored[2]
     calls = []
     with caplog.at_level(logging.WARNING):
@@ -75,15 +75,15 @@ def test_what_is_missing_or_damaged_is_made_again_to_the_byte(paper, stored, cap
 def test_trees_of_another_game_are_noticed(paper, noisy, stored, track):
     other = replace(paper.archive, coordinates=1.1 * paper.archive.coordinates, ideal=None, nadir=None)
     assert len(load_trees(stored.folder, paper.archive)) == 3
-    with pytest.raises(InputError, match=r"were played with archive 'tiny' .sha256 .*, not with 'tiny'"):
+    with pytest.raises(InputError, match=r"archive 'tiny' .*not with 'tiny'"):
         load_trees(stored.folder, other)
-    with pytest.raises(InputError, match="are of another game: archive sha256 is"):
+    with pytest.raises(InputError, match="archive sha256 is"):
         stored.check(make_game(track, other, paper.config))
-    with pytest.raises(InputError, match="are of another game: preset is 'paper', not 'contest'"):
+    with pytest.raises(InputError, match="preset is 'paper', not 'contest'"):
         stored.check(noisy)
-    with pytest.raises(InputError, match="are of another game: rules moves is 2, not 1"):
+    with pytest.raises(InputError, match="moves is 2, not 1"):
         stored.check(replace(paper, config=replace(paper.config, moves=1)))
-    with pytest.raises(InputError, match=r"holds another run: its rules\.moves is 2, not 1"):
+    with pytest.raises(InputError, match=r"rules\.moves is 2, not 1"):
         build_trees(replace(paper, config=replace(paper.config, moves=1)), stored.folder, pairs=PAIRS, seed=3)
 
 
@@ -91,7 +91,7 @@ def test_numbers_that_are_not_finite_are_refused(stored):
     arrays = read_chunk(stored.file(1))
     arrays["payoffs"][0, 0, 0] = np.nan
     write_chunk(stored.file(1), arrays, "0" * 64)
-    with pytest.raises(InputError, match=r"tree-00001.npz: payoffs holds NaN or infinity"):
+    with pytest.raises(InputError, match=r"tree-00001\.npz: payoffs"):
         stored[1]
 
 
@@ -113,15 +113,15 @@ def test_files_that_do_not_fit_are_refused(stored, change, message):
 
 def test_a_file_that_was_renamed_is_noticed(stored):
     stored.file(2).rename(stored.file(1))
-    with pytest.raises(InputError, match=r"is the tree of policies \[4, 4\]"):
+    with pytest.raises(InputError, match=r"policies \[4, 4\]"):
         stored[1]
 
 
 def test_folders_of_something_else_are_refused(paper, tmp_path):
-    with pytest.raises(InputError, match=r"holds no game trees: job.yaml: No such file"):
+    with pytest.raises(InputError, match=r"game trees: job\.yaml"):
         load_trees(tmp_path)
     (tmp_path / "job.yaml").write_text("format: pcs-racing job\nkind: ego trees\nsettings: {}\n")
-    with pytest.raises(InputError, match=r"is no manifest of game trees"):
+    with pytest.raises(InputError, match="manifest of game trees"):
         load_trees(tmp_path)
 
 

@@ -89,11 +89,11 @@ def changed(results, number, **values):
 
 def test_a_race_that_is_another_one_is_refused(tournament_folder):
     results = open_results(tournament_folder[0])
-    with pytest.raises(InputError, match=r"race 3 came out otherwise than in .* instead of 12\.0000 m"):
+    with pytest.raises(InputError, match=r"race 3 .*12\.0000 m"):
         changed(results, 3, lead=12.0).drive(3)
-    with pytest.raises(InputError, match="race 3 is not the one that its folder describes"):
+    with pytest.raises(InputError, match="race 3 is not"):
         changed(results, 3, start_s=12.0).drive(3)
-    with pytest.raises(InputError, match="race 3 is number 40 of its pair, which drove 6"):
+    with pytest.raises(InputError, match="race 3 is number 40 "):
         changed(results, 3, race=40).drive(3)
-    with pytest.raises(InputError, match="there is no race 18"):
+    with pytest.raises(InputError, match="race 18"):
         RaceDriver(results).drive(18)

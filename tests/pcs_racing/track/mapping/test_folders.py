@@ -96,7 +96,7 @@ def test_an_import_follows_the_direction_and_start_of_the_shipped_line(tmp_path)
 def test_nothing_is_written_when_it_fails(tmp_path):
     with pytest.raises(InputError, match="width is -1"):
         generate_map(tmp_path / "Never", 0, width=-1.0)
-    with pytest.raises(MapError, match=r"seed point .* is off the map"):
+    with pytest.raises(MapError, match="seed point"):
         import_map(SHIPPED[0], tmp_path / "Never", seed_point=(1e4, 0.0))
     with pytest.raises(MapError, match="the source itself"):
         import_map(SHIPPED[0], SHIPPED[0])
@@ -104,7 +104,7 @@ def test_nothing_is_written_when_it_fails(tmp_path):
 
 
 def test_a_map_that_was_not_generated_says_so(tmp_path):
-    with pytest.raises(MapError, match="no seed and no style"):
+    with pytest.raises(MapError, match=r"seed .*style"):
         load_tool("make_circuits").make_again(bare(tmp_path / "Bare", SHIPPED[0]))
 
 
