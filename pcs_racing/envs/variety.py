@@ -52,6 +52,7 @@ class Variety:
     def __init__(self, episodes: int, track: Any, vehicle: Any, randomize: Any, obstacles: Any) -> None:
         self.cars = load_vehicles(vehicle)
         self.randomization = load_randomization(randomize)
+        self.episodes = episodes
         self.circuits = Circuits(track, episodes)
         self.vehicles = vehicle_rows(self.cars, episodes)  # never read-only, which would be another type to compile
         self.drawn = {name: np.zeros(episodes) for name in self.randomization.names}

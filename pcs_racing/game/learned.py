@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_names, check_number, check_text, check_whole
+from pcs_racing.base.checks import check_facts, check_names, check_number, check_text, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.characteristics import (
     Characteristic,
@@ -141,11 +141,7 @@ class LearnedCharacteristics:
         if set(names) & set(inputs):
             raise InputError(f"{self.name} has an input among its own axes; inputs must be other characteristics")
         get_characteristics(inputs)
-        for key, value in self.training.items() if isinstance(self.training, Mapping) else [("training", None)]:
-            if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
-                raise InputError(
-                    f"training of {self.name} holds {key!r}: {value!r:.80}; give texts and numbers by name"
-                )
+        check_facts(f"training of {self.name}", self.training)
 
     def __hash__(self) -> int:
         return hash((self.name, self.inputs, self.axes))

@@ -15,7 +15,8 @@ from pcs_racing.base.settings import Settings, load_settings, names, setting, te
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import load_race_config
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent

@@ -13,7 +13,8 @@ from pcs_racing.game.learned_files import load_learned, save_learned
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import load_race_config
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.cli.headroom import pool_of
 from pcs_racing_agents.cli.options import (
     POLICY_HELP,

@@ -11,7 +11,7 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import (
     POLICY_HELP,
     Commands,

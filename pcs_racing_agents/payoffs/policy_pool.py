@@ -18,7 +18,8 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.track.track import Track, as_track
+from pcs_racing.track.loading import as_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
 

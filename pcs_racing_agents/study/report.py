@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pcs_racing.base.files import write_atomically
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.race.replay import replay_page
+from pcs_racing.race.replay_files import replay_page
 from pcs_racing_agents.explain.situations import Situations, situations_text
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.text_table import is_number

@@ -13,7 +13,7 @@ from pcs_racing.game.characteristics import Segment, get_characteristics, measur
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.track.track import as_track
+from pcs_racing.track.loading import as_track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies
 

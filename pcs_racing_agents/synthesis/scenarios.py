@@ -18,7 +18,8 @@ from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import start_lines
-from pcs_racing.track.track import Track, as_track
+from pcs_racing.track.loading import as_track
+from pcs_racing.track.track import Track
 
 __all__ = ["Scenarios", "check_policies", "draw_scenarios"]
 

@@ -15,7 +15,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.match import MatchConfig, MatchGame
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import start_lines
-from pcs_racing.track.track import Track, as_track
+from pcs_racing.track.loading import as_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.behaviours import Behaviours
 from pcs_racing_agents.agents.remember import RememberedReply
 from pcs_racing_agents.agents.setting import Setting

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_whole, is_whole
+from pcs_racing.base.checks import check_whole, check_whole_array, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.competitor import competitor_name
@@ -182,10 +182,7 @@ def _variants(noun: str, requested: int | Sequence[int], available: int, seed: i
             raise InputError(f"{noun} is {requested}; a pairing needs at least one variant")
         generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))
         return np.sort(generator.permutation(available)[: int(requested)])
-    indices = np.asarray(requested)
-    repeated = len(np.unique(indices)) < indices.size
-    if indices.ndim != 1 or len(indices) == 0 or indices.dtype.kind not in "iu" or repeated:
+    indices = check_whole_array(noun, requested, (None,), least=0, most=available - 1)
+    if len(indices) == 0 or len(np.unique(indices)) < len(indices):
         raise InputError(f"{noun} is {requested!r}; it must be a number of variants, or a list of different ones")
-    if indices.min() < 0 or indices.max() >= available:
-        raise InputError(f"{noun} are {requested!r}; there are variants 0 to {available - 1}")
-    return indices.astype(np.int64)
+    return indices

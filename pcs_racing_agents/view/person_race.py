@@ -18,7 +18,8 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import starts_of
-from pcs_racing.race.replay import Replay, replay_page, safe_json
+from pcs_racing.race.replay import Replay
+from pcs_racing.race.replay_files import replay_page, safe_json
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
 from pcs_racing_agents.explain.explain import Step, explain_game, mark_moves

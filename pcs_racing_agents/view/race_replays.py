@@ -15,7 +15,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.packing import COARSE, FINE, pack, pack_paths, pack_segments
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.race.replay import Replay, plain_parts
+from pcs_racing.race.replay import Replay
+from pcs_racing.race.replay_files import plain_parts
 from pcs_racing_agents.agents.observing import opponent, step_count
 from pcs_racing_agents.explain.explain import mark_moves
 from pcs_racing_agents.explain.pcs_picture import in_units, plane

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.race.replay import safe_json
+from pcs_racing.race.replay_files import safe_json
 from pcs_racing_agents.view.race_replays import RaceDriver
 
 __all__ = ["MOST_KEPT", "Answer", "RaceService", "error_answer", "make_server"]

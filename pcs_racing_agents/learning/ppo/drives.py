@@ -30,7 +30,8 @@ from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceSetup, run_races
 from pcs_racing.race.state import take
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score, score_races
 from pcs_racing_agents.learning.ppo.settings import DriveSettings
 from pcs_racing_agents.learning.ppo.tasks import split_envs

@@ -18,8 +18,10 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.identity import game_identity
-from pcs_racing.game.rules import RaceGame, make_game
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.game.make import make_game
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score, score_races
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.learning.ppo.tasks import group_seeds, split_envs

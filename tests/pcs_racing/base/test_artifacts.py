@@ -79,9 +79,9 @@ def test_shipped_files_lie_beside_the_package_or_in_it(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": "pcs-racing album"}, "is no manifest of a note: format must be 'pcs-racing note'"),
-        ({"version": 2}, "has version 2; this release reads version 1"),
-        ({"colour": "red"}, "unknown or missing colour; a manifest holds text, pages"),
+        ({"format": "pcs-racing album"}, r"manifest of a note: .*'pcs-racing note'"),
+        ({"version": 2}, "has version 2"),
+        ({"colour": "red"}, "unknown or missing colour"),
         ({"pages": ...}, "unknown or missing pages"),
     ],
 )

@@ -128,8 +128,8 @@ def test_costs_keep_their_order_and_their_rejections(costs):
 @pytest.mark.parametrize(
     ("points", "counts", "words"),
     [
-        (np.zeros((4, 3)), [4], "walls must have points of shape"),
-        (np.zeros((4, 2)), [3], "walls.counts must be at least 2 each and sum to the 4 points"),
+        (np.zeros((4, 3)), [4], "walls must have points"),
+        (np.zeros((4, 2)), [3], r"walls.counts must"),
         (np.zeros((4, 2)), [3, 1], "at least 2 each"),
     ],
 )

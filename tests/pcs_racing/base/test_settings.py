@@ -161,7 +161,7 @@ def test_a_wrong_file_is_refused_by_name(tmp_path, written, message):
 
 
 def test_an_unknown_name_lists_what_there_is():
-    with pytest.raises(UnknownNameError, match="soup settings 'borscht' are unknown; use none or the path of a YAML"):
+    with pytest.raises(UnknownNameError, match="soup settings 'borscht' are unknown"):
         load_settings("soup", Soup(), "borscht")
     with pytest.raises(UnknownNameError, match="did you mean 'salty'"):
         load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})

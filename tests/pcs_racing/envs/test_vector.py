@@ -244,7 +244,7 @@ def test_cars_start_where_the_options_say(coarse_oval):
         ({"start": (1e6, 0)}, "not on track"),
         ({"poses": [[0.0, 0.0]]}, "'poses' is"),
         ({"poses": [[1e3, 0.0, 0.0], [0.0, 1e3, 0.0]]}, "stands in a wall"),
-        ({"poses": np.zeros((2, 4)) - 1.0}, "speed in the reset option"),
+        ({"poses": np.zeros((2, 4)) - 1.0}, "reset option"),
         ({"start": (5.0, 0), "poses": np.zeros((2, 3))}, "give one of the two"),
         ({"state": "yesterday"}, "state is a str"),
         ({"track": "Nowhere"}, "Nowhere"),

@@ -405,13 +405,13 @@ def test_the_table_of_an_observation(game):
         ({"step_seconds": np.nan}, "step_seconds is nan"),
         ({"step_seconds": 600.0, "moves": 10}, "over 3600 s"),
         ({"epsilon": 0.0}, r"epsilon is 0\.0"),
-        ({"utility": "fame"}, "utility is 'fame'; it must be one of lead, lead-at-crash, win"),
+        ({"utility": "fame"}, "utility is 'fame'"),
         ({"fault_penalty": -1.0}, r"fault_penalty is -1\.0"),
         ({"discount": 0.0}, r"discount is 0\.0"),
         ({"stay": "yes"}, "stay is 'yes'"),
         ({"characteristics": "speed"}, "must be a list of names"),
         ({"race": 3}, "race is 3"),
-        ({"speeed": 1}, "unknown game setting 'speeed'; known are race, moves"),
+        ({"speeed": 1}, "unknown game setting 'speeed'"),
     ],
 )
 def test_impossible_rules_are_one_clear_error(settings, message):
@@ -440,14 +440,14 @@ def test_unknown_names_are_one_clear_error(track):
         ({"seeds": [1], "games": 1}, "give one of the two"),
         ({"games": -1}, "games is -1"),
         ({"seed": "x"}, "seed is 'x'"),
-        ({"policies": [0, 99]}, "game 0, car 1: policy 99 is not in archive 'default'"),
+        ({"policies": [0, 99]}, "game 0, car 1: policy 99"),
         ({"policies": [0, -2]}, "policy -2"),
         ({"policies": [0.0, 1.0]}, "type float64"),
-        ({"games": 2, "policies": [[0, 1]]}, r"policies have shape \(1, 2\)"),
+        ({"games": 2, "policies": [[0, 1]]}, r"policies has shape \(1, 2\)"),
         ({"starts": STARTS}, "1 games but 3 starts"),
         ({"starts": Starts(np.array([1e6]), np.array([0]))}, "race 0: the start line"),
         ({"games": 2, "opponents": [None]}, "2 games but 1 opponents"),
-        ({"opponents": ["fast"]}, "game 0: the opponent is of 'fast'"),
+        ({"opponents": ["fast"]}, r"game 0: the opponent .*'fast'"),
     ],
 )
 def test_an_impossible_reset_is_one_clear_error(game, arguments, message):
@@ -458,7 +458,7 @@ def test_an_impossible_reset_is_one_clear_error(game, arguments, message):
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        ([[0, 4]], "game 0, car 1: move 4 is not one of the moves from 0 to 3 .aggressiveness"),
+        ([[0, 4]], r"game 0, car 1: move 4 .*aggressiveness"),
         ([[-1, 0]], "game 0, car 0: move -1"),
         ([[0.0, 1.0]], "type float64"),
         ([[np.nan, 1.0]], "type float64"),

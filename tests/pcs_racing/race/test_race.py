@@ -397,10 +397,10 @@ def test_the_start_of_one_race_is_that_of_the_batch(oval):
 @pytest.mark.parametrize(
     ("s", "side", "message"),
     [
-        (-0.1, 0, "start line -0.1 m is not on track 'oval'"),
+        (-0.1, 0, r"start line -0.1 m"),
         (1e6, 0, r"it must lie in \[0, 49"),
-        (np.nan, 0, "start line nan m is not on track"),
-        (1.0, 2, "start sides must be 0 or 1; found 2"),
+        (np.nan, 0, "start line nan m"),
+        (1.0, 2, r"start sides .* 2"),
     ],
 )
 def test_a_start_off_the_track_is_refused(oval, s, side, message):

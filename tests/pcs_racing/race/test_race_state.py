@@ -84,9 +84,9 @@ def test_a_missing_or_broken_file_is_one_clear_error(state, tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"cars": np.zeros((3, 2, 6))}, r"cars has shape \(3, 2, 6\).*must have \(3, 2, 7\)"),
+        ({"cars": np.zeros((3, 2, 6))}, r"cars has shape \(3, 2, 6\)"),
         ({"tick": np.zeros(3, np.int32)}, "tick has shape .* type int32"),
-        ({"progress": np.full((3, 2), np.nan)}, "progress holds NaN or infinity"),
+        ({"progress": np.full((3, 2), np.nan)}, "progress holds NaN"),
         ({"extra": np.zeros(1)}, "holds .*extra"),
         ({"tick": np.zeros(())}, "must have"),
         ({"cars": np.array([{"a": 1}], dtype=object)}, "race state"),  # a pickle: never read

@@ -45,9 +45,9 @@ def remembers_nonsense(track, theta, view, memory):
 @pytest.mark.parametrize(
     ("planner", "message"),
     [
-        (driver(keeps_a_secret()), "the same races end differently"),
+        (driver(keeps_a_secret()), "end differently"),
         (driver(writes_to_theta), "writes to its parameters"),
-        (driver(remembers_nonsense, 1), "NaN or infinity in memory of race 0"),
+        (driver(remembers_nonsense, 1), "memory of race 0"),
     ],
 )
 def test_the_check_finds_what_is_wrong_with_a_planner(track, planner, message):

@@ -83,10 +83,10 @@ def test_an_agent_is_an_opponent_of_the_environments(setting, oval):
     [
         ("cfr-armax", {}, "did you mean 'cfr-argmax'?"),
         ("always-jump", {}, "'jump' is no move"),
-        ("never-switch", {"speed": 3}, "agent 'never-switch' has no option 'speed'"),
+        ("never-switch", {"speed": 3}, r"'never-switch' .*'speed'"),
         ("best-fixed", {"goal": 3}, "has no option 'goal'"),
         ("always-restraint+", {"x": 1}, "has no option 'x'"),
-        (7, {}, "agent 7 must be a name"),
+        (7, {}, "agent 7"),
         ("lattice:pace=7", {}, "must lie in"),
     ],
 )

@@ -37,10 +37,10 @@ def test_rows_are_compact_and_know_all_targets_unless_told_otherwise():
     [
         ({"targets": np.zeros((0, 3))}, r"targets have shape \(0, 3\)"),
         ({"targets": np.zeros(12)}, r"targets have shape \(12,\)"),
-        ({"observations": np.zeros((11, 5))}, r"observations have shape \(11, 5\).*must have \(12, any\) and float32"),
+        ({"observations": np.zeros((11, 5))}, r"observations have shape \(11, 5\)"),
         ({"observations": np.full((12, 5), "a")}, "observations have shape"),
-        ({"targets": np.where(np.arange(36).reshape(12, 3) == 13, np.nan, 1.0)}, "targets are not finite in row 4"),
-        ({"observations": np.full((12, 5), np.inf)}, "observations are not finite in row 0"),
+        ({"targets": np.where(np.arange(36).reshape(12, 3) == 13, np.nan, 1.0)}, r"targets .* row 4"),
+        ({"observations": np.full((12, 5), np.inf)}, r"observations .* row 0"),
         ({"weights": np.zeros(12)}, "some must be above 0"),
         ({"weights": np.linspace(-1.0, 1.0, 12)}, "weights lie in -1 to 1"),
         ({"pair": np.zeros(12)}, "type float64"),

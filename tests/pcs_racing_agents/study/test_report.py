@@ -13,7 +13,7 @@ import pytest
 from toy_races import toy_races
 
 from pcs_racing import InputError
-from pcs_racing.race.replay import read_replay
+from pcs_racing.race.replay_files import read_replay
 from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow

@@ -132,14 +132,14 @@ def test_a_refreshed_set_of_opponents(scenarios):
     [
         ({"tracks": []}, "there are no tracks"),
         ({"opponents": np.zeros((0, 17))}, r"there are no opponents"),
-        ({"opponents": np.zeros((3, 2))}, r"opponents has shape \(3, 2\); it must have \(any, 17\)"),
-        ({"segment_seconds": 3.0}, "a race of 4 s is no multiple of segment_seconds, 3 s"),
-        ({"segment_seconds": 0.0}, "no multiple of segment_seconds, 0 s"),
+        ({"opponents": np.zeros((3, 2))}, r"opponents has shape \(3, 2\)"),
+        ({"segment_seconds": 3.0}, r"4 s .*segment_seconds, 3 s"),
+        ({"segment_seconds": 0.0}, "segment_seconds, 0 s"),
         ({"starts": 0}, "start_lines is 0"),
         ({"characteristics": ("pace", "charm")}, "characteristic 'charm' is unknown"),
         (
             {"config": load_race_config("paper", start_spacing=5.0, duration=4.0)},
-            "has no place from which two cars",
+            "has no place",
         ),
     ],
 )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.race.replay import read_replay
+from pcs_racing.race.replay_files import read_replay
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.tournament.play import record_row
 from pcs_racing_agents.view.race_replays import PLACES, RaceDriver, circuit_values, race_values
