@@ -160,7 +160,7 @@ class LearnedCharacteristics:
     def characteristics(self) -> tuple[Characteristic, ...]:
         """The axes as ordinary characteristics; their unit is a standard deviation over the policies learned from."""
         return tuple(
-            Characteristic(axis.name, "sd", axis.meaning, _Evaluation(self.inputs, axis)) for axis in self.axes
+            Characteristic(axis.name, "sd", axis.meaning, _AxisFunction(self.inputs, axis)) for axis in self.axes
         )
 
     def estimate(self, values: Floats) -> Floats:
@@ -200,7 +200,7 @@ class LearnedCharacteristics:
 
 
 @dataclass(frozen=True)
-class _Evaluation:
+class _AxisFunction:
     """The function of an axis; a value, so that an axis that is read twice is the same one."""
 
     inputs: tuple[LearnedInput, ...]

@@ -183,15 +183,15 @@ def _play_opponent(task: tuple[MatchTest, int, int], threads: int | None = None)
     }
     players = {
         "best fixed": FixedChoice(table.best_fixed),
-        "remember": _Chooses(RememberedReply(table, setting)),
-        "nearest": _Chooses(RememberedReply(table, setting, "nearest")),
+        "remember": _ReplyChooser(RememberedReply(table, setting)),
+        "nearest": _ReplyChooser(RememberedReply(table, setting, "nearest")),
         "told": KnownOpponentChoice(np.full(count, int(table.scores[:, opponent].argmax()))),
     }
     played = [play_matches(match, players[arm], None, **given) for arm in ARMS]
     return {"scores": np.stack([one.scores[:, 0] for one in played])}
 
 
-class _Chooses(NamedTuple):
+class _ReplyChooser(NamedTuple):
     """A chooser made of a reply."""
 
     reply: RememberedReply

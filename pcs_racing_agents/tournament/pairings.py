@@ -27,7 +27,7 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
 from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
 from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_games, variant_count
-from pcs_racing_agents.tournament.schedule import Schedule
+from pcs_racing_agents.tournament.schedule import RaceSchedule
 
 __all__ = ["Pairing", "cross_pairing", "schedule_pairing"]
 
@@ -118,7 +118,9 @@ class Pairing:
         )
 
 
-def schedule_pairing(game: RaceGame, ego: Competitor, opponent: Competitor, schedule: Schedule, seed: int) -> Pairing:
+def schedule_pairing(
+    game: RaceGame, ego: Competitor, opponent: Competitor, schedule: RaceSchedule, seed: int
+) -> Pairing:
     """Return the races of a schedule for two competitors; ``seed`` is that of the schedule."""
     variants = schedule.variants(variant_count(game, ego), variant_count(game, opponent))
     return Pairing(game, ego, opponent, variants, schedule.starts, schedule.seeds, seed)
