@@ -11,7 +11,6 @@ from pcs_racing.base.settings import (
     Settings,
     checked,
     choice,
-    load_settings,
     names,
     number,
     setting,
@@ -22,7 +21,7 @@ from pcs_racing.base.settings import (
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig, load_race_config
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.jobs.configuration import load_config, shipped_configs
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS
 from pcs_racing_agents.synthesis.optimisers import METHODS
 
@@ -268,4 +267,4 @@ def load_archive_config(source: str | Path | ArchiveConfig | None = None, **chan
     InputError
         If a name stands for nothing.
     """
-    return load_settings(KIND, ArchiveConfig(), source, shipped_configs(KIND), **changes)
+    return load_config(KIND, ArchiveConfig(), source, **changes)

@@ -123,13 +123,17 @@ class TrackGain(NamedTuple):
 
     def gain_by_race(self, arm: str) -> Floats:
         """Mean gain in each race of the match, shape (R,)."""
-        return np.asarray((self.scores[ARMS.index(arm)] - self.scores[0]).mean(axis=(0, 1)))
+        return _gain_by_race(self.scores, arm)
 
 
 def _estimate(scores: Floats, arm: str) -> Estimate:
     differences = (scores[ARMS.index(arm)] - scores[0]).mean(axis=2)
     opponents = np.repeat(np.arange(len(differences)), differences.shape[1])
     return clustered_mean(differences.reshape(-1), opponents)
+
+
+def _gain_by_race(scores: Floats, arm: str) -> Floats:
+    return np.asarray((scores[ARMS.index(arm)] - scores[0]).mean(axis=(0, 1)))
 
 
 def match_gains(
@@ -212,7 +216,7 @@ def gain_text(gains: Sequence[TrackGain]) -> str:
 
 def _row(track: str, learned: str, scores: Floats) -> tuple[str, ...]:
     remembered, told = _estimate(scores, "remember"), _estimate(scores, "told")
-    by_race = (scores[ARMS.index("remember")] - scores[0]).mean(axis=(0, 1))
+    by_race = _gain_by_race(scores, "remember")
     return (
         track,
         learned,

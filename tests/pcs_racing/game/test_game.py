@@ -26,7 +26,7 @@ from pcs_racing.game.characteristics import Segment, get_characteristics, measur
 from pcs_racing.game.moves import move
 from pcs_racing.game.observation import observation_elements, observation_table
 from pcs_racing.game.reward import reward
-from pcs_racing.game.state import GameState, join_games, load_game, save_game, take_games
+from pcs_racing.game.state import GameState, load_game, put_games, save_game, take_games
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
@@ -122,7 +122,7 @@ def test_a_game_does_not_depend_on_its_batch(game):
     together = play(game, game.reset(keys), [(0, 3), (2, 1)])
     for i, key in enumerate(keys):
         assert_same(play(game, game.reset([key]), [(0, 3), (2, 1)]), take_games(together, [i]))
-    assert_same(game.reset(games=4, seed=3), join_games([take_games(game.reset(games=6, seed=3), [0, 1, 2, 3])]))
+    assert_same(game.reset(games=4, seed=3), take_games(game.reset(games=6, seed=3), [0, 1, 2, 3]))
 
 
 def test_the_number_of_threads_changes_nothing(game):
@@ -301,7 +301,8 @@ def test_who_leads_at_the_end_wins(track):
 def test_games_that_are_over_stand_still(game):
     state = game.reset(games=3)
     halfway = crash(take_games(state, [0, 1]), (1, 0))
-    mixed = join_games([halfway, take_games(state, [2])])
+    mixed = state.copy()
+    put_games(mixed, [0, 1], halfway)
     after = game.step(mixed, np.full((3, 2), 2))
     assert_same(take_games(after, [0, 1]), take_games(mixed, [0, 1]))
     np.testing.assert_array_equal(after.step, [0, 0, 1])

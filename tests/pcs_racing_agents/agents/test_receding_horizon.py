@@ -8,7 +8,7 @@ from zoo_games import untrained
 
 from pcs_racing import GameConfig, InputError, RaceGame, UnknownNameError, get_planner
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.state import join_games, take_games
+from pcs_racing.game.state import put_games, take_games
 from pcs_racing.race.config import CONTEST
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Decider, make_setting, parse_agent
@@ -150,7 +150,9 @@ def test_two_views_of_a_network(game, setting):
 )
 def test_every_game_is_decided_by_itself(noisy, archive, options):
     agent = receding_horizon(make_setting(archive, NOISY), seed=5, **options)
-    state = join_games([some_games(noisy, 3, seed, moves) for moves, seed in enumerate((1, 2, 3))])
+    state = noisy.reset(games=9)
+    for moves, seed in enumerate((1, 2, 3)):
+        put_games(state, np.arange(3) + 3 * moves, some_games(noisy, 3, seed, moves))
     together = agent.decide(noisy, state, 0)
     order = np.array([8, 0, 4, 4, 2])
     np.testing.assert_array_equal(agent.decide(noisy, take_games(state, order), 0), together[order])
