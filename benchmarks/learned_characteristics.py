@@ -1,12 +1,12 @@
-"""How well learned characteristics tell policies, circuits and archives that had no say: R2 by number of pieces.
+"""How well learned characteristics estimate held-out policies, circuits and archives: R2 by number of segments.
 
     python benchmarks/learned_characteristics.py --out out/learned-r2        # about 4 processor minutes; resumes
 
 A pool of 24 fresh policies that span speed (seed 101) races on four circuits; characteristics are learned from it, once
 from all inputs and once from pace and restraint alone, linear and with products. They are judged on the four other
-circuits and on two sets of policies that had no say: 24 fresh ones (seed 202), and 16 of a shipped archive, evenly
+circuits and on two sets of held-out policies: 24 fresh ones (seed 202), and 16 of a shipped archive, evenly
 spaced in the order of its first axis. The true coordinates of these come from their races against the pool on the
-circuits that had no say.
+held-out circuits.
 """
 
 import argparse
@@ -51,11 +51,13 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=24, help="policies of a fresh pool")
     parser.add_argument("--races", type=int, default=16, help="races of each pair of the pool on each circuit")
     parser.add_argument("--seeds", type=int, nargs=2, default=(101, 202), help="of the pool and of the other policies")
-    parser.add_argument("--pieces", type=int, default=LearnSettings().pieces, help="pieces of a row of the regression")
+    parser.add_argument(
+        "--segments", type=int, default=LearnSettings().segments, help="segments of a row of the regression"
+    )
     add_executor_options(parser)
     arguments = parser.parse_args()
     config, planner = load_race_config(arguments.race), get_planner("lattice")
-    settings = LearnSettings(pieces=arguments.pieces)
+    settings = LearnSettings(segments=arguments.segments)
     stated = {"race": repr(config), "size": arguments.size, "races": arguments.races, "seeds": list(arguments.seeds)}
     archive = load_archive(arguments.archive)
     stated |= {"archive": archive.content_hash, "inputs": list(settings.inputs)}
@@ -102,10 +104,10 @@ def main() -> None:
                 **run,
             )
             raced[name] = seen, won
-    head = ("policies", "made of", "pieces", *(f"R2 {name}" for name in COORDINATES))
+    head = ("policies", "made of", "segments", *(f"R2 {name}" for name in COORDINATES))
     rows: list[tuple[str, ...]] = []
     for label, changes in SETS.items():
-        chosen = LearnSettings(**{"pieces": arguments.pieces, **changes})
+        chosen = LearnSettings(**{"segments": arguments.segments, **changes})
         columns = [settings.inputs.index(name) for name in chosen.inputs]
         learning = fit_characteristics(payoffs, own_behaviour[..., columns], chosen, seed=0)
         if not rows:

@@ -63,7 +63,7 @@ class PolicyArchive:
     characteristics : tuple of str
         Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); more is more on all of them.
     coordinates : ndarray, shape (K, G)
-        Coordinates of the policies, in the characteristics' units. They come from races that had no say in the choice
+        Coordinates of the policies, in the characteristics' units. They come from races that were not used for the choice
         of the policies, since the best of many noisy values is too good to be true.
     ideal, nadir : ndarray, shape (G,)
         Points that stand for 1 and 0 on each normalised axis; by default the largest and smallest coordinates.
@@ -72,7 +72,7 @@ class PolicyArchive:
     explored_coordinates : ndarray, shape (E, G)
         What it was evaluated to.
     settings : Mapping
-        How the archive was made: texts and numbers by name. ``segment_seconds`` is the length of the pieces of racing
+        How the archive was made: texts and numbers by name. ``segment_seconds`` is the length of the segments of racing
         that the coordinates are means of.
     preset : str
         Name of the rules of the races that the coordinates were measured in.

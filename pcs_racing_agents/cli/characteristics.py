@@ -35,7 +35,7 @@ from pcs_racing_agents.payoffs.policy_pool import PolicyPool
 __all__ = ["add"]
 
 FILE = "characteristics.yaml"
-_LEARN_OPTIONS = ("name", "inputs", "degree", "pieces", "opponents", "starts", "folds")
+_LEARN_OPTIONS = ("name", "inputs", "degree", "segments", "opponents", "starts", "folds")
 
 
 def add(commands: Commands) -> None:

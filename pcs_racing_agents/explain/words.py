@@ -31,7 +31,7 @@ def story(explanation: Explanation) -> str:
         f"{explanation.race} rules: {explanation.replay.outcome}"
     ]
     if explanation.blind:
-        lines.append(f"{me} never looks at the opponent: what is seen below had no say in its moves.")
+        lines.append(f"{me} never looks at the opponent: what is seen below does not change its moves.")
     for k, step in enumerate(explanation.steps):
         lines += [
             f"{step.time:5.1f} s  saw: {opponent_words(explanation, step)}; {lead_words(step.lead)}.",

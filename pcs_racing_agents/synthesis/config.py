@@ -159,8 +159,8 @@ class ArchiveConfig(Settings):
         super().__post_init__()
         for key in ("duration", "final_duration"):
             length = getattr(self, key)
-            pieces = round(length / self.segment_seconds)
-            if pieces < 1 or abs(pieces * self.segment_seconds - length) > 1e-9:
+            segments = round(length / self.segment_seconds)
+            if segments < 1 or abs(segments * self.segment_seconds - length) > 1e-9:
                 raise ConfigError(
                     f"{key} is {length:g} s; it must be a multiple of segment_seconds, {self.segment_seconds:g} s"
                 )
