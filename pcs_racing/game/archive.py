@@ -63,8 +63,8 @@ class PolicyArchive:
     characteristics : tuple of str
         Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); more is more on all of them.
     coordinates : ndarray, shape (K, G)
-        Coordinates of the policies, in the characteristics' units. They come from races that were not used for the choice
-        of the policies, since the best of many noisy values is too good to be true.
+        Coordinates of the policies, in the characteristics' units. They come from races that were not used to choose
+        the policies, since the best of many noisy values is too good to be true.
     ideal, nadir : ndarray, shape (G,)
         Points that stand for 1 and 0 on each normalised axis; by default the largest and smallest coordinates.
     explored_parameters : ndarray, shape (E, P)

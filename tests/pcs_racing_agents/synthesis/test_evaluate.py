@@ -101,7 +101,7 @@ def test_policies_do_not_disturb_each_other(scenarios, raced):
 
 
 def test_the_spread_is_that_of_a_mean_over_races():
-    """Where each race has as many segments: the textbook's standard error; and as good where crashes cut races short."""
+    """With equally many segments in all races, the textbook's standard error; as good where crashes cut races short."""
 
     def nobody(policies: int) -> dict[str, np.ndarray]:
         """Races without a winner."""
