@@ -17,7 +17,6 @@ import numpy as np
 
 from pcs_racing import load_archive, load_race_config
 from pcs_racing.planners.registry import get_planner
-from pcs_racing_agents.cli.headroom import pool_of
 from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
 from pcs_racing_agents.learning.characteristics.behaviour import measure_behaviour, measure_payoffs
 from pcs_racing_agents.learning.characteristics.coordinates import COORDINATES
@@ -29,7 +28,7 @@ from pcs_racing_agents.learning.characteristics.learn import (
 )
 from pcs_racing_agents.learning.characteristics.pools import draw_pool
 from pcs_racing_agents.learning.characteristics.validation import judge
-from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, spanning_policies
 from pcs_racing_agents.results.text_table import markdown
 
 LEARNED_ON = ("Pipkin", "Saltmere", "Vellindra", "Larkmoor")
@@ -88,7 +87,7 @@ def main() -> None:
         payoffs = pool_payoffs(
             PolicyPool(pool, LEARNED_ON, config, races=arguments.races, folds=8, seed=2), job=job, **run
         )
-        others = {"fresh policies": fresh, f"archive {archive.name}": pool_of(archive, 16)[1]}
+        others = {"fresh policies": fresh, f"archive {archive.name}": spanning_policies(archive, 16)[1]}
         raced = {}
         for i, (name, policies) in enumerate(others.items()):
             seen = behaviour(policies, JUDGED_ON, 10 + i, f"behaviour-{i}")
