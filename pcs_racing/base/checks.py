@@ -262,13 +262,16 @@ def check_whole_array(
     if wrong.any():
         place = tuple(int(i) for i in np.argwhere(wrong)[0])
         at = f" at {place[0] if len(place) == 1 else place}" if place else ""
-        raise error(f"{name} holds {array[place]}{at}; it must be a whole number{within(least, most)}")
+        has = "holds" if place else "is"
+        raise error(f"{name} {has} {array[place]}{at}; it must be a whole number{within(least, most)}")
     return array.astype(np.int64)
 
 
 def check_facts(name: str, values: Any, error: Error = InputError) -> Mapping[str, str | int | float | bool]:
     """Return a read-only copy of texts, numbers and truth values by name."""
-    for key, value in values.items() if isinstance(values, Mapping) else [(name, values)]:
+    if not isinstance(values, Mapping):
+        raise error(f"{name} is {values!r:.80}; it must hold texts and numbers by name")
+    for key, value in values.items():
         if not isinstance(key, str) or not isinstance(value, str | bool | int | float):
             raise error(f"{name} holds {key!r}: {value!r:.80}; it must hold texts and numbers by name")
     return MappingProxyType(dict(values))

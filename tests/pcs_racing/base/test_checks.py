@@ -83,3 +83,31 @@ def test_arrays(value, message):
     with pytest.raises(InputError) as error:
         checks.check_array("theta", value, (None, 3), least=0.0, most=9.0)
     assert message in str(error.value)
+
+
+def test_arrays_of_whole_numbers():
+    np.testing.assert_array_equal(checks.check_whole_array("n", [[1, 2]], (None, 2), least=0, most=2), [[1, 2]])
+    assert checks.check_whole_array("n", np.uint8(3)).dtype == np.int64
+    for wrong in ([[1.0, 2.0]], [[True, False]], [["a", "b"]], [[1], [2, 3]]):
+        with pytest.raises(InputError, match=r"^n has shape .* type"):
+            checks.check_whole_array("n", wrong, (None, 2))
+    with pytest.raises(InputError, match=r"^n has shape \(3,\) .*\(2\) or \(4, 2\)"):
+        checks.check_whole_array("n", [1, 2, 3], (2,), (4, 2))
+    with pytest.raises(InputError, match=r"^n holds -1 at \(0, 1\); .* from 0 to 5"):
+        checks.check_whole_array("n", [[1, -1]], (1, 2), least=0, most=5)
+    with pytest.raises(ConfigError, match=r"^n is 6; .* up to 5"):
+        checks.check_whole_array("n", 6, most=5, error=ConfigError)
+
+
+def test_facts_are_texts_and_numbers_by_name():
+    facts = checks.check_facts("training", {"seed": 3, "tracks": "Pipkin", "share": 0.5})
+    assert dict(facts) == {"seed": 3, "tracks": "Pipkin", "share": 0.5}
+    with pytest.raises(TypeError):
+        facts["seed"] = 4
+    for wrong, message in (
+        (5, "training is 5"),
+        ({"a": [1]}, r"training holds 'a': \[1\]"),
+        ({1: 2}, "training holds 1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            checks.check_facts("training", wrong)

@@ -421,7 +421,7 @@ def test_an_impossible_argument_is_one_clear_error(arguments, message):
         ({"seed": -1}, "seed is -1"),
         ({"seed": 0.5}, r"seed is 0\.5"),
         ({"options": [1]}, "options are"),
-        ({"options": {"policies": [1]}}, "policies have shape"),
+        ({"options": {"policies": [1]}}, "policies has shape"),
         ({"options": {"policies": [0, 99]}}, "game 0, car 1: policy 99"),
         ({"options": {"start": (np.nan, 0)}}, "option 'start' is"),
         ({"options": {"start": (20.0, 2)}}, "option 'start' is"),

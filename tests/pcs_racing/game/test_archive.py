@@ -253,7 +253,7 @@ def test_the_shipped_archive_is_sound():
         ({"characteristics": "speed"}, "characteristics is 'speed'"),
         ({"name": ""}, "name is ''"),
         ({"ideal": [1.0, -2.0], "nadir": [0.0, 0.0]}, r"restraint .* 0 .nadir. to -2"),
-        ({"settings": {"a": [1]}}, "setting 'a' is"),
+        ({"settings": {"a": [1]}}, "settings holds 'a'"),
         ({"own_crash": np.zeros(4)}, r"own_crash has shape \(4,\)"),
         ({"own_crash": np.full(5, -0.1)}, "own_crash holds -0.1"),
         ({"spread": np.where(np.arange(10).reshape(5, 2) == 6, np.nan, 1.0)}, r"spread holds nan at \(3, 0\)"),
@@ -267,9 +267,9 @@ def test_an_impossible_archive_is_one_clear_error(changes, message):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda toy: move(toy, 5, 0, 1, 0.1), "index holds 5"),
+        (lambda toy: move(toy, 5, 0, 1, 0.1), "index is 5"),
         (lambda toy: move(toy, 0.5, 0, 1, 0.1), "whole number"),
-        (lambda toy: move(toy, 0, 2, 1, 0.1), "axis holds 2"),
+        (lambda toy: move(toy, 0, 2, 1, 0.1), "axis is 2"),
         (lambda toy: move(toy, 0, 0, 2, 0.1), "sign is 2"),
         (lambda toy: move(toy, 0, 0, 1, np.nan), "epsilon is nan"),
         (lambda toy: toy.nearest([[1.0, 2.0, 3.0]]), r"needs \(..., 2\)"),

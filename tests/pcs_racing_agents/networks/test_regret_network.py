@@ -119,7 +119,7 @@ def test_bad_observations_are_one_clear_error(network):
         ({"scale": np.zeros(7)}, "scale is 0"),
         ({"mean": np.full(7, np.inf)}, "mean is .*"),
         ({"mean": np.zeros(6)}, "mean is .*"),
-        ({"training": {"loss": [1]}}, r"training 'loss' is \[1\]"),
+        ({"training": {"loss": [1]}}, r"training holds 'loss': \[1\]"),
     ],
 )
 def test_an_impossible_network_is_one_clear_error(changes, message):

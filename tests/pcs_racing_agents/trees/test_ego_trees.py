@@ -144,7 +144,7 @@ def test_a_folder_of_ego_trees_resumes_whatever_the_executor(noisy, tmp_path):
         ({"opponent": [[0, 9]] * 2}, InputError, "the opponent's moves holds 9"),
         ({"opponent": [0.5, 1.0]}, InputError, r"the opponent's moves has shape \(2,\) and type float64"),
         ({"policies": [[0, 9]] * 2}, InputError, "policies holds 9"),
-        ({"policies": [0, 1, 2]}, InputError, r"policies have shape \(3,\)"),
+        ({"policies": [0, 1, 2]}, InputError, r"policies has shape \(3,\)"),
     ],
 )
 def test_impossible_settings_are_refused(noisy, settings, kind, message):
