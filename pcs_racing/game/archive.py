@@ -252,7 +252,7 @@ class PolicyArchive:
         """
         planner = get_planner(self.planner)
         unknown = [name for name in self.parameter_names if name not in planner.parameter_names]
-        if unknown or len(set(self.parameter_names)) < len(self.parameter_names):
+        if unknown:
             raise InputError(
                 f"archive {self.name!r} holds parameters {', '.join(self.parameter_names)}; planner {self.planner!r} "
                 f"has {', '.join(planner.parameter_names)}"

@@ -142,8 +142,8 @@ def test_parameters_that_an_archive_does_not_hold_have_the_planners_defaults(toy
     np.testing.assert_array_equal(toy.policy(4).parameters, [0.5, 1.0])
     np.testing.assert_array_equal(toy.explored_policy(0).parameters, [0.5, -1.0])
     np.testing.assert_array_equal(toy.complete(toy.parameters[:1]), [[0.5, 0.0]])
-    with pytest.raises(InputError, match="holds parameters b, b"):
-        archive(parameter_names=("b", "b")).family()
+    with pytest.raises(InputError, match="parameter_names are b, b"):
+        archive(parameter_names=("b", "b"))
 
 
 def test_policies_that_stand_out():
