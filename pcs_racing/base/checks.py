@@ -249,7 +249,7 @@ def check_whole_array(
         for shape in shapes
     )
     if array.dtype.kind not in "iu" or not fits:
-        wanted = " or ".join(f"({', '.join('any' if n is None else str(n) for n in shape)})" for shape in shapes)
+        wanted = " or ".join(str(shape).replace("None", "any") for shape in shapes)
         found = f"has shape {array.shape} and type {array.dtype}" if array.ndim else f"is {value!r:.80}"
         raise error(f"{name} {found}; it must hold whole numbers" + (f" in shape {wanted}" if shapes else ""))
     wrong = np.zeros(array.shape, np.bool_)

@@ -93,7 +93,7 @@ def test_arrays_of_whole_numbers():
             checks.check_whole_array("n", wrong, (None, 2))
     with pytest.raises(InputError, match=r"^n is 2\.5;"):
         checks.check_whole_array("n", 2.5, (None,))
-    with pytest.raises(InputError, match=r"^n has shape \(3,\) .*\(2\) or \(4, 2\)"):
+    with pytest.raises(InputError, match=r"^n has shape \(3,\) .*\(2,\) or \(4, 2\)"):
         checks.check_whole_array("n", [1, 2, 3], (2,), (4, 2))
     with pytest.raises(InputError, match=r"^n holds -1 at \(0, 1\); .* from 0 to 5"):
         checks.check_whole_array("n", [[1, -1]], (1, 2), least=0, most=5)
