@@ -45,7 +45,7 @@ class Circuits:
     Raises
     ------
     InputError
-        If it is none of these, or a circuit can't be had.
+        If it is none of these, or a circuit can't be loaded or generated.
     """
 
     def __init__(self, source: Any, episodes: int) -> None:

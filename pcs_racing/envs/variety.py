@@ -20,7 +20,7 @@ __all__ = ["Variety"]
 
 
 class Variety:
-    """Circuits, cars and what is drawn about them, of a batch of episodes.
+    """The circuits, obstacles and cars of a batch of episodes, and what is drawn at random about them.
 
     Parameters
     ----------
