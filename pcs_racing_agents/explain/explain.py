@@ -269,7 +269,7 @@ def value_unit(network: RegretNetwork, utility: str) -> Unit:
     network : RegretNetwork
         The fact ``worth`` of its training decides ("win": shares of races won), else its target and the utility.
     utility : str
-        One of :data:`pcs_racing.UTILITIES`.
+        One of :data:`pcs_racing.game.config.UTILITIES`.
     """
     if network.training.get("worth") == "win":
         return Unit(1.0, "of a win")
