@@ -17,8 +17,8 @@ from pcs_racing.envs.reset_options import start_option
 from pcs_racing.game.competitor import Chooser
 from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, put_matches
 from pcs_racing.game.match_choices import ask_choices
+from pcs_racing.game.moves import check_moves
 from pcs_racing.game.observation import ObservationElement
-from pcs_racing.game.rules import check_moves
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts
