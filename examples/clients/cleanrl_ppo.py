@@ -1,5 +1,5 @@
 # /// script
-# dependencies = ["gym==0.23.1", "tensorboard==2.20.0", "tyro==0.9.31", "setuptools<81"]
+# dependencies = ["gym==0.23.1", "tensorboard==2.21.0", "tyro==1.0.17", "setuptools<81"]
 # ///
 """CleanRL: its own ``ppo.py`` learns the duel, with no line changed.
 

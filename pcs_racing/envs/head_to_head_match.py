@@ -67,9 +67,9 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
     ## Arguments
 
     - `track` (`"Tarnfjord"`), `archive` (`"default"`), `race` (`"paper"`), `opponent` (`None`),
-      `deterministic_opponent` (`True`), `vehicle` (`F1TENTH`), `randomize` (`None`), `obstacles` (`None`), `render_mode`
-      (`None`), `view` (`"both"`), `render_size` (`(960, 640)`): as for `pcs_racing/head_to_head-v1`. What is drawn stays
-      the same in all races of a match.
+      `deterministic_opponent` (`True`), `vehicle` (`F1TENTH`), `randomize` (`None`), `obstacles` (`None`),
+      `render_mode` (`None`), `view` (`"both"`), `render_size` (`(960, 640)`): as for `pcs_racing/head_to_head-v1`. What
+      is drawn stays the same in all races of a match.
     - `races` (3): races of a match.
     - `race_moves` (`False`): whether the players also make the moves of the races.
     - `max_cycles` (`None`): steps after which an episode is truncated.

@@ -9,22 +9,20 @@ from numpy.typing import NDArray
 
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.filmed import FilmedEnv
 from pcs_racing.envs.match_batch import MatchBatch
 from pcs_racing.envs.opponents import Opponent
-from pcs_racing.envs.over_batch import FILM
-from pcs_racing.envs.scalar import ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.match import MatchGame
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.rendering import MODES
 
 __all__ = ["MatchEnv", "MatchVectorEnv"]
 
 
-class MatchEnv(ScalarEnv):
+class MatchEnv(FilmedEnv):
     """Play a match: several races against the same opponent, with a policy to choose before each of them.
 
     ## Description
@@ -151,7 +149,6 @@ class MatchEnv(ScalarEnv):
     ((23,), True)
     """
 
-    metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
     batch_type = MatchBatch
     batch: MatchBatch
 

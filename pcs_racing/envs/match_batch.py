@@ -217,7 +217,7 @@ class MatchBatch(GameBatch):
         return moved
 
     def _pieces(self, episode: int) -> list[tuple[RaceState, NDArray[np.float64]]]:
-        return self.driven
+        return list(self.driven)
 
     # What is told of the matches
 
