@@ -302,6 +302,14 @@ def test_drawn_obstacles_leave_room_and_keep_away_from_the_start(oval):
         assert (1.1 + np.abs(frenet[:, 1]) - reach > 0.93).all()
 
 
+@pytest.mark.parametrize(("shape", "share"), [("box", 0.0), ("both", 0.5), ("circle", 1.0)])
+def test_drawn_obstacles_are_boxes_or_circles(oval, shape, share):
+    settings = Obstacles(count=(2, 2), passage=0.8, shape=shape)
+    drawn = [settings.draw(oval, [0.0], np.random.default_rng(i)) for i in range(40)]
+    is_round = np.concatenate(drawn)[:, 4] == 0.0
+    assert is_round.mean() == pytest.approx(share, abs=0.2)
+
+
 def test_a_car_crashes_into_a_given_obstacle_that_its_lidar_saw(oval):
     env = DriveEnv(oval, None, beams=11, time_step=0.02)
     poses = [[-4.0, -4.0, 0.0, 4.0], [4.0, 4.0, 3.1, 0.0]]
@@ -365,6 +373,7 @@ def test_the_lattice_drives_around_obstacles():
         ({"obstacles": 200}, ConfigError, "count is"),
         ({"obstacles": {"size": 5.0}}, ConfigError, "size is"),
         ({"obstacles": {"speed": 5.0}}, ConfigError, "speed"),
+        ({"obstacles": {"shape": "star"}}, ConfigError, "shape"),
     ],
 )
 @pytest.mark.parametrize("kind", [DriveEnv, DuelEnv])
