@@ -1,5 +1,5 @@
 # /// script
-# dependencies = ["gym==0.23.1", "tensorboard==2.21.0", "tyro==1.0.17", "setuptools<81"]
+# dependencies = ["gym==0.23.1", "tensorboard==2.21.0", "torch", "tyro==1.0.17"]
 # ///
 """CleanRL: its own ``ppo.py`` learns the duel, with no line changed.
 
