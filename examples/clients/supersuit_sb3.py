@@ -5,7 +5,7 @@
 
     python examples/clients/supersuit_sb3.py
 
-``pcs_racing.envs.sb3.make_sb3_vec_env`` does the same from compiled batches, many times as fast, for ``"self-play"`` and
+``pcs_racing.envs.sb3.make_sb3_vec_env`` does the same from compiled batches, many times as fast: ``"self-play"`` and
 ``"drive-self-play"``. Leave out ``seed=``: SuperSuit's vector environment has no method ``seed``.
 """
 
