@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -36,12 +36,27 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, take
 from pcs_racing.track.track import Track
 
-__all__ = ["GameBatch"]
+__all__ = ["DrivenStep", "GameBatch"]
 
 NO_MOVE = -1  # before the first move, and for a driver
 FILM_TICKS = 4  # simulation steps between two frames of a film
 FILM_RATE = 25  # frames for each second of racing
 TRAIL = 50  # frames of trail behind each car: two seconds
+
+
+class DrivenStep(NamedTuple):
+    """A step of one game as it can be driven again, for films.
+
+    Attributes
+    ----------
+    pieces : list of (RaceState, ndarray)
+        What each piece of driving began with, as a batch of one race, and the parameters of its drivers.
+    moves : ndarray of int, shape (2,)
+        Moves that began it.
+    """
+
+    pieces: list[tuple[RaceState, NDArray[np.float64]]]
+    moves: NDArray[np.int64]
 
 
 class GameBatch:
@@ -134,6 +149,7 @@ class GameBatch:
         self.drawn = np.zeros(self.episodes, np.int64)  # index of each game's opponent
         self.moves = np.full((self.episodes, 2), NO_MOVE, np.int64)
         self.memories: list[Any] = [None] * self.episodes
+        self._begun: list[tuple[NDArray[np.uint64], Starts | None] | None] = [None] * self.episodes  # and not moved yet
 
     @property
     def elements(self) -> tuple[ObservationElement, ...]:
@@ -199,8 +215,9 @@ class GameBatch:
             )
             put_games(self.state, rows[some], fresh)
         self.drawn[rows], self.moves[rows] = drawn, NO_MOVE
-        for row in rows:
+        for i, row in enumerate(rows):
             self.memories[row] = None
+            self._begun[row] = keys[i : i + 1], None if starts is None else starts.take(np.array([i]))
         self.seen = self.game.observation(self.state)
 
     def started(self) -> GameState:
@@ -222,6 +239,7 @@ class GameBatch:
         if self.players == 1:
             moves = np.stack([actions[:, 0], self._replies(state, generators, self.seen[:, 1])], axis=1)
         self.before, self.state = state, self._apply(state, moves)
+        self._begun = [None] * self.episodes
         self.moves = moves
         self.seen = self.game.observation(self.state)
         rewards = np.ascontiguousarray(self.game.reward(self.state)[:, : self.players]).reshape(-1)
@@ -330,16 +348,22 @@ class GameBatch:
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw a game as it stands."""
         episode = environment // self.players
-        return self._draw(renderer, episode, self.started().race, episode, None)
+        return self._draw(renderer, episode, self.started().race, episode, None, self.moves[episode])
+
+    def last_step(self, environment: int) -> DrivenStep:
+        """Return the last step of a game, the one in which the players only watch included."""
+        episode = environment // self.players
+        return DrivenStep(self._pieces(episode), self.moves[episode].copy())
 
     def film(
-        self, renderer: Renderer, environment: int, ticks: int | None = None
+        self, renderer: Renderer, environment: int, ticks: int | None = None, step: DrivenStep | None = None
     ) -> Iterator[NDArray[np.uint8] | None]:
-        """Drive the last step of a game again and draw it, a frame every so many simulation steps (4)."""
+        """Drive a step of a game again, by default the last, and draw a frame every so many simulation steps (4)."""
         episode = environment // self.players
         game, conditions = self.game_of(episode), self.variety.conditions(np.array([episode]))
+        step = self.last_step(environment) if step is None else step
         trail: list[NDArray[np.float64]] = []
-        for begun, theta in self._pieces(episode):
+        for begun, theta in step.pieces:
             race, left = begun.copy(), game.config.step_ticks
             while left > 0:
                 drive, before = min(ticks or FILM_TICKS, left), int(race.tick[0])
@@ -347,23 +371,34 @@ class GameBatch:
                 if int(race.tick[0]) == before:
                     break  # it is over
                 trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
-                yield self._draw(renderer, episode, race, 0, np.array(trail))
+                yield self._draw(renderer, episode, race, 0, np.array(trail), step.moves)
                 left -= drive
 
     def _pieces(self, episode: int) -> list[tuple[RaceState, NDArray[np.float64]]]:
         """Where the pieces of driving of an episode's last step began, and the parameters that drove them."""
         state = self.started()
+        theta, begun = state.theta[episode : episode + 1].copy(), self._begun[episode]
+        if begun is not None:
+            conditions = self.variety.conditions(np.array([episode]))
+            noise = state.race.seed[episode : episode + 1]
+            return [(self.game_of(episode).grid(begun[0], noise, begun[1], conditions), theta)]
         if self.before is None or int(self.before.race.tick[episode]) >= int(state.race.tick[episode]):
-            return []  # a new game, of which no move was driven yet
-        return [(take(self.before.race, [episode]), state.theta[episode : episode + 1].copy())]
+            return []  # restored from a value, or standing still
+        return [(take(self.before.race, [episode]), theta)]
 
     def _draw(
-        self, renderer: Renderer, episode: int, race: RaceState, at: int, trails: NDArray[np.float64] | None
+        self,
+        renderer: Renderer,
+        episode: int,
+        race: RaceState,
+        at: int,
+        trails: NDArray[np.float64] | None,
+        made: NDArray[np.int64],
     ) -> NDArray[np.uint8] | None:
-        """Draw a moment of an episode: race ``at`` of some races."""
+        """Draw a moment of an episode, after some moves: race ``at`` of some races."""
         names = ("you", self.opponents[self.drawn[episode]].name) if self.opponents else ("car_0", "car_1")
         codes = self.codes["move"]
-        moves = " | ".join(f"{name}: {codes[int(self.moves[episode, car])]}" for car, name in enumerate(names))
+        moves = " | ".join(f"{name}: {codes[int(made[car])]}" for car, name in enumerate(names))
         text = f"{race.tick[at] * DT:.1f} s | lead of {names[0]} {race.lead[at]:+.1f} m | {moves}"
         plans = [path[:, :2] for path in race.path[at] if path.any()]
         renderer.show(self.variety.track(episode), half_sizes(self.variety.vehicles[episode]))
@@ -386,6 +421,7 @@ class GameBatch:
             self._check_state(state)
         self.variety.set_state(variety)
         self.before, self.state = None, None if state is None else state.copy()
+        self._begun = [None] * self.episodes
         self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
         if self.state is not None:
             self.seen = self.game.observation(self.state)

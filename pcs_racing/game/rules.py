@@ -254,11 +254,7 @@ class RaceGame:
             bits = random_bits(keys[rows], attempt)
             drawn_policies = (bits[:, 2:4] % np.uint64(len(self.archive))).astype(np.int64)
             policy = np.where(drawn[rows], drawn_policies, first[rows])
-            if starts is not None:
-                grid = starts.take(rows)
-            else:
-                line = (bits[:, 0] % np.uint64(len(self.start_lines))).astype(np.int64)
-                grid = Starts(self.start_lines[line], (bits[:, 1] % np.uint64(2)).astype(np.int64))
+            grid = self._starts(bits) if starts is None else starts.take(rows)
             own = conditions if conditions is AS_THE_SETUP else conditions.take(rows)
             return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows], own)
 
@@ -302,6 +298,33 @@ class RaceGame:
         state.theta[outside] = theta[outside]
         self._drive(state, np.ones(len(policy), np.bool_), conditions)
         return state
+
+    def _starts(self, bits: NDArray[np.uint64]) -> Starts:
+        """Lines and sides that follow from the random bits of games, shape (B, 5)."""
+        line = (bits[:, 0] % np.uint64(len(self.start_lines))).astype(np.int64)
+        return Starts(self.start_lines[line], (bits[:, 1] % np.uint64(2)).astype(np.int64))
+
+    def grid(
+        self,
+        key: NDArray[np.uint64],
+        noise: NDArray[np.uint64],
+        starts: Starts | None = None,
+        conditions: RaceConditions = AS_THE_SETUP,
+    ) -> RaceState:
+        """Return the race on the grid from which :meth:`reset` drove the first step of a game.
+
+        Parameters
+        ----------
+        key : ndarray of uint64, shape (1,)
+            Key of the game.
+        noise : ndarray of uint64, shape (1,)
+            Key of the noise of its race, which says how often the game was drawn again.
+        starts, conditions
+            Those of :meth:`reset`.
+        """
+        attempts = [random_bits(key, attempt) for attempt in range(REDRAWS + 1)]
+        bits = next(bits for bits in attempts if bits[0, 4] == noise[0])
+        return start_races(self.setup, self._starts(bits) if starts is None else starts, noise, conditions)
 
     def empty_state(self, races: RaceState) -> GameState:
         """Games of which these races are on the grid and nothing else is known yet."""
