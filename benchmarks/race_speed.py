@@ -35,7 +35,7 @@ from pcs_racing.race.progress import update_progress
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 from pcs_racing.race.rates import CONTROL_EVERY, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.state import RaceState, take
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 
 REPEATS = 8
 CALLS = 4000

@@ -1,13 +1,11 @@
-"""What matters for an answer to opponents in the contest: the tables of "What mattered" in docs/study.md.
+"""What an answer to opponents needs in the contest: how many games, which inputs, which network.
 
-    python benchmarks/response_ablation.py learners --starts 1536 --out out/ablation
-    python benchmarks/response_ablation.py games --games "8 s" "4 s" --starts 384 --races 1500 --out out/ablation
-    python benchmarks/response_ablation.py circuits --races 1000 --out out/ablation
+    python benchmarks/response_ablation.py --starts 768 --out out/ablation
 
-"learners" branches games, played on by the answer that is shipped, and lets learners learn from three quarters of them
-what to do in the last quarter, in turn: what their moves add to races won over the shipped answer's, and so what there
-is left to be learned. "games" learns an answer for every variant of the game and lets it race. "circuits" lets the
-shipped answer race on every circuit. Seeds are other ones than those of any study; a stopped run goes on.
+Games are branched at every step and played on by the answer that is shipped. Learners learn from three quarters of them
+what to do in the last quarter, in turn; the table says what their moves add to races won over the shipped answer's, and
+so what there is left to be learned, and what an answer loses that is not shown the opponent's coordinates, or the lead.
+Seeds are other ones than those of any study; a stopped run goes on.
 """
 
 import argparse
@@ -15,42 +13,32 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from math import erf
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing import RaceGame, list_tracks, make_game
+from pcs_racing import RaceGame, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.config import load_game_config
-from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Agent, Setting, make_setting
-from pcs_racing_agents.agents.blind import always, best_schedule, never_switch, random_moves
+from pcs_racing_agents.agents.blind import never_switch, random_moves
 from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.jobs.jobs import Arrays, Job, add_executor_options, executor_from, open_job, show_progress
-from pcs_racing_agents.learning.responses import branch_games, learn_response, load_response_settings
+from pcs_racing_agents.learning.responses import branch_games, load_response_settings
 from pcs_racing_agents.networks import RegretNetwork, Rows, load_network
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.networks.training import train_layers
-from pcs_racing_agents.tournament import play_games
 from pcs_racing_agents.tournament.games import game_between
 
-SEED = 9_000_000  # of the races
+SEED = 9_000_000  # of shares of the games
 BRANCH_SEED = 77
-LEARNING_SEED = 11
 RANDOM_SEED = 5  # of random moves
 BLOCK = 256
 FOLDS = 4
 OPPONENTS = ("never-switch", "random-moves")
-CIRCUITS = ("Brackwater", "Kestrelheim", "Tarnfjord")
-GAMES: dict[str, dict[str, Any]] = {
-    "8 s": {},
-    "4 s": {"step_seconds": 4.0, "moves": 9},
-    "epsilon 0.8": {"epsilon": 0.8},
-}
-"""Variants of the game; the first is the study's."""
+CIRCUITS = ("Brackwater", "Pipkin", "Tarnfjord")  # two that the shipped answer learned on, and one that it did not
 
 Floats = NDArray[np.float64]
 
@@ -60,15 +48,12 @@ class Options(NamedTuple):
 
     archive: str
     starts: int
-    races: int
     circuits: tuple[str, ...]
-    games: tuple[str, ...]
     members: int
-    rounds: int
 
 
-def setting_of(archive: str, **changes: Any) -> Setting:
-    return make_setting(archive, load_game_config("contest", **{"epsilon": 0.5, **changes}))
+def setting_of(archive: str) -> Setting:
+    return make_setting(archive, load_game_config("contest", epsilon=0.5))
 
 
 def game_on(circuit: str, setting: Setting) -> RaceGame:
@@ -92,8 +77,6 @@ class Data:
 
     observations: NDArray[np.float32]
     wins: Floats
-    leads: Floats
-    crashed: NDArray[np.bool_]
     rival: Floats
     played: NDArray[np.int64]
     place: NDArray[np.int64]
@@ -147,7 +130,7 @@ def branched(options: Options, job: Job, executor: Executor | None) -> tuple[Dat
     for arrays, task in zip(found, tasks, strict=True):
         where = options.circuits.index(task.circuit), OPPONENTS.index(task.opponent), task.step
         place = [(*where, int(number)) for number in arrays["game"]]
-        given = [arrays[key] for key in ("observations", "outcomes", "leads", "crashed")]
+        given = [arrays[key] for key in ("observations", "outcomes")]
         parts.append((*given, points[arrays["rival"]], arrays["behaviour"], np.reshape(place, (-1, 4))))
     return Data(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))), network
 
@@ -162,18 +145,11 @@ def learner(
     share: float = 1.0,
     apart: Sequence[str] = (),
     sees: str = "",
-    soft: float = 0.0,
+    unseen: Sequence[int] = (),
     kept: int | None = None,
     **settings: Any,
 ) -> Learner:
     """Return a learner: networks as those of a response, with one thing changed."""
-
-    def goals(data: Data) -> Floats:
-        wins = data.wins
-        if soft:
-            level = np.reshape([0.5 * (1.0 + erf(lead / soft / 2**0.5)) for lead in data.leads.ravel()], wins.shape)
-            wins = np.where(data.crashed, wins, level)
-        return wins - wins.mean(axis=1, keepdims=True)
 
     def inputs(data: Data) -> NDArray[np.float32]:
         more = {
@@ -181,7 +157,8 @@ def learner(
             "opponent": data.rival,
             "circuit": np.eye(len(CIRCUITS) + 8)[data.place[:, 0]],
         }[sees]
-        return np.concatenate([data.observations, more], axis=1).astype(np.float32)
+        shown = np.delete(data.observations, list(unseen), axis=1)
+        return np.concatenate([shown, more], axis=1).astype(np.float32)
 
     def learn(known: Data, asked: Data) -> Floats:
         lot = np.random.default_rng(SEED).random(len(known.wins)) < share
@@ -189,7 +166,11 @@ def learner(
             lot &= known.played == kept
         known = known.take(lot)
         rows = Rows(
-            inputs(known), goals(known), np.ones(len(known.wins)), np.arange(len(known.wins)), known.place[:, 2]
+            inputs(known),
+            known.wins - known.wins.mean(axis=1, keepdims=True),
+            np.ones(len(known.wins)),
+            np.arange(len(known.wins)),
+            known.place[:, 2],
         )
         values = np.zeros(asked.wins.shape)
         for member in range(members):
@@ -216,25 +197,26 @@ def predict(rows: Rows, settings: TrainSettings, inputs: NDArray[np.float32]) ->
     return np.asarray(x @ layers.weights[-1].T + layers.biases[-1], np.float64)
 
 
-def learners(members: int) -> dict[str, Learner]:
+def learners(members: int, elements: Sequence[str]) -> dict[str, Learner]:
     """The learners that are compared, by name."""
     make = partial(learner, members)
+
+    def without(*beginnings: str) -> list[int]:
+        return [i for i, element in enumerate(elements) if element.startswith(beginnings)]
+
     return {
         "as the response's": make(),
+        "without the opponent's coordinates": make(unseen=without("opponent_")),
+        "without the lead": make(unseen=without("lead_")),
+        "without either": make(unseen=without("opponent_", "lead_")),
+        "told the opponent's policy": make(sees="opponent"),
+        "told the circuit": make(sees="circuit"),
         "a tenth of the games": make(share=0.1),
-        "a quarter": make(share=0.25),
         "half": make(share=0.5),
         "one network": learner(1),
         "linear": make(hidden=()),
         "width 16": make(hidden=(16, 16)),
-        "width 128": make(hidden=(128, 128)),
-        "weight decay 0.3": make(weight_decay=0.3),
-        "soft outcome, 2 m": make(soft=2.0),
-        "soft outcome, 6 m": make(soft=6.0),
         "a network for each circuit": make(apart=["circuit"]),
-        "a network for each step": make(apart=["step"]),
-        "told the circuit": make(sees="circuit"),
-        "told the opponent's policy": make(sees="opponent"),
         "learns from random moves only": make(kept=0),
         "learns from the answer's games only": make(kept=1),
     }
@@ -274,154 +256,25 @@ def compare_learners(options: Options, job: Job, executor: Executor | None) -> N
     for i, move in enumerate(moves):
         gain, error = added(data, np.full(len(base), i), base)
         print(f"| (always {move}, then the answer) | {gain:+.3f} +- {error:.3f} |")
-    for name, learn in learners(options.members).items():
+    for name, learn in learners(options.members, network.identity.elements).items():
         values = crossed(data, learn)
         gain, error = added(data, values.argmax(axis=1), base)
         print(f"| {name} | {gain:+.3f} +- {error:.3f} |", flush=True)
-        if name == "as the response's":
-            for margin in (0.01, 0.03, 0.08):
-                chosen = np.where(values.max(axis=1) - values[:, 0] > margin, values.argmax(axis=1), 0)
-                gain, error = added(data, chosen, base)
-                print(f"| keeps to {moves[0]} but for more than {margin:g} | {gain:+.3f} +- {error:.3f} |", flush=True)
-
-
-# What the game and the circuit do
-
-
-class RaceTask(NamedTuple):
-    """Races of one agent against one opponent on one circuit."""
-
-    circuit: str
-    opponent: str
-    ego: str
-    first: int
-    last: int
-
-
-def race(setting: Setting, network: RegretNetwork, task: RaceTask) -> Arrays:
-    game = game_on(task.circuit, setting)
-    count = task.last
-    place = sum(task.circuit.encode())
-    plan = [*setting.moves[:1] * (setting.config.moves - 1), setting.moves[2]]
-    ego = {
-        "never-switch": lambda: never_switch(setting),
-        "always the first": lambda: always(setting, setting.moves[0]),
-        "and careful in the end": lambda: best_schedule(setting, moves=plan),
-        "response": lambda: follow(network, setting),
-    }[task.ego]()
-    rows = np.arange(task.first, task.last)
-    played = play_games(
-        game,
-        ego,
-        opponent_of(task.opponent, setting),
-        policies=np.random.default_rng([SEED, place]).integers(0, len(game.archive), (count, 2))[rows],
-        starts=draw_starts(game.track, game.setup.config, count, SEED + place).take(rows),
-        seeds=race_seeds(SEED + place, count)[rows],
-    )
-    return {"score": played.score}
-
-
-EGOS = ("never-switch", "always the first", "and careful in the end", "response")
-
-
-def raced(
-    title: str,
-    setting: Setting,
-    network: RegretNetwork,
-    circuits: Sequence[str],
-    races: int,
-    job: Job,
-    executor: Executor | None,
-) -> list[str]:
-    """Lines of a table: what an answer gains on each circuit over never switching, and over the best blind plan."""
-    tasks = [
-        RaceTask(circuit, opponent, ego, first, min(first + 500, races))
-        for circuit in circuits
-        for opponent in OPPONENTS
-        for ego in EGOS
-        for first in range(0, races, 500)
-    ]
-    work = partial(race, setting, network)
-    name = "races-" + "".join(c if c.isalnum() else "-" for c in title)
-    found = job.run(name, work, tasks, executor=executor, progress=show_progress("tasks of races"))
-    lines = []
-    for circuit in circuits:
-        for opponent in OPPONENTS:
-            score = {
-                ego: np.concatenate(
-                    [a["score"] for a, t in zip(found, tasks, strict=True) if t[:3] == (circuit, opponent, ego)]
-                )
-                for ego in EGOS
-            }
-            # The better of the plans on these very races: it flatters the plan, if anything.
-            blind = max(EGOS[1:3], key=lambda ego: score[ego].mean())
-            cells = [f"{score['never-switch'].mean():.3f}"]
-            for one, other in ((blind, EGOS[0]), ("response", EGOS[0]), ("response", blind)):
-                apart = score[one] - score[other]
-                cells.append(f"{apart.mean():+.3f} +- {apart.std(ddof=1) / len(apart) ** 0.5:.3f}")
-            lines.append(f"| {title} | {circuit} | {opponent} | {' | '.join(cells)} |")
-    return lines
-
-
-HEAD = "| what | circuit | opponent | never-switch | best plan | answer | answer - best plan |\n" + "| --- " * 7 + "|"
-
-
-def compare_games(options: Options, job: Job, executor: Executor | None) -> None:
-    lines = []
-    for name in options.games:
-        setting = setting_of(options.archive, **GAMES[name])
-        games = [game_on(circuit, setting) for circuit in options.circuits[:2]]
-        settings = load_response_settings(starts=options.starts, rounds=options.rounds, seed=LEARNING_SEED)
-        pool = [opponent_of(opponent, setting) for opponent in OPPONENTS]
-        folder = job.folder / "games" / name.replace(" ", "-")
-        with open_job(folder, "response", {**about("games", options), "game": repr(setting.config)}) as own:
-            network = learn_response(
-                games, pool, setting, settings, own, executor=executor, progress=show_progress(f"branch tasks ({name})")
-            )
-        lines += raced(name, setting, network, options.circuits, options.races, job, executor)
-    print("\n".join([HEAD, *lines]))
-
-
-def compare_circuits(options: Options, job: Job, executor: Executor | None) -> None:
-    setting = setting_of(options.archive)
-    network = load_network(f"{options.archive}-contest-gain")
-    print("\n".join([HEAD, *raced("shipped", setting, network, list_tracks(), options.races, job, executor)]))
-
-
-PARTS = {"learners": compare_learners, "games": compare_games, "circuits": compare_circuits}
-DEPENDS = {
-    "learners": ("starts", "circuits"),
-    "games": ("starts", "rounds", "races", "circuits"),
-    "circuits": ("races",),
-}
-"""What the figures of a part depend on, besides the archive."""
-
-
-def about(part: str, options: Options) -> dict[str, Any]:
-    """Return the settings of a part's job."""
-    values = {key: getattr(options, key) for key in ("archive", *DEPENDS[part])}
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], allow_abbrev=False)
-    parser.add_argument("part", choices=list(PARTS))
     parser.add_argument("--out", type=Path, required=True, help="folder that keeps what was driven")
     parser.add_argument("--archive", default="contest")
     parser.add_argument("--starts", type=int, default=256, help="games that are branched at a step (default: 256)")
-    parser.add_argument("--races", type=int, default=500, help="of an agent in a row of the table (default: 500)")
-    parser.add_argument("--circuits", nargs="+", default=list(CIRCUITS), help="answers learn on the first two")
-    parser.add_argument("--games", nargs="+", choices=list(GAMES), default=list(GAMES), help="variants of the game")
+    parser.add_argument("--circuits", nargs="+", default=list(CIRCUITS), help="names or folders")
     parser.add_argument("--members", type=int, default=2, help="networks of a learner (default: 2)")
-    parser.add_argument("--rounds", type=int, default=2)
     add_executor_options(parser)
     given = parser.parse_args()
-    options = Options(
-        given.archive, given.starts, given.races, tuple(given.circuits), tuple(given.games), given.members, given.rounds
-    )
-    settings = about(given.part, options)
-    with executor_from(given) as executor, open_job(given.out / given.part, "response-ablation", settings) as job:
-        PARTS[given.part](options, job, executor)
+    options = Options(given.archive, given.starts, tuple(given.circuits), given.members)
+    settings = {"archive": options.archive, "starts": options.starts, "circuits": list(options.circuits)}
+    with executor_from(given) as executor, open_job(given.out, "response-ablation", settings) as job:
+        compare_learners(options, job, executor)
 
 
 if __name__ == "__main__":

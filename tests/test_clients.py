@@ -12,13 +12,28 @@ PAGE = (REPOSITORY / "docs" / "recipes.md").read_text(encoding="utf-8")
 SCRIPTS = try_clients.scripts(None)
 
 
+TABLE = PAGE[PAGE.index(try_clients.HEAD) :].partition("\n\n")[0].splitlines()[2:]
+"""The rows of the table that the tool printed."""
+
+
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_the_page_names_the_file_and_the_versions_that_it_was_tried_with(script):
-    (row,) = [line for line in PAGE.splitlines() if line.startswith("|") and f"`{script.stem}.py`" in line]
+def test_the_page_says_what_it_does_and_which_versions_it_was_tried_with(script):
+    about, row = [line for line in PAGE.splitlines() if line.startswith(f"| `{script.name}`")]
+    assert row in TABLE
+    assert about not in TABLE
     for library in try_clients.dependencies(script):
-        if "==" in library:
-            name, version = library.partition("[")[0].partition("==")[0], library.partition("==")[2]
-            assert f"{name} {version}" in row
+        name, version = library.partition("[")[0].partition("==")[0], library.partition("==")[2]
+        at = try_clients.SHARED.index(name) + 2 if name in try_clients.SHARED else 1
+        assert f"{name} {version}".removeprefix(f"{name} " if at > 1 else "") in row.split(" | ")[at]
+
+
+def test_the_table_is_what_the_tool_prints(tmp_path):
+    script = tmp_path / "tried.py"
+    script.write_text('# /// script\n# dependencies = ["ray[rllib]==2.60.0", "gymnasium==1.2.2"]\n# ///\n')
+    installed = {"ray": "2.60.0", "gymnasium": "1.2.2", "pettingzoo": "1.27.0", "numpy": "2.4.6"}
+    printed = try_clients.row(script, installed, "yes", 41.7)
+    assert printed == "| `tried.py` | ray 2.60.0 | 1.2.2 | 1.27.0 | 2.4.6 |  | yes | 42 |"
+    assert printed.count("|") == try_clients.HEAD.splitlines()[0].count("|")
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)

@@ -136,7 +136,7 @@ def test_whoever_needs_an_extra_is_told_which(who, told):
 # Which library an example misses first, and the extra that brings it.
 EXAMPLES = {
     "cleanrl_loop": ("torch", "learning"),
-    "openspiel_tree": ("pyspiel", "games"),
+    "clients/openspiel_tree": ("pyspiel", "games"),
     "ppo_against_cfr": ("stable_baselines3", "learning"),
     "self_play_ppo": ("stable_baselines3", "learning"),
     "drive_self_play": ("torch", "learning"),

@@ -1,13 +1,15 @@
-"""Run the example of every client library in an environment of its own, and print which of them work.
+"""Run the example of every client library in an environment of its own, and print a table of versions and results.
 
     python tools/try_clients.py
     python tools/try_clients.py --only rllib_ppo sb3_ppo --out out/clients
 
 Each file of ``examples/clients`` names its libraries in a block of inline metadata (PEP 723). A virtual environment is
 made for each file and kept in the folder ``--out``; all together take some gigabytes and, the first time, half an hour.
+The table at the end stands in docs/recipes.md.
 """
 
 import argparse
+import json
 import re
 import subprocess
 import sys
@@ -18,7 +20,22 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 CLIENTS = ROOT / "examples" / "clients"
 METADATA = re.compile(r"^# /// script\n((?:#.*\n)+?)# ///$", re.MULTILINE)
-TORCH = "torch>=2.8,<2.14"  # the range of pyproject.toml: newer ones would bring gigabytes of CUDA
+TORCH = "torch>=2.8,<2.14"
+"""For those that need it: the range of pyproject.toml; newer ones would bring gigabytes of CUDA."""
+
+SHARED = ("gymnasium", "pettingzoo", "numpy", "torch")
+"""Libraries whose versions have columns of their own."""
+
+HEAD = f"""\
+| File | Libraries | {" | ".join(SHARED)} | Works | Seconds |
+|---|---|---|---|---|---|---|---|"""
+
+VERSIONS = """
+import json
+from importlib.metadata import distributions
+
+print(json.dumps({each.name.lower().replace("_", "-"): each.version for each in distributions()}))
+"""
 
 
 def dependencies(script: Path) -> list[str]:
@@ -53,10 +70,30 @@ def environment(script: Path, folder: Path) -> Path:
     stamp = folder / "installed.txt"
     if not stamp.is_file() or stamp.read_text() != wanted:
         subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True)
-        install = [python, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--editable", ROOT]
-        subprocess.run([*install, *wanted.split("\n")], check=True)
+        limits = folder / "constraints.txt"
+        limits.write_text(TORCH)
+        pip = [python, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--constraint", limits]
+        subprocess.run([*pip, "--editable", ROOT, *dependencies(script)], check=True)
         stamp.write_text(wanted)
     return python
+
+
+def row(script: Path, installed: dict[str, str], verdict: str, seconds: float) -> str:
+    """Return the line of the table for a script.
+
+    Parameters
+    ----------
+    script : Path
+    installed : dict of str
+        Versions of the libraries in its environment, by name.
+    verdict : str
+    seconds : float
+        How long the script ran.
+    """
+    names = [re.split(r"[\[=<>]", each)[0] for each in dependencies(script)]
+    own = [f"{name} {installed[name.lower().replace('_', '-')]}" for name in names if name not in SHARED]
+    shared = [installed.get(name, "") for name in SHARED]
+    return "| " + " | ".join([f"`{script.name}`", ", ".join(own), *shared, verdict, f"{seconds:.0f}"]) + " |"
 
 
 def main() -> None:
@@ -67,18 +104,18 @@ def main() -> None:
     )
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    failed = []
+    failed, table = [], []
     for script in scripts(given.only):
         python = environment(script, given.out / script.stem)
         log, begun = given.out / f"{script.stem}.log", time.monotonic()
         with log.open("w") as output:
             code = subprocess.run([python, script], cwd=ROOT, stdout=output, stderr=subprocess.STDOUT).returncode
-        verdict = "works" if code == 0 else f"fails, see {log}"
-        print(
-            f"{script.stem:20} {verdict:8} {time.monotonic() - begun:5.0f} s  {', '.join(dependencies(script))}",
-            flush=True,
-        )
+        seconds = time.monotonic() - begun
+        print(f"{script.stem}: {'works' if code == 0 else f'fails, see {log}'}, {seconds:.0f} s", flush=True)
+        installed = json.loads(subprocess.run([python, "-c", VERSIONS], check=True, capture_output=True).stdout)
+        table.append(row(script, installed, "yes" if code == 0 else "no", seconds))
         failed += [script.stem] * (code != 0)
+    print("\n" + "\n".join([HEAD, *table]))
     if failed:
         raise SystemExit(f"{len(failed)} of them do not work: {', '.join(failed)}")
 

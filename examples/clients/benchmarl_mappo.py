@@ -1,11 +1,11 @@
 # /// script
 # dependencies = ["benchmarl==1.5.2"]
 # ///
-"""BenchMARL: MAPPO in self-play on the head-to-head environment.
+"""BenchMARL: MAPPO in self-play on the environments for two agents, who move or steer.
 
     python examples/clients/benchmarl_mappo.py
 
-A task of BenchMARL names the environment, its groups of agents and its spaces; ``HeadToHead`` below is all it takes.
+A task of BenchMARL names the environment, its groups of agents and its spaces; ``BothCars`` below is all it takes.
 """
 
 from collections.abc import Callable
@@ -19,32 +19,39 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase, PettingZooWrapper
 
 import pcs_racing
+from pcs_racing.envs import drive_head_to_head
 
 
-class HeadToHead(TaskClass):
-    """The game of both cars as BenchMARL wants it: the group ``car`` holds both."""
+class BothCars(TaskClass):
+    """A race of both cars as BenchMARL wants it: the group ``car`` holds both."""
+
+    @property
+    def steered(self) -> bool:
+        """Whether the agents steer; else they make moves."""
+        return self.name == "DRIVE_HEAD_TO_HEAD"
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
         """Return the function that makes an environment."""
-        return lambda: PettingZooWrapper(pcs_racing.parallel_env(**self.config), categorical_actions=True, seed=seed)
+        make = drive_head_to_head.parallel_env if self.steered else pcs_racing.parallel_env
+        return lambda: PettingZooWrapper(make(**self.config), categorical_actions=True, seed=seed)
 
     def supports_continuous_actions(self) -> bool:
-        """Moves are discrete."""
-        return False
+        """Steering is continuous."""
+        return self.steered
 
     def supports_discrete_actions(self) -> bool:
         """Moves are discrete."""
-        return True
+        return not self.steered
 
     def has_render(self, env: EnvBase) -> bool:
         """No pictures here."""
         return False
 
     def max_steps(self, env: EnvBase) -> int:
-        """Moves of a game."""
-        return 4
+        """Steps of an episode."""
+        return 50 if self.steered else 4
 
     def group_map(self, env: EnvBase) -> dict[str, list[str]]:
         """Return the groups of agents."""
@@ -85,20 +92,21 @@ class Tasks(Task):
     """The tasks that there are."""
 
     HEAD_TO_HEAD = None
+    DRIVE_HEAD_TO_HEAD = None
 
     @staticmethod
     def associated_class() -> type[TaskClass]:
         """Return the class above."""
-        return HeadToHead
+        return BothCars
 
 
-def main() -> None:
+def train(task: TaskClass) -> None:
+    """Train for a few steps, and print how it went."""
     config = ExperimentConfig.get_from_yaml()
     config.max_n_frames = config.on_policy_collected_frames_per_batch = 64
     config.on_policy_n_envs_per_worker, config.on_policy_n_minibatch_iters = 2, 1
     config.on_policy_minibatch_size, config.evaluation, config.loggers = 32, False, []
     config.create_json, config.checkpoint_at_end, config.render = False, False, False
-    task = Tasks.HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord"})
     experiment = Experiment(
         task=task,
         algorithm_config=MappoConfig.get_from_yaml(),
@@ -108,7 +116,14 @@ def main() -> None:
         config=config,
     )
     experiment.run()
-    print(f"{experiment.total_frames} moves of both cars, mean return {float(experiment.mean_return):+.2f} m")
+    print(
+        f"{task.name}: {experiment.total_frames} steps of both cars, mean return {float(experiment.mean_return):+.2f}"
+    )
+
+
+def main() -> None:
+    train(Tasks.HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord"}))
+    train(Tasks.DRIVE_HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord", "duration": 1.0}))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["ray[rllib]==2.60.0"]
 # ///
-"""RLlib: PPO on the duel, and self-play of one network in both cars of the head-to-head environment.
+"""RLlib: PPO on the duel, and self-play of one network in both cars, who move or steer.
 
     python examples/clients/rllib_ppo.py
     python examples/clients/rllib_ppo.py --iterations 50
@@ -32,6 +32,22 @@ def head_to_head(config: dict[str, Any]) -> ParallelPettingZooEnv:
     return ParallelPettingZooEnv(pcs_racing.parallel_env(**config))
 
 
+def drive_head_to_head(config: dict[str, Any]) -> ParallelPettingZooEnv:
+    """Make the race in which both cars are steered."""
+    from pcs_racing.envs.drive_head_to_head import parallel_env
+
+    return ParallelPettingZooEnv(parallel_env(**config))
+
+
+def self_play(name: str, **arguments: Any) -> PPOConfig:
+    """PPO with one network in both cars of an environment."""
+    return (
+        PPOConfig()
+        .environment(name, env_config={"track": "Tarnfjord", **arguments})
+        .multi_agent(policies={"shared"}, policy_mapping_fn=lambda agent, *args, **kwargs: "shared")
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--iterations", type=int, default=1, help="updates of each training")
@@ -39,14 +55,15 @@ def main() -> None:
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     register_env("duel", duel)
     register_env("head_to_head", head_to_head)
+    register_env("drive_head_to_head", drive_head_to_head)
     small = {"gamma": 1.0, "train_batch_size_per_learner": 64, "minibatch_size": 32, "num_epochs": 2}
     alone = PPOConfig().environment("duel", env_config={"track": "Tarnfjord"})
-    pair = (
-        PPOConfig()
-        .environment("head_to_head", env_config={"track": "Tarnfjord"})
-        .multi_agent(policies={"shared"}, policy_mapping_fn=lambda agent, *args, **kwargs: "shared")
-    )
-    for name, config in (("duel", alone), ("self-play", pair)):
+    configs = {
+        "duel": alone,
+        "self-play": self_play("head_to_head"),
+        "self-play at the wheel": self_play("drive_head_to_head", duration=1.0),
+    }
+    for name, config in configs.items():
         algorithm = config.env_runners(num_env_runners=1).training(**small).build_algo()
         for _ in range(given.iterations):
             results = algorithm.train()["env_runners"]

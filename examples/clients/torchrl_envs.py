@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["torchrl==0.14.1"]
 # ///
-"""TorchRL: make the environments by name, several at once, and both cars of a game; collect frames for a training.
+"""TorchRL: make the environments by name, several at once, and both cars of a race; collect frames for a training.
 
     python examples/clients/torchrl_envs.py
 
@@ -15,6 +15,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import GymEnv, GymWrapper, ParallelEnv, PettingZooWrapper, check_env_specs
 
 import pcs_racing
+from pcs_racing.envs import drive_head_to_head
 
 
 def main() -> None:
@@ -33,9 +34,10 @@ def main() -> None:
     print("two processes:", processes.rollout(2, break_when_any_done=False)["next", "reward"].shape)
     processes.close()
 
-    cars = PettingZooWrapper(pcs_racing.parallel_env(), return_state=True)
-    check_env_specs(cars)
-    print("both cars:", cars.rollout(4)["car", "observation"].shape)
+    for both in (pcs_racing.parallel_env(), drive_head_to_head.parallel_env(duration=1.0)):
+        cars = PettingZooWrapper(both, return_state=True)
+        check_env_specs(cars)
+        print(f"both cars of {both.metadata['name']}:", cars.rollout(4)["car", "observation"].shape)
 
     collector = Collector(lambda: GymEnv("pcs_racing/Duel-v1"), None, frames_per_batch=16, total_frames=32)
     print("collected:", sum(frames.numel() for frames in collector), "frames")

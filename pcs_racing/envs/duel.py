@@ -9,21 +9,19 @@ from numpy.typing import NDArray
 
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.filmed import FilmedEnv
 from pcs_racing.envs.game_batch import GameBatch
 from pcs_racing.envs.opponents import Opponent
-from pcs_racing.envs.over_batch import FILM
-from pcs_racing.envs.scalar import ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.rendering import MODES
 
 __all__ = ["DuelEnv", "DuelVectorEnv", "SelfPlayVectorEnv"]
 
 
-class DuelEnv(ScalarEnv):
+class DuelEnv(FilmedEnv):
     """Play the game of moves in Policy Characteristic Space against an opponent.
 
     ## Description
@@ -118,8 +116,9 @@ class DuelEnv(ScalarEnv):
         (:class:`pcs_racing.envs.obstacles.Obstacles`).
         A car that touches one has crashed as into a wall, and the lattice planner avoids most.
     render_mode : {"rgb_array", "rgb_array_list", "human"}, optional
-        With "rgb_array" a frame shows how a step ended; with "rgb_array_list" `render` returns all frames of the last
-        step, 25 for each second of racing (:class:`pcs_racing.envs.video.RecordRaces` makes a video of them).
+        With "rgb_array" a frame shows how a step ended; with "rgb_array_list" `render` returns all frames since it was
+        last called, or since the reset, 25 for each second of racing
+        (:class:`pcs_racing.envs.video.RecordRaces` makes a video of them).
     view : {"track", "both", "car_0", "car_1"}
         What a frame shows.
     render_size : tuple of int
@@ -153,7 +152,6 @@ class DuelEnv(ScalarEnv):
     (31,)
     """
 
-    metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
     batch_type = GameBatch
     batch: GameBatch
 

@@ -1,11 +1,9 @@
 """Many games side by side: the batch behind the environments of the strategy level."""
 
 import copy
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -14,17 +12,23 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.batch import BatchStep, check_batch_size
+<<<<<<< HEAD
 from pcs_racing.envs.infos import Crash, Result, codes, race_info, race_infos
+=======
+from pcs_racing.envs.circuit_games import CircuitGames
+from pcs_racing.envs.infos import Crash, Result, codes
+>>>>>>> main
 from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
+from pcs_racing.envs.opponents import draw_opponent
 from pcs_racing.envs.reset_options import start_option
 from pcs_racing.envs.variety import Variety
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.competitor import ask_moves
 from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.moves import check_moves
 from pcs_racing.game.observation import ObservationElement
-from pcs_racing.game.rules import OUTSIDE, RaceGame, check_moves
+from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.starting import check_policies
 from pcs_racing.game.state import GameState, empty_game, put_games, take_games
 from pcs_racing.planners.planner import Policy
@@ -36,13 +40,27 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, take
 from pcs_racing.track.track import Track
 
-__all__ = ["GameBatch"]
+__all__ = ["DrivenStep", "GameBatch"]
 
 NO_MOVE = -1  # before the first move, and for a driver
 FILM_TICKS = 4  # simulation steps between two frames of a film
 FILM_RATE = 25  # frames for each second of racing
 TRAIL = 50  # frames of trail behind each car: two seconds
-KEPT_GAMES = 64  # on circuits that no episode is on
+
+
+class DrivenStep(NamedTuple):
+    """A step of one game as it can be driven again, for films.
+
+    Attributes
+    ----------
+    pieces : list of (RaceState, ndarray)
+        What each piece of driving began with, as a batch of one race, and the parameters of its drivers.
+    moves : ndarray of int, shape (2,)
+        Moves that began it.
+    """
+
+    pieces: list[tuple[RaceState, NDArray[np.float64]]]
+    moves: NDArray[np.int64]
 
 
 class GameBatch:
@@ -55,7 +73,7 @@ class GameBatch:
     episodes : int
         Number of games.
     archive, race, **settings
-        As in :func:`pcs_racing.game.rules.make_game`.
+        As in :func:`pcs_racing.game.make.make_game`.
     track, vehicle, randomize, obstacles
         As in :class:`pcs_racing.envs.variety.Variety`.
     opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
@@ -109,10 +127,9 @@ class GameBatch:
         self.variety = Variety(self.episodes, track, vehicle, randomize, obstacles)
         if "lidar_noise" in self.variety.drawn:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
-        self._opponent = opponent
-        self._rules = load_game_config(race, **settings), load_archive(archive), threads
-        self._games: OrderedDict[int, tuple[RaceGame, list[Opponent]]] = OrderedDict()
-        self.game, self.opponents = self._on(0)
+        rules = load_game_config(race, **settings)
+        self._games = CircuitGames(self.variety, load_archive(archive), rules, opponent, threads)
+        self.game, self.opponents = self._games.on(0)
         weights = np.array([each.weight for each in self.opponents] or [1.0])
         self._edges = np.cumsum(weights) / weights.sum()
         self._deterministic = deterministic_opponent
@@ -136,6 +153,7 @@ class GameBatch:
         self.drawn = np.zeros(self.episodes, np.int64)  # index of each game's opponent
         self.moves = np.full((self.episodes, 2), NO_MOVE, np.int64)
         self.memories: list[Any] = [None] * self.episodes
+        self._begun: list[tuple[NDArray[np.uint64], Starts | None] | None] = [None] * self.episodes  # and not moved yet
 
     @property
     def elements(self) -> tuple[ObservationElement, ...]:
@@ -153,30 +171,7 @@ class GameBatch:
 
     def game_of(self, episode: int) -> RaceGame:
         """Return the game on the circuit of an episode."""
-        return self._on(int(self.variety.circuits.number[episode]))[0]
-
-    def _on(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
-        """The game on a circuit, by its number, and the opponents in it."""
-        known = self._games.get(circuit)
-        if known is None:
-            (rules, archive, threads), variety = self._rules, self.variety
-            game = RaceGame(
-                variety.circuits.track(circuit),
-                archive,
-                rules,
-                threads=threads,
-                vehicles=variety.cars,
-                most_delay=variety.randomization.most_delay,
-            )
-            opponents = [] if self._opponent is None else parse_opponents(self._opponent, game)
-            planner = shared_planner(opponents, game)
-            if planner is not game.setup.planners[1]:
-                game = replace(game, opponent_planner=planner)
-            known = self._games[circuit] = game, opponents
-            if len(self._games) > KEPT_GAMES + self.episodes:
-                self._games.popitem(last=False)
-        self._games.move_to_end(circuit)
-        return known
+        return self._games.on(int(self.variety.circuits.number[episode]))[0]
 
     def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
         """Return moves as (episodes, players)."""
@@ -215,7 +210,7 @@ class GameBatch:
         if self.state is None:
             self.state = self._empty()
         for circuit, some in self.variety.groups(rows):
-            fresh = self._on(circuit)[0].reset(
+            fresh = self._games.on(circuit)[0].reset(
                 keys[some],
                 policies=policies[some],
                 starts=None if starts is None else starts.take(some),
@@ -224,8 +219,9 @@ class GameBatch:
             )
             put_games(self.state, rows[some], fresh)
         self.drawn[rows], self.moves[rows] = drawn, NO_MOVE
-        for row in rows:
+        for i, row in enumerate(rows):
             self.memories[row] = None
+            self._begun[row] = keys[i : i + 1], None if starts is None else starts.take(np.array([i]))
         self.seen = self.game.observation(self.state)
 
     def started(self) -> GameState:
@@ -247,6 +243,7 @@ class GameBatch:
         if self.players == 1:
             moves = np.stack([actions[:, 0], self._replies(state, generators, self.seen[:, 1])], axis=1)
         self.before, self.state = state, self._apply(state, moves)
+        self._begun = [None] * self.episodes
         self.moves = moves
         self.seen = self.game.observation(self.state)
         rewards = np.ascontiguousarray(self.game.reward(self.state)[:, : self.players]).reshape(-1)
@@ -257,11 +254,11 @@ class GameBatch:
         groups = self.variety.groups(np.arange(self.episodes))
         if len(groups) == 1:
             circuit, rows = groups[0]
-            return self._on(circuit)[0].apply(state, moves, self.variety.conditions(rows))
+            return self._games.on(circuit)[0].apply(state, moves, self.variety.conditions(rows))
         new = state.copy()
         for circuit, rows in groups:
             conditions = self.variety.conditions(rows)
-            put_games(new, rows, self._on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions))
+            put_games(new, rows, self._games.on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions))
         return new
 
     def _replies(
@@ -275,7 +272,7 @@ class GameBatch:
         replies = np.zeros(self.episodes, np.int64)
         among = np.arange(self.episodes) if among is None else among
         for circuit, some in self.variety.groups(among):
-            game, opponents = self._on(circuit)
+            game, opponents = self._games.on(circuit)
             on = among[some]
             for k, opponent in enumerate(opponents):
                 rows = on[self.drawn[on] == k]
@@ -357,16 +354,22 @@ class GameBatch:
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw a game as it stands."""
         episode = environment // self.players
-        return self._draw(renderer, episode, self.started().race, episode, None)
+        return self._draw(renderer, episode, self.started().race, episode, None, self.moves[episode])
+
+    def last_step(self, environment: int) -> DrivenStep:
+        """Return the last step of a game, the one in which the players only watch included."""
+        episode = environment // self.players
+        return DrivenStep(self._pieces(episode), self.moves[episode].copy())
 
     def film(
-        self, renderer: Renderer, environment: int, ticks: int | None = None
+        self, renderer: Renderer, environment: int, ticks: int | None = None, step: DrivenStep | None = None
     ) -> Iterator[NDArray[np.uint8] | None]:
-        """Drive the last step of a game again and draw it, a frame every so many simulation steps (4)."""
+        """Drive a step of a game again, by default the last, and draw a frame every so many simulation steps (4)."""
         episode = environment // self.players
         game, conditions = self.game_of(episode), self.variety.conditions(np.array([episode]))
+        step = self.last_step(environment) if step is None else step
         trail: list[NDArray[np.float64]] = []
-        for begun, theta in self._pieces(episode):
+        for begun, theta in step.pieces:
             race, left = begun.copy(), game.config.step_ticks
             while left > 0:
                 drive, before = min(ticks or FILM_TICKS, left), int(race.tick[0])
@@ -374,23 +377,34 @@ class GameBatch:
                 if int(race.tick[0]) == before:
                     break  # it is over
                 trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
-                yield self._draw(renderer, episode, race, 0, np.array(trail))
+                yield self._draw(renderer, episode, race, 0, np.array(trail), step.moves)
                 left -= drive
 
     def _pieces(self, episode: int) -> list[tuple[RaceState, NDArray[np.float64]]]:
         """Where the pieces of driving of an episode's last step began, and the parameters that drove them."""
         state = self.started()
+        theta, begun = state.theta[episode : episode + 1].copy(), self._begun[episode]
+        if begun is not None:
+            conditions = self.variety.conditions(np.array([episode]))
+            noise = state.race.seed[episode : episode + 1]
+            return [(self.game_of(episode).grid(begun[0], noise, begun[1], conditions), theta)]
         if self.before is None or int(self.before.race.tick[episode]) >= int(state.race.tick[episode]):
-            return []  # a new game, of which no move was driven yet
-        return [(take(self.before.race, [episode]), state.theta[episode : episode + 1].copy())]
+            return []  # restored from a value, or standing still
+        return [(take(self.before.race, [episode]), theta)]
 
     def _draw(
-        self, renderer: Renderer, episode: int, race: RaceState, at: int, trails: NDArray[np.float64] | None
+        self,
+        renderer: Renderer,
+        episode: int,
+        race: RaceState,
+        at: int,
+        trails: NDArray[np.float64] | None,
+        made: NDArray[np.int64],
     ) -> NDArray[np.uint8] | None:
-        """Draw a moment of an episode: race ``at`` of some races."""
+        """Draw a moment of an episode, after some moves: race ``at`` of some races."""
         names = ("you", self.opponents[self.drawn[episode]].name) if self.opponents else ("car_0", "car_1")
         codes = self.codes["move"]
-        moves = " | ".join(f"{name}: {codes[int(self.moves[episode, car])]}" for car, name in enumerate(names))
+        moves = " | ".join(f"{name}: {codes[int(made[car])]}" for car, name in enumerate(names))
         text = f"{race.tick[at] * DT:.1f} s | lead of {names[0]} {race.lead[at]:+.1f} m | {moves}"
         plans = [path[:, :2] for path in race.path[at] if path.any()]
         renderer.show(self.variety.track(episode), half_sizes(self.variety.vehicles[episode]))
@@ -413,6 +427,7 @@ class GameBatch:
             self._check_state(state)
         self.variety.set_state(variety)
         self.before, self.state = None, None if state is None else state.copy()
+        self._begun = [None] * self.episodes
         self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
         if self.state is not None:
             self.seen = self.game.observation(self.state)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
 from pcs_racing.envs.match_batch import MatchBatch
@@ -16,7 +17,6 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.match import MatchGame
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.track.track import Track
 
 __all__ = ["HeadToHeadMatchEnv", "env", "parallel_env"]
 
@@ -67,8 +67,9 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
     ## Arguments
 
     - `track` (`"Tarnfjord"`), `archive` (`"default"`), `race` (`"paper"`), `opponent` (`None`),
-      `deterministic_opponent` (`True`), `render_mode` (`None`), `view` (`"both"`), `render_size` (`(960, 640)`): as for
-      `pcs_racing/head_to_head-v1`.
+      `deterministic_opponent` (`True`), `vehicle` (`F1TENTH`), `randomize` (`None`), `obstacles` (`None`),
+      `render_mode` (`None`), `view` (`"both"`), `render_size` (`(960, 640)`): as for `pcs_racing/head_to_head-v1`. What
+      is drawn stays the same in all races of a match.
     - `races` (3): races of a match.
     - `race_moves` (`False`): whether the players also make the moves of the races.
     - `max_cycles` (`None`): steps after which an episode is truncated.
@@ -90,7 +91,7 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
 
     def __init__(
         self,
-        track: Track | str | Path = "Tarnfjord",
+        track: Any = "Tarnfjord",
         archive: PolicyArchive | str | Path = "default",
         race: GameConfig | RaceConfig | str | Path = "paper",
         *,
@@ -98,6 +99,9 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
         race_moves: bool = False,
         opponent: Any = None,
         deterministic_opponent: bool = True,
+        vehicle: Any = F1TENTH,
+        randomize: Any = None,
+        obstacles: Any = None,
         render_mode: str | None = None,
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),

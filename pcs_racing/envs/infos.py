@@ -19,6 +19,7 @@ Every environment uses the same names, and every value is a number or an array o
 | `laps` | complete laps of the own car, from one forward crossing of the line s = 0 to the next |
 | `lap_time`, `best_lap` | s, of the last and the shortest of these laps; -1 if there is none |
 | `track` | number of the episode's circuit, where there are several |
+| `obstacles` | how many stand on the track, if they are drawn |
 | `friction`, `mass`, `steering_delay`, `steering_noise`, `lidar_noise` | what was drawn for the episode, if it was |
 | `action_mask` | 1 for each move that may be made (int8) |
 """

@@ -7,24 +7,22 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.filmed import FilmedEnv
 from pcs_racing.envs.match_batch import MatchBatch
 from pcs_racing.envs.opponents import Opponent
-from pcs_racing.envs.over_batch import FILM
-from pcs_racing.envs.scalar import ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.match import MatchGame
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.rendering import MODES
-from pcs_racing.track.track import Track
 
 __all__ = ["MatchEnv", "MatchVectorEnv"]
 
 
-class MatchEnv(ScalarEnv):
+class MatchEnv(FilmedEnv):
     """Play a match: several races against the same opponent, with a policy to choose before each of them.
 
     ## Description
@@ -78,8 +76,9 @@ class MatchEnv(ScalarEnv):
 
     ``reset(options=...)`` takes ``policies`` (two indices of the archive: what the cars start the races with if their
     players do not choose; -1 draws one), ``start`` (arc length of the line of all races in m, and side of the first
-    race: 0 puts car 0 on the left or in front), ``opponent`` and ``track``, which replace the arguments from then on,
-    and ``state``, what ``get_state()`` returned. Others are refused.
+    race: 0 puts car 0 on the left or in front), ``obstacles`` (boxes: x, y, heading, length and width in m and rad,
+    shape (K, 5)), ``opponent`` and ``track``, which replace the arguments from then on, and ``state``, what
+    ``get_state()`` returned. Others are refused.
 
     ## Episode End
 
@@ -96,7 +95,8 @@ class MatchEnv(ScalarEnv):
 
     Parameters
     ----------
-    track : str, Path or Track
+    track : str, Path or Track, a list of these, "random" or RandomCircuits
+        As for :class:`pcs_racing.envs.duel.DuelEnv`; all races of a match are driven on the same circuit.
     archive : str, Path or PolicyArchive
     opponent : str, competitor, or list
         As for :class:`pcs_racing.envs.duel.DuelEnv`; one is drawn for each match. One that makes moves starts every
@@ -112,6 +112,10 @@ class MatchEnv(ScalarEnv):
         Whether the player also makes the moves of the races.
     deterministic_opponent : bool
         As for :class:`pcs_racing.envs.duel.DuelEnv`.
+    vehicle : VehicleParams, dict, str or Path, or a list of two
+    randomize : Randomization, dict, str or Path, optional
+    obstacles : Obstacles, int, dict, str or Path, optional
+        As for :class:`pcs_racing.envs.duel.DuelEnv`; what is drawn stays the same in all races of a match.
     render_mode : {"rgb_array", "human"}, optional
     view : {"track", "both", "car_0", "car_1"}
         What a frame shows.
@@ -145,13 +149,12 @@ class MatchEnv(ScalarEnv):
     ((23,), True)
     """
 
-    metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
     batch_type = MatchBatch
     batch: MatchBatch
 
     def __init__(
         self,
-        track: Track | str | Path = "Tarnfjord",
+        track: Any = "Tarnfjord",
         archive: PolicyArchive | str | Path = "default",
         opponent: Any = "never-switch",
         race: GameConfig | RaceConfig | str | Path = "paper",
@@ -159,6 +162,9 @@ class MatchEnv(ScalarEnv):
         races: int = 3,
         race_moves: bool = False,
         deterministic_opponent: bool = True,
+        vehicle: Any = F1TENTH,
+        randomize: Any = None,
+        obstacles: Any = None,
         render_mode: str | None = None,
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),
@@ -200,7 +206,9 @@ class MatchVectorEnv(BatchVectorEnv):
         Steps after which a match is truncated.
     threads : int, optional
         Threads that share a step, all cores by default; the result does not depend on it.
-    track, archive, opponent, race, races, race_moves, deterministic_opponent, render_mode, view, render_size, settings
+    track, archive, opponent, race, races, race_moves, deterministic_opponent, vehicle, randomize, obstacles
+        As for :class:`MatchEnv`.
+    render_mode, view, render_size, **settings
         As for :class:`MatchEnv`; `render` returns a frame for each environment.
 
     Raises
@@ -225,13 +233,16 @@ class MatchVectorEnv(BatchVectorEnv):
         self,
         num_envs: int = 1,
         *,
-        track: Track | str | Path = "Tarnfjord",
+        track: Any = "Tarnfjord",
         archive: PolicyArchive | str | Path = "default",
         opponent: Any = "never-switch",
         race: GameConfig | RaceConfig | str | Path = "paper",
         races: int = 3,
         race_moves: bool = False,
         deterministic_opponent: bool = True,
+        vehicle: Any = F1TENTH,
+        randomize: Any = None,
+        obstacles: Any = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         threads: int | None = None,

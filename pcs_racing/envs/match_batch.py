@@ -11,14 +11,20 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.game_batch import GameBatch
+<<<<<<< HEAD
 from pcs_racing.envs.infos import Result, codes, one_info
+=======
+from pcs_racing.envs.infos import Result, codes
+from pcs_racing.envs.obstacles import obstacles_option
+>>>>>>> main
 from pcs_racing.envs.opponents import draw_opponent
 from pcs_racing.envs.reset_options import start_option
 from pcs_racing.game.competitor import Chooser
 from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, put_matches
 from pcs_racing.game.match_choices import ask_choices
+from pcs_racing.game.moves import check_moves
 from pcs_racing.game.observation import ObservationElement
-from pcs_racing.game.rules import check_moves
+from pcs_racing.game.starting import check_policies
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts
@@ -33,7 +39,8 @@ UNUSED = ("utility", "fault_penalty", "discount")
 class MatchBatch(GameBatch):
     """Matches of several races; car 0 belongs to a player, car 1 to an opponent or to a second player.
 
-    A step is a whole race, unless the players make the moves of the races, too.
+    A step is a whole race, unless the players make the moves of the races, too. Circuit, cars and obstacles are drawn
+    for the match and stay the same in its races.
 
     Parameters
     ----------
@@ -53,7 +60,7 @@ class MatchBatch(GameBatch):
         In a batch of one match, what the pieces of driving of the last step began with, and their parameters.
     """
 
-    reset_options: tuple[str, ...] = ("policies", "start")
+    reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
 
     def __init__(self, episodes: int, *, races: int = 3, race_moves: bool = False, **arguments: Any) -> None:
         for name in UNUSED:
@@ -61,8 +68,6 @@ class MatchBatch(GameBatch):
                 raise InputError(f"{name} does not count in a match, which pays the score of each race; leave it out")
         config = MatchConfig(races=races, race_moves=race_moves)
         super().__init__(episodes, **arguments)
-        if self.variety.circuits.several:
-            raise InputError("track names several circuits; all races of a match are driven on one")
         self.match = MatchGame(self.game, config)
         self.horizon = races * (self.game.config.moves + 1) if race_moves else races
         low, high = (np.array([getattr(e, end) for e in self.elements], np.float32) for end in ("low", "high"))
@@ -96,10 +101,13 @@ class MatchBatch(GameBatch):
         """Begin new matches in some places, each drawn from its own generator.
 
         Options: "policies", two indices of the archive for each match or for all: what the cars start the races with if
-        their players do not choose (-1 draws one); and "start", arc length of the line of all races (m) and side of the
-        first race, for each match or for all.
+        their players do not choose (-1 draws one); "start", arc length of the line of all races (m) and side of the
+        first race; and "obstacles", boxes (x, y, heading, length, width); each for every match or for all.
         """
         starts = start_option(options, len(rows))
+        boxes = obstacles_option(options, len(rows))
+        policies = check_policies(self.game.archive, options.get("policies"), len(rows))
+        self.variety.draw(rows, generators)
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
         drivers: list[Policy | None] = []
         drawn = np.zeros(len(rows), np.int64)
@@ -107,9 +115,18 @@ class MatchBatch(GameBatch):
             if self.opponents:
                 drawn[i] = draw_opponent(self._edges, generator)
             drivers.append(self.opponents[drawn[i]].draw_policy(generator) if self.opponents else None)
-        lines, sides = (None, None) if starts is None else (starts.s[:, None], starts.side)
-        policies = options.get("policies")
-        fresh = self.match.begin(keys, policies=policies, lines=lines, sides=sides, opponents=drivers)
+        fresh = self.match.begin(keys, opponents=drivers)
+        for circuit, some in self.variety.groups(rows):
+            own = None if starts is None else starts.take(some)
+            begun = self.match_on(circuit).begin(
+                keys[some],
+                policies=policies[some],
+                lines=None if own is None else own.s[:, None],
+                sides=None if own is None else own.side,
+                opponents=[drivers[i] for i in some],
+            )
+            put_matches(fresh, some, begun)
+        self.variety.place_obstacles(rows, fresh.starts, generators, boxes)
         if self.played is None:
             self.played = fresh
         else:
@@ -118,6 +135,11 @@ class MatchBatch(GameBatch):
         self._forget(rows)
         self.driven = []
         self._follow(self.played)
+
+    def match_on(self, circuit: int) -> MatchGame:
+        """Return the rules on a circuit, by its number."""
+        game = self._games.on(circuit)[0]
+        return self.match if game is self.match.game else MatchGame(game, self.match.config)
 
     def _forget(self, rows: NDArray[np.int64]) -> None:
         for row in rows:
@@ -153,20 +175,23 @@ class MatchBatch(GameBatch):
             return played
         choices = np.full((self.episodes, 2), KEEP, np.int64)
         choices[:, : self.players] = np.where(actions < len(self.game.archive), actions, KEEP)
-        memory = None
-        for k, opponent in enumerate(self.opponents):
-            rows = between[self.drawn[between] == k]
-            if len(rows) and isinstance(opponent.competitor, Chooser):
-                memory = self.match.memory(played)[:, 1] if memory is None else memory
-                chosen = ask_choices(opponent.competitor, self.match, played, 1, rows=rows, memory=memory)
-                choices[rows, 1] = chosen[rows]
+        conditions = self.variety.conditions(np.arange(self.episodes))
+        memory, started = self.match.memory(played)[:, 1], played
+        for circuit, some in self.variety.groups(between):
+            match, on = self.match_on(circuit), between[some]
+            for k, opponent in enumerate(self._games.on(circuit)[1]):
+                rows = on[self.drawn[on] == k]
+                if len(rows) and isinstance(opponent.competitor, Chooser):
+                    chosen = ask_choices(opponent.competitor, match, played, 1, rows=rows, memory=memory)
+                    choices[rows, 1] = chosen[rows]
+            started = match.start(started, choices, on, conditions)
         self._forget(between)
         self.moves[between] = -1
-        started = self.match.start(played, choices)
         if self.episodes == 1:
-            race = int(played.race[0])
+            race, setup = int(played.race[0]), self.game_of(0).setup
             starts = Starts(played.starts[:, race], played.sides[:, race])
-            self.driven.append((start_races(self.game.setup, starts, played.noise[:, race]), started.game.theta))
+            grid = start_races(setup, starts, played.noise[:, race], conditions)
+            self.driven.append((grid, started.game.theta))
         return started
 
     def _move(
@@ -188,13 +213,15 @@ class MatchBatch(GameBatch):
             choosing = np.array([isinstance(each.competitor, Chooser) for each in self.opponents])
             moves[:, 1] = np.where(choosing[self.drawn], stay, replies)
         self.moves[rows] = moves[rows]
-        moved = self.match.move(played, moves, rows)
+        conditions, moved = self.variety.conditions(np.arange(self.episodes)), played
+        for circuit, some in self.variety.groups(rows):
+            moved = self.match_on(circuit).move(moved, moves, rows[some], conditions)
         if self.episodes == 1:
             self.driven.append((played.game.race, moved.game.theta))
         return moved
 
     def _pieces(self, episode: int) -> list[tuple[RaceState, NDArray[np.float64]]]:
-        return self.driven
+        return list(self.driven)
 
     # What is told of the matches
 
@@ -234,15 +261,16 @@ class MatchBatch(GameBatch):
     # The batch as a value
 
     def get_state(self) -> tuple[Any, ...]:
-        """Copies of all that changes: matches, opponents, last moves, and what the opponents remember."""
+        """Copies of all that changes: matches, opponents, last moves, what opponents remember, and what was drawn."""
         played = None if self.played is None else self.played.copy()
-        return played, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories)
+        return played, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories), self.variety.get_state()
 
     def set_state(self, values: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned, here or in an equal batch."""
-        played, drawn, moves, memories = values
+        played, drawn, moves, memories, variety = values
         if played is not None:
             self._check_matches(played)
+        self.variety.set_state(variety)
         self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
         self.driven = []
         if played is None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import is_number, is_whole
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Settings, checked, load_settings, number, setting
+from pcs_racing.base.settings import Settings, checked, choice, load_settings, number, setting
 from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.obstacles import BOX
 from pcs_racing.track.track import Track
@@ -18,6 +18,7 @@ from pcs_racing.track.track import Track
 __all__ = ["Obstacles", "load_obstacles", "obstacles_option"]
 
 MOST = 20
+SHAPES = ("box", "circle", "both")
 TRIES = 50  # places that are tried for an obstacle before it is left out
 BEFORE_START, AFTER_START = 3.0, 8.0  # m around the start that stay free
 
@@ -41,7 +42,7 @@ def _size(value: Any) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Obstacles(Settings):
-    """Boxes that stand on the track during an episode; their place, heading and sides are drawn uniformly."""
+    """Obstacles that stand on the track during an episode; their place, heading and sides are drawn uniformly."""
 
     count: tuple[int, int] = setting(
         (1, 3), checked(_count, f"from 0 to {MOST}"), "How many there are: a number, or the fewest and the most."
@@ -49,19 +50,22 @@ class Obstacles(Settings):
     size: tuple[float, float] = setting(
         (0.2, 0.4), checked(_size, "from 0.05 to 2"), "Length of a side, or the shortest and the longest, m."
     )
-    passage: float = setting(
-        1.0, number(0.4, 10.0), "Width that stays free between a box and the wall on one of its sides, m."
+    shape: str = setting(
+        "box", choice(SHAPES), "What they are: boxes, circles (their diameter is drawn as a side is), or either."
     )
-    apart: float = setting(5.0, number(0.0, 1000.0), "Distance between two boxes along the race line, m.")
+    passage: float = setting(
+        1.0, number(0.4, 10.0), "Width that stays free between an obstacle and the wall on one of its sides, m."
+    )
+    apart: float = setting(5.0, number(0.0, 1000.0), "Distance between two of them along the race line, m.")
 
     def draw(self, track: Track, starts: Sequence[float], generator: np.random.Generator) -> NDArray[np.float64]:
-        """Draw the boxes of an episode, shape (K, 5); an obstacle that finds no room is left out.
+        """Draw the obstacles of an episode, shape (K, 5); one that finds no room is left out.
 
         Parameters
         ----------
         track : Track
         starts : sequence of float
-            Arc lengths at which the cars stand, m: from 3 m before them to 8 m after them no box is put.
+            Arc lengths at which the cars stand, m: from 3 m before them to 8 m after them nothing is put.
         generator : Generator
         """
         line, length = track.arrays.line, track.length
@@ -71,6 +75,8 @@ class Obstacles(Settings):
             for _ in range(TRIES):
                 s, across, heading = generator.random(3) * (length, 1.0, np.pi)
                 sides = self.size[0] + (self.size[1] - self.size[0]) * generator.random(2)
+                if self.shape == "circle" or (self.shape == "both" and generator.random() < 0.5):
+                    heading, sides[1] = 0.0, 0.0
                 sample = line[int(s / track.arrays.ds) % len(line)]
                 reach = 0.5 * float(np.hypot(*sides))
                 d = -sample[RIGHT] + across * (sample[LEFT] + sample[RIGHT])
@@ -116,6 +122,8 @@ def load_obstacles(source: Obstacles | Mapping[str, Any] | int | str | Path | No
 
 def obstacles_option(options: Mapping[str, Any], episodes: int) -> Sequence[NDArray[np.float64]] | None:
     """Read the option "obstacles" of a reset: boxes (x, y, heading, length, width), for all episodes or for each.
+
+    A width of 0 makes one a circle (:data:`pcs_racing.track.obstacles.BOX`).
 
     Raises
     ------

@@ -13,7 +13,7 @@ from pcs_racing.track.track import Track
 __all__ = ["FILM", "REBUILDING", "OverBatch"]
 
 FILM = "rgb_array_list"
-"""Render mode in which `render` returns all frames of a step."""
+"""Render mode in which `render` returns all frames since it was last called, of steps that last many."""
 
 WINDOW_TICKS = 16
 """Simulation steps between two frames that a window shows of a long step: at 25 a second, four times as fast."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_reset_seed
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.over_batch import FILM, REBUILDING, OverBatch
+from pcs_racing.envs.over_batch import REBUILDING, OverBatch
 from pcs_racing.race.rendering import MODES
 
 __all__ = ["EnvState", "ScalarEnv"]
@@ -63,7 +63,6 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
         self.action_space = self.batch.action_space
         self._row = np.zeros(1, np.int64)
         self._started = self._running = False
-        self._filmed = True  # whether `render` has returned the frames of the last step
 
     def _make_batch(self, arguments: dict[str, Any]) -> Batch:
         batch: Batch = self.batch_type(1, threads=1, **arguments)
@@ -116,7 +115,6 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
             self._started = self._running = True
         else:
             self.set_state(state)
-        self._filmed = False
         if self.render_mode == "human":
             self.render()
         return self._observation(), self.batch.info(0)
@@ -142,7 +140,6 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
         observations, rewards, terminated, truncated = self.batch.step(actions, [self.np_random])
         ended, late = bool(terminated[0]), bool(truncated[0])
         self._running = not (ended or late)
-        self._filmed = False
         if self.render_mode == "human":
             self._show_step()
         return observations[0], float(rewards[0]), ended, late, self.batch.info(0)
@@ -153,21 +150,14 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
         return words(self.batch.info(0), self.batch.codes)
 
     def render(self) -> Any:
-        """Return a frame (``"rgb_array"``), show it (``"human"``), or return the last step's (``"rgb_array_list"``).
-
-        The frames of a step are returned once, then an empty list. Before the first step it is the frame of the moment.
+        """Return a frame (``"rgb_array"``), or show it (``"human"``).
 
         Raises
         ------
         InputError
             Before the first reset, or if the environment was made without a render mode.
         """
-        renderer = self._open_renderer()
-        if self.render_mode != FILM:
-            return self.batch.draw(renderer, 0)
-        frames = [] if self._filmed else list(self.batch.film(renderer, 0)) or [self.batch.draw(renderer, 0)]
-        self._filmed = True
-        return frames
+        return self.batch.draw(self._open_renderer(), 0)
 
     def close(self) -> None:
         """Close the window, if there is one."""

@@ -12,8 +12,9 @@ class RecordRaces(RecordVideo[Any, Any]):
 
     A step of a duel lasts 8 s. Made with ``render_mode="rgb_array_list"``, the environment returns 200 frames for it,
     and their rate, 25 a second, is in its metadata. Gymnasium's own wrapper puts only the last frame of such a list
-    into its video. The arguments are the same; it needs moviepy, too. A game of 40 s at 960 x 640 pixels takes 1.5 GB
-    of memory until its video is written; ``render_size=(480, 320)`` takes a quarter.
+    into its video. The arguments are the same; it needs moviepy, too. A video that is begun in the middle of an episode
+    shows it from its start. A game of 40 s at 960 x 640 pixels takes 1.8 GB of memory until its video is written;
+    ``render_size=(480, 320)`` takes a quarter.
 
     Examples
     --------

@@ -29,6 +29,8 @@ from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, random_bits
 from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.planner import Policy
+from pcs_racing.race.conditions import RaceConditions
+from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.race.races import start_races, winners
 from pcs_racing.race.start_grid import Starts
 
@@ -214,7 +216,13 @@ class MatchGame:
         """Whether each match is over, shape (B,)."""
         return state.race >= self.config.races
 
-    def start(self, state: MatchState, choices: Indices) -> MatchState:
+    def start(
+        self,
+        state: MatchState,
+        choices: Indices,
+        rows: Indices | None = None,
+        conditions: RaceConditions = AS_THE_SETUP,
+    ) -> MatchState:
         """Start the next race of every match that is between two races, and drive its first step.
 
         Parameters
@@ -224,23 +232,35 @@ class MatchGame:
         choices : array of int, shape (B, 2)
             Policy of the archive that each car starts with, or :data:`KEEP`. That of a driver from outside the archive
             does nothing.
+        rows : ndarray of int, optional
+            Matches to start a race in, all by default.
+        conditions : RaceConditions
+            Cars and tracks of single matches.
         """
         new = state.copy()
-        rows = np.flatnonzero(~state.racing & ~self.done(state))
+        between = np.flatnonzero(~state.racing & ~self.done(state))
+        rows = between if rows is None else np.intersect1d(rows, between)
         if len(rows) == 0:
             return new
         race = state.race[rows]
         outside = state.policy[rows] == OUTSIDE
         policy = np.where(outside | (choices[rows] == KEEP), state.policy[rows], choices[rows])
         starts = Starts(state.starts[rows, race], state.sides[rows, race])
-        games = self.game.start(policy, starts, state.noise[rows, race], state.theta[rows], outside)
+        noise, own = state.noise[rows, race], _take(conditions, rows)
+        games = self.game.start(policy, starts, noise, state.theta[rows], outside, own)
         put_games(new.game, rows, games)
         new.policy[rows] = policy
         new.racing[rows] = True
         self._finish(new)
         return new
 
-    def move(self, state: MatchState, moves: Indices, rows: Indices | None = None) -> MatchState:
+    def move(
+        self,
+        state: MatchState,
+        moves: Indices,
+        rows: Indices | None = None,
+        conditions: RaceConditions = AS_THE_SETUP,
+    ) -> MatchState:
         """Let both players move in the races that go on, and drive a step.
 
         Parameters
@@ -251,13 +271,15 @@ class MatchGame:
             Indices in :attr:`RaceGame.competitor_moves`.
         rows : ndarray of int, optional
             Matches to play in, all by default.
+        conditions : RaceConditions
+            Those of :meth:`start`.
         """
         new = state.copy()
         going = np.flatnonzero(state.racing)
         rows = going if rows is None else np.intersect1d(rows, going)
         if len(rows) == 0:
             return new
-        games = self.game.apply(take_games(state.game, rows), moves[rows])
+        games = self.game.apply(take_games(state.game, rows), moves[rows], _take(conditions, rows))
         put_games(new.game, rows, games)
         self._finish(new)
         return new
@@ -308,3 +330,7 @@ class MatchGame:
         seen = np.where(racing, self.game.observation(state.game), np.float32(0.0))
         flags = np.broadcast_to(racing, (state.matches, 2, 1)).astype(np.float32)
         return np.concatenate([match, flags, seen], axis=2)
+
+
+def _take(conditions: RaceConditions, rows: Indices) -> RaceConditions:
+    return conditions if conditions is AS_THE_SETUP else conditions.take(rows)

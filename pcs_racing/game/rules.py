@@ -18,20 +18,17 @@ through :class:`RaceGame`: functions from one :class:`GameState` to the next, fo
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import is_flag
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
-from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.moves import duplicate_moves, move_names, move_table
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.moves import check_moves, duplicate_moves, move_names, move_table
 from pcs_racing.game.observation import (
     HIGH,
     LOW,
@@ -40,19 +37,18 @@ from pcs_racing.game.observation import (
     observation_elements,
 )
 from pcs_racing.game.reward import reward
-from pcs_racing.game.starting import DRAW, as_array, check_policies, driver_parameters, game_keys, random_bits
+from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, game_keys, random_bits
 from pcs_racing.game.state import GameState, empty_game, put_games
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.conditions import RaceConditions
-from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
-from pcs_racing.track.track import Track, as_track
+from pcs_racing.track.track import Track
 
-__all__ = ["GameState", "RaceGame", "check_moves", "make_game"]
+__all__ = ["GameState", "RaceGame"]
 
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -60,7 +56,6 @@ Floats = NDArray[np.float64]
 OUTSIDE = -1
 """In a state's ``policy``: a driver from outside the archive."""
 
-MOST_NAMES = 24  # moves that an error lists by name
 REDRAWS = 20  # times that a game which ends before the first move is drawn again
 
 PAPER_GAME = GameConfig()
@@ -259,11 +254,7 @@ class RaceGame:
             bits = random_bits(keys[rows], attempt)
             drawn_policies = (bits[:, 2:4] % np.uint64(len(self.archive))).astype(np.int64)
             policy = np.where(drawn[rows], drawn_policies, first[rows])
-            if starts is not None:
-                grid = starts.take(rows)
-            else:
-                line = (bits[:, 0] % np.uint64(len(self.start_lines))).astype(np.int64)
-                grid = Starts(self.start_lines[line], (bits[:, 1] % np.uint64(2)).astype(np.int64))
+            grid = self._starts(bits) if starts is None else starts.take(rows)
             own = conditions if conditions is AS_THE_SETUP else conditions.take(rows)
             return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows], own)
 
@@ -307,6 +298,33 @@ class RaceGame:
         state.theta[outside] = theta[outside]
         self._drive(state, np.ones(len(policy), np.bool_), conditions)
         return state
+
+    def _starts(self, bits: NDArray[np.uint64]) -> Starts:
+        """Lines and sides that follow from the random bits of games, shape (B, 5)."""
+        line = (bits[:, 0] % np.uint64(len(self.start_lines))).astype(np.int64)
+        return Starts(self.start_lines[line], (bits[:, 1] % np.uint64(2)).astype(np.int64))
+
+    def grid(
+        self,
+        key: NDArray[np.uint64],
+        noise: NDArray[np.uint64],
+        starts: Starts | None = None,
+        conditions: RaceConditions = AS_THE_SETUP,
+    ) -> RaceState:
+        """Return the race on the grid from which :meth:`reset` drove the first step of a game.
+
+        Parameters
+        ----------
+        key : ndarray of uint64, shape (1,)
+            Key of the game.
+        noise : ndarray of uint64, shape (1,)
+            Key of the noise of its race, which says how often the game was drawn again.
+        starts, conditions
+            Those of :meth:`reset`.
+        """
+        attempts = [random_bits(key, attempt) for attempt in range(REDRAWS + 1)]
+        bits = next(bits for bits in attempts if bits[0, 4] == noise[0])
+        return start_races(self.setup, self._starts(bits) if starts is None else starts, noise, conditions)
 
     def empty_state(self, races: RaceState) -> GameState:
         """Games of which these races are on the grid and nothing else is known yet."""
@@ -458,6 +476,7 @@ class RaceGame:
         """Parameters of policies of the archive, as :func:`pcs_racing.advance` wants them, shape (..., P)."""
         theta: Floats = self._theta  # type: ignore[attr-defined]
         return theta[policies]
+<<<<<<< HEAD
 
 
 def make_game(
@@ -545,3 +564,5 @@ def check_moves(
         where = ", ".join(f"{axis} {i}" for axis, i in zip(axes, index, strict=False))
         raise InputError(f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}")
     return given.astype(np.int64)
+=======
+>>>>>>> main

@@ -1,4 +1,4 @@
-"""Boxes that stand on a circuit: a track with some walls more, made in about a millisecond."""
+"""Obstacles: boxes and circles on a circuit; a copy of the track has them in its distance field and among its walls."""
 
 from dataclasses import replace
 
@@ -14,25 +14,29 @@ from pcs_racing.track.track import Track
 __all__ = ["BOX", "MOST_BOXES", "with_obstacles"]
 
 BOX = ("x", "y", "heading", "length", "width")
-"""The numbers of a box: its centre in m, the direction of its length in rad, and its sides in m."""
+"""The numbers of an obstacle: its centre in m, the direction of its length in rad, and its sides in m.
+
+A width of 0 makes it round: then its length is its diameter.
+"""
 
 MOST_BOXES = 100
-SHORTEST, LONGEST = 0.05, 10.0  # m; sides of a box
+SHORTEST, LONGEST = 0.05, 10.0  # m; sides of a box, diameters
+CORNERS = 16  # of a round one: its sides are at most 2 % of its radius inside the circle
 
 Floats = NDArray[np.float64]
 
 
 def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
-    """Return a track on which boxes stand as walls do: the lidar sees them, cars crash into them, planners keep away.
+    """Return a track on which obstacles stand as walls: the lidar sees them, cars crash into them, planners keep away.
 
-    Race line, free widths and calibration stay those of the circuit, and so does ``content_hash``: it is the same
-    circuit on another day.
+    Race line, free widths, calibration and ``content_hash`` stay those of the circuit: obstacles belong to an episode.
 
     Parameters
     ----------
     track : Track
     boxes : array_like, shape (K, 5)
-        Centre x, y (m), heading (rad), length and width (m, from 0.05 to 10) of each box; at most 100.
+        Centre x, y (m), heading (rad), length and width (m, from 0.05 to 10) of each box; at most 100. With a width of
+        0 it is a circle of that length as its diameter, of which walls and lidar know a polygon of 16 corners.
 
     Returns
     -------
@@ -47,11 +51,12 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
     given = check_array("obstacles", boxes if np.size(boxes) else np.empty((0, 5)), (None, len(BOX)))
     if len(given) > MOST_BOXES:
         raise InputError(f"there are {len(given)} obstacles; {MOST_BOXES} are the limit")
-    wrong = np.flatnonzero(((given[:, 3:] < SHORTEST) | (given[:, 3:] > LONGEST)).any(axis=1))
+    fine = (given[:, 3:] >= SHORTEST) & (given[:, 3:] <= LONGEST)
+    wrong = np.flatnonzero(~(fine[:, 0] & (fine[:, 1] | (given[:, 4] == 0.0))))
     if len(wrong):
         raise InputError(
             f"obstacle {wrong[0]} measures {given[wrong[0], 3:].tolist()} m; its sides must be from {SHORTEST:g} to "
-            f"{LONGEST:g} m"
+            f"{LONGEST:g} m, or its width 0 for a round one"
         )
     if len(given) == 0:
         return track
@@ -65,11 +70,16 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
         rows = _window(y - arrays.origin_y, half, arrays.cell, distance.shape[0])
         dx = (np.arange(columns.start, columns.stop) + 0.5) * arrays.cell + (arrays.origin_x - x)
         dy = ((np.arange(rows.start, rows.stop) + 0.5) * arrays.cell + (arrays.origin_y - y))[:, None]
-        along = np.maximum(np.abs(dx * c + dy * s) - 0.5 * length, 0.0)
-        across = np.maximum(np.abs(dy * c - dx * s) - 0.5 * width, 0.0)
+        if width > 0.0:
+            along = np.maximum(np.abs(dx * c + dy * s) - 0.5 * length, 0.0)
+            across = np.maximum(np.abs(dy * c - dx * s) - 0.5 * width, 0.0)
+            away = np.sqrt(along * along + across * across)
+        else:
+            away = np.maximum(np.sqrt(dx * dx + dy * dy) - 0.5 * length, 0.0)
         part = distance[rows, columns]
-        np.minimum(part, np.sqrt(along * along + across * across), out=part, casting="same_kind")
-    sides = _sides(given, sine, cosine)
+        np.minimum(part, away, out=part, casting="same_kind")
+    square = given[:, 4] > 0.0
+    sides = np.concatenate([_sides(given[square], sine[square], cosine[square]), _round_sides(given[~square])])
     walls = np.concatenate([arrays.walls, sides])
     start, seen, far = _list_sides(
         arrays.seen_start, arrays.seen, arrays.seen_distance, arrays.seen_middle, sides, len(arrays.walls)
@@ -90,7 +100,18 @@ def _sides(boxes: Floats, sine: Floats, cosine: Floats) -> Floats:
     u = 0.5 * boxes[:, 3:4] * np.array([1.0, 1.0, -1.0, -1.0])
     v = 0.5 * boxes[:, 4:5] * np.array([1.0, -1.0, -1.0, 1.0])
     s, c = sine[:, None], cosine[:, None]
-    corners = np.stack([boxes[:, 0:1] + u * c - v * s, boxes[:, 1:2] + u * s + v * c], axis=-1)
+    return _closed(np.stack([boxes[:, 0:1] + u * c - v * s, boxes[:, 1:2] + u * s + v * c], axis=-1))
+
+
+def _round_sides(circles: Floats) -> Floats:
+    """The sides of the polygon of each circle as segments, shape (16 K, 4), clockwise."""
+    sine, cosine = sines_cosines(np.arange(CORNERS) * (-2.0 * np.pi / CORNERS))
+    radius = 0.5 * circles[:, 3:4]
+    return _closed(np.stack([circles[:, 0:1] + radius * cosine, circles[:, 1:2] + radius * sine], axis=-1))
+
+
+def _closed(corners: Floats) -> Floats:
+    """The segments from each corner to the next, of the corners (K, C, 2) of polygons."""
     return np.concatenate([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 4)
 
 

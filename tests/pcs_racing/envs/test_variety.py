@@ -25,6 +25,8 @@ from pcs_racing.envs import circuits
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
+from pcs_racing.envs.head_to_head_match import HeadToHeadMatchEnv
+from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.envs.variety import Variety
@@ -39,8 +41,9 @@ from pcs_racing.track.obstacles import BOX, with_obstacles
 RANGES = {"friction": [0.6, 1.2], "mass": [3.0, 4.5], "steering_delay": [0.0, 0.1], "steering_noise": [0.0, 0.02]}
 DRIVE = {"beams": 9, "duration": 1.0, "start_lines": 6, "time_step": 0.1}
 DUEL = {"step_seconds": 0.4, "moves": 2, "opponent": "random-moves"}
-PAIRS = [(DriveEnv, DriveVectorEnv, DRIVE), (DuelEnv, DuelVectorEnv, DUEL)]
-KINDS = pytest.mark.parametrize(("single", "vector", "usual"), PAIRS, ids=["Drive", "Duel"])
+MATCH = {**DUEL, "races": 2, "race_moves": True}
+PAIRS = [(DriveEnv, DriveVectorEnv, DRIVE), (DuelEnv, DuelVectorEnv, DUEL), (MatchEnv, MatchVectorEnv, MATCH)]
+KINDS = pytest.mark.parametrize(("single", "vector", "usual"), PAIRS, ids=["Drive", "Duel", "Match"])
 
 
 @pytest.fixture
@@ -137,8 +140,9 @@ def test_one_episode_may_differ_without_the_others(single, vector, usual, oval, 
         assert (after[name][[1, 3]] != before[name][[1, 3]]).all()
 
 
-def test_two_agents_have_the_same_variety(oval, wide):
-    env = HeadToHeadEnv(**{**varied(DUEL, oval, wide), "opponent": None})
+@pytest.mark.parametrize(("kind", "usual"), [(HeadToHeadEnv, DUEL), (HeadToHeadMatchEnv, MATCH)])
+def test_two_agents_have_the_same_variety(kind, usual, oval, wide):
+    env = kind(**{**varied(usual, oval, wide), "opponent": None})
     _, infos = env.reset(seed=3)
     assert {**infos["car_0"], "action_mask": None}.keys() == {**infos["car_1"], "action_mask": None}.keys()
     assert infos["car_0"]["friction"] == infos["car_1"]["friction"]
@@ -298,6 +302,14 @@ def test_drawn_obstacles_leave_room_and_keep_away_from_the_start(oval):
         assert (1.1 + np.abs(frenet[:, 1]) - reach > 0.93).all()
 
 
+@pytest.mark.parametrize(("shape", "share"), [("box", 0.0), ("both", 0.5), ("circle", 1.0)])
+def test_drawn_obstacles_are_boxes_or_circles(oval, shape, share):
+    settings = Obstacles(count=(2, 2), passage=0.8, shape=shape)
+    drawn = [settings.draw(oval, [0.0], np.random.default_rng(i)) for i in range(40)]
+    is_round = np.concatenate(drawn)[:, 4] == 0.0
+    assert is_round.mean() == pytest.approx(share, abs=0.2)
+
+
 def test_a_car_crashes_into_a_given_obstacle_that_its_lidar_saw(oval):
     env = DriveEnv(oval, None, beams=11, time_step=0.02)
     poses = [[-4.0, -4.0, 0.0, 4.0], [4.0, 4.0, 3.1, 0.0]]
@@ -361,6 +373,7 @@ def test_the_lattice_drives_around_obstacles():
         ({"obstacles": 200}, ConfigError, "count is"),
         ({"obstacles": {"size": 5.0}}, ConfigError, "size is"),
         ({"obstacles": {"speed": 5.0}}, ConfigError, "speed"),
+        ({"obstacles": {"shape": "star"}}, ConfigError, "shape"),
     ],
 )
 @pytest.mark.parametrize("kind", [DriveEnv, DuelEnv])
@@ -386,7 +399,7 @@ def test_a_car_never_starts_in_an_obstacle(oval):
     env.step([0.1, 0.0])
     before = env.batch.state.copy()
     poses = [[0.0, -4.0, 0.0], [4.0, 4.0, 3.1]]
-    with pytest.raises(InputError, match="starts in one of the obstacles"):
+    with pytest.raises(InputError, match="in one of the obstacles"):
         env.reset(options={"poses": poses, "obstacles": [[0.2, -4.0, 0.0, 0.4, 0.4]]})
     for mine, own in zip(env.batch.state, before, strict=True):
         np.testing.assert_array_equal(mine, own)

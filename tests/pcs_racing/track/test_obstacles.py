@@ -1,4 +1,4 @@
-"""Boxes on a track: the same walls for the distance field, the lidar and contacts."""
+"""Obstacles on a track: the same walls for the distance field, the lidar and contacts."""
 
 import numpy as np
 import pytest
@@ -73,6 +73,36 @@ def test_a_car_hits_a_box_when_the_two_rectangles_overlap(blocked, x, y, heading
             assert car_hits_wall(blocked.arrays, x, y, heading, 0.29, 0.155, s) == overlap
 
 
+CIRCLE = [0.0, -4.0, 0.0, 0.5, 0.0]
+
+
+def test_a_circle_is_round_for_the_distance_field_and_the_lidar(oval):
+    round_one = with_obstacles(oval, [CIRCLE])
+    arrays, before = round_one.arrays, oval.arrays.distance
+    rows, columns = np.nonzero(before > 0.0)
+    x, y = (columns + 0.5) * arrays.cell + arrays.origin_x, (rows + 0.5) * arrays.cell + arrays.origin_y
+    expected = np.minimum(before[rows, columns], np.maximum(np.hypot(x, y + 4.0) - 0.25, 0.0))
+    np.testing.assert_allclose(arrays.distance[rows, columns], expected, atol=1e-6)
+    for angle in np.linspace(0.0, 2.0 * np.pi, 11):  # from every side it is as near
+        at = [np.cos(angle), -4.0 + np.sin(angle), angle + np.pi]
+        assert Lidar(round_one, beams=3, fov=0.1).scan(at)[1] == pytest.approx(0.75, abs=0.02)
+
+
+@given(x=st.floats(-1.0, 1.0), y=st.floats(-4.6, -3.4), heading=st.floats(0.0, 6.28))
+def test_a_car_hits_a_circle_when_it_is_nearer_than_its_radius(oval, x, y, heading):
+    round_one = with_obstacles(oval, [CIRCLE])
+    away = outside((CIRCLE[0], CIRCLE[1]), (x, y, heading, 0.58, 0.31))
+    if not 0.23 < away < 0.27:  # exact contacts are a matter of the field's cells
+        s, _ = round_one.to_frenet([x, y])
+        assert car_hits_wall(round_one.arrays, x, y, heading, 0.29, 0.155, s) == (away < 0.25)
+
+
+def test_boxes_and_circles_may_stand_together(oval):
+    both = with_obstacles(oval, [CIRCLE, [4.0, -4.0, 0.0, 0.2, 0.3]])
+    assert len(both.arrays.walls) == len(oval.arrays.walls) + 16 + 4
+    assert both.wall_distance([0.0, -4.0]) == both.wall_distance([4.0, -4.0]) == 0.0
+
+
 def test_several_boxes_are_listed_near_ones_first(oval):
     boxes = [[x, -4.0, 0.0, 0.2, 0.2] for x in (-4.0, 4.0, 0.0)]
     arrays = with_obstacles(oval, boxes).arrays
@@ -88,6 +118,8 @@ def test_several_boxes_are_listed_near_ones_first(oval):
     [
         [[0.0, 0.0, 0.0]],
         [[0.0, 0.0, 0.0, 0.01, 0.3]],
+        [[0.0, 0.0, 0.0, 0.01, 0.0]],
+        [[0.0, 0.0, 0.0, 0.3, -0.3]],
         [[0.0, np.nan, 0.0, 0.3, 0.3]],
         [BOX] * 101,
         "boxes",

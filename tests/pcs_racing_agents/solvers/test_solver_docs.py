@@ -26,7 +26,7 @@ def test_every_variant_is_in_the_table():
 
 def test_the_example_with_openspiel(tmp_path):
     pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
-    out = run_python(REPOSITORY / "examples" / "openspiel_tree.py", "--iterations", 50, folder=tmp_path)
+    out = run_python(REPOSITORY / "examples" / "clients" / "openspiel_tree.py", "--iterations", 50, folder=tmp_path)
     cells = {line.split(",")[0]: float(line.split()[-1]) for line in out.splitlines() if line[:4] in ("Open", "pcs-")}
     assert list(cells) == ["OpenSpiel CFR+", "OpenSpiel MCCFR", "pcs-racing CFR+", "pcs-racing"]
     assert cells["pcs-racing CFR+"] == pytest.approx(cells["OpenSpiel CFR+"], rel=0.01)

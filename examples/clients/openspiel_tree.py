@@ -1,8 +1,11 @@
-"""Two of OpenSpiel's algorithms on a game tree, beside ours: how far from an equilibrium, after how long.
+# /// script
+# dependencies = ["open_spiel==2.0.2"]
+# ///
+"""OpenSpiel: two of its algorithms on a game tree, beside ours: how far from an equilibrium, after how long.
 
-    python examples/openspiel_tree.py
+    python examples/clients/openspiel_tree.py
     pcs-racing tree --archive default --track Pipkin --pairs 2 --out out/trees
-    python examples/openspiel_tree.py --trees out/trees --tree 1
+    python examples/clients/openspiel_tree.py --trees out/trees --tree 1
 
 Without --trees a small tree of random payoffs is solved. OpenSpiel gets the tree as extensive form text, which its C++
 plays; its CFR+ and its external-sampling MCCFR then run beside our CFR+ and our exact solver. Every strategy is judged
