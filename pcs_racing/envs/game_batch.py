@@ -12,12 +12,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.batch import BatchStep, check_batch_size
-<<<<<<< HEAD
-from pcs_racing.envs.infos import Crash, Result, codes, race_info, race_infos
-=======
 from pcs_racing.envs.circuit_games import CircuitGames
-from pcs_racing.envs.infos import Crash, Result, codes
->>>>>>> main
+from pcs_racing.envs.infos import Crash, Result, codes, race_info, race_infos
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent
 from pcs_racing.envs.reset_options import start_option

@@ -11,12 +11,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.game_batch import GameBatch
-<<<<<<< HEAD
 from pcs_racing.envs.infos import Result, codes, one_info
-=======
-from pcs_racing.envs.infos import Result, codes
 from pcs_racing.envs.obstacles import obstacles_option
->>>>>>> main
 from pcs_racing.envs.opponents import draw_opponent
 from pcs_racing.envs.reset_options import start_option
 from pcs_racing.game.competitor import Chooser
