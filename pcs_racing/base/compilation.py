@@ -62,7 +62,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return compiled(function, _nrt=False, **options)
 
 
-class _Inner(CPUDispatcher):  # type: ignore[misc]
+class _Inner(CPUDispatcher):
     """A compiled function that only compiled functions can call."""
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
