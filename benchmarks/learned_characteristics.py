@@ -1,12 +1,12 @@
-"""How well learned characteristics tell policies, circuits and archives that had no say: R2 by number of pieces.
+"""How well learned characteristics estimate held-out policies, circuits and archives: R2 by number of segments.
 
     python benchmarks/learned_characteristics.py --out out/learned-r2        # about 4 processor minutes; resumes
 
 A pool of 24 fresh policies that span speed (seed 101) races on four circuits; characteristics are learned from it, once
 from all inputs and once from pace and restraint alone, linear and with products. They are judged on the four other
-circuits and on two sets of policies that had no say: 24 fresh ones (seed 202), and 16 of a shipped archive, evenly
+circuits and on two sets of held-out policies: 24 fresh ones (seed 202), and 16 of a shipped archive, evenly
 spaced in the order of its first axis. The true coordinates of these come from their races against the pool on the
-circuits that had no say.
+held-out circuits.
 """
 
 import argparse
@@ -17,7 +17,6 @@ import numpy as np
 
 from pcs_racing import load_archive, load_race_config
 from pcs_racing.planners.registry import get_planner
-from pcs_racing_agents.cli.headroom import pool_of
 from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
 from pcs_racing_agents.learning.characteristics.behaviour import measure_behaviour, measure_payoffs
 from pcs_racing_agents.learning.characteristics.coordinates import COORDINATES
@@ -29,7 +28,7 @@ from pcs_racing_agents.learning.characteristics.learn import (
 )
 from pcs_racing_agents.learning.characteristics.pools import draw_pool
 from pcs_racing_agents.learning.characteristics.validation import judge
-from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, spanning_policies
 from pcs_racing_agents.results.text_table import markdown
 
 LEARNED_ON = ("Pipkin", "Saltmere", "Vellindra", "Larkmoor")
@@ -51,11 +50,13 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=24, help="policies of a fresh pool")
     parser.add_argument("--races", type=int, default=16, help="races of each pair of the pool on each circuit")
     parser.add_argument("--seeds", type=int, nargs=2, default=(101, 202), help="of the pool and of the other policies")
-    parser.add_argument("--pieces", type=int, default=LearnSettings().pieces, help="pieces of a row of the regression")
+    parser.add_argument(
+        "--segments", type=int, default=LearnSettings().segments, help="segments of a row of the regression"
+    )
     add_executor_options(parser)
     arguments = parser.parse_args()
     config, planner = load_race_config(arguments.race), get_planner("lattice")
-    settings = LearnSettings(pieces=arguments.pieces)
+    settings = LearnSettings(segments=arguments.segments)
     stated = {"race": repr(config), "size": arguments.size, "races": arguments.races, "seeds": list(arguments.seeds)}
     archive = load_archive(arguments.archive)
     stated |= {"archive": archive.content_hash, "inputs": list(settings.inputs)}
@@ -86,7 +87,7 @@ def main() -> None:
         payoffs = pool_payoffs(
             PolicyPool(pool, LEARNED_ON, config, races=arguments.races, folds=8, seed=2), job=job, **run
         )
-        others = {"fresh policies": fresh, f"archive {archive.name}": pool_of(archive, 16)[1]}
+        others = {"fresh policies": fresh, f"archive {archive.name}": spanning_policies(archive, 16)[1]}
         raced = {}
         for i, (name, policies) in enumerate(others.items()):
             seen = behaviour(policies, JUDGED_ON, 10 + i, f"behaviour-{i}")
@@ -102,10 +103,10 @@ def main() -> None:
                 **run,
             )
             raced[name] = seen, won
-    head = ("policies", "made of", "pieces", *(f"R2 {name}" for name in COORDINATES))
+    head = ("policies", "made of", "segments", *(f"R2 {name}" for name in COORDINATES))
     rows: list[tuple[str, ...]] = []
     for label, changes in SETS.items():
-        chosen = LearnSettings(**{"pieces": arguments.pieces, **changes})
+        chosen = LearnSettings(**{"segments": arguments.segments, **changes})
         columns = [settings.inputs.index(name) for name in chosen.inputs]
         learning = fit_characteristics(payoffs, own_behaviour[..., columns], chosen, seed=0)
         if not rows:

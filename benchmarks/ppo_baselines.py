@@ -61,7 +61,9 @@ def main() -> None:
     found = [
         look_at(folder)
         for folder in arguments.policies
-        or sorted([*NETWORK_FORMAT.shipped.glob("*"), *DRIVER_FORMAT.shipped.glob("*")])
+        or sorted(
+            file.parent for kind in (NETWORK_FORMAT, DRIVER_FORMAT) for file in kind.shipped.glob(f"*/{MANIFEST}")
+        )
     ]
     baselines = [baseline for baseline in found if baseline is not None]
     for baseline in baselines if arguments.lines > 0 else ():

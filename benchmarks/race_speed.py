@@ -39,7 +39,7 @@ from pcs_racing.race.kernel import (
 )
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 from pcs_racing.race.state import RaceState, take
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 
 REPEATS = 8
 CALLS = 4000

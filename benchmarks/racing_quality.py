@@ -20,8 +20,9 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.race.races import RaceResult, RaceSetup, run_races
+from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.track import Track
 
 
 def non_dominated(points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -20,7 +20,8 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.car.collision import car_hits_wall
 from pcs_racing.car.ittc import minimum_ittc
 from pcs_racing.car.lidar import WORK_SHAPE, Lidar, scan_into
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 MAPS = Path(os.environ.get("PCS_RACING_MAPS", SHARED / "maps"))

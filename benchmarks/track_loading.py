@@ -12,11 +12,11 @@ import time
 
 import numpy as np
 
-from pcs_racing import track
 from pcs_racing.base.compilation import compiled
-from pcs_racing.track import frenet
+from pcs_racing.track import frenet, loading
+from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.track import Track
 
 
 @compiled
@@ -65,9 +65,9 @@ def main() -> None:
         os.environ["PCS_RACING_CACHE"] = folder + "/cache"
         print("track              m   fresh ms   disk ms  again ms   memory MB   walls  seen/stretch  project  back ns")
         for name in names:
-            track._loaded.clear()
+            loading._loaded.clear()
             fresh, _ = timed(name)
-            track._loaded.clear()
+            loading._loaded.clear()
             disk, loaded = timed(name)
             again, _ = timed(name)
             arrays = loaded.arrays

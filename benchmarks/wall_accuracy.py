@@ -13,7 +13,7 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.track.building import build as track_building
 from pcs_racing.track.building.walls import simplify, trace_outlines
 from pcs_racing.track.grid import cast
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 
 
 @compiled

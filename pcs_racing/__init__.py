@@ -19,18 +19,21 @@ from pcs_racing.envs.registration import register_environments
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import list_archives, load_archive, save_archive
 from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.rules import RaceGame, make_game
+from pcs_racing.game.make import make_game
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.registry import get_planner, parse_policy, planner_names, register_planner
 from pcs_racing.race.config import CONTEST, PAPER, RaceConfig, load_race_config
 from pcs_racing.race.races import RaceResult, RaceSetup, advance, draw_starts, run_races, start_races
 from pcs_racing.race.recording import record_race
-from pcs_racing.race.replay import Replay, read_replay, save_replay
+from pcs_racing.race.replay import Replay
+from pcs_racing.race.replay_files import read_replay, save_replay
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, load_state, save_state
+from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
-from pcs_racing.track.track import Track, build_track, load_track
+from pcs_racing.track.track import Track, build_track
 
 __all__ = [
     "CONTEST",

@@ -38,7 +38,7 @@ from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.game.state import load_game, save_game
 from pcs_racing.planners.trained import read_driver, save_driver
 from pcs_racing.race.recording import record_race
-from pcs_racing.race.replay import save_replay
+from pcs_racing.race.replay_files import save_replay
 from pcs_racing.race.state import empty_state, save_state
 from pcs_racing.track.map_files import (
     CENTERLINE_COLUMNS,

@@ -15,7 +15,8 @@ import numpy as np
 
 from pcs_racing import CONTEST, load_track, parse_policy, record_race
 from pcs_racing.base.files import write_atomically
-from pcs_racing.race.rendering import Renderer, write_gif
+from pcs_racing.race.frames import write_gif
+from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.replay import Replay
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -103,7 +104,7 @@ with the clip. The arrow, or the mark ahead of a car, shows which way the car dr
 END = """## Make your own
 
 `pcs-racing view` shows, filters and plays the races of a tournament or a study ([watch races](view.md)).
-`pcs_racing.race.rendering.write_gif` writes a recorded race as a GIF ([a notebook](notebooks/first_race.md) does it).
+`pcs_racing.race.frames.write_gif` writes a recorded race as a GIF ([a notebook](notebooks/first_race.md) does it).
 """
 
 

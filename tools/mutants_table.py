@@ -92,7 +92,8 @@ MODULES = {
         """
         rules state reward observation competitor starting: ; game
         config: game_config
-        archive moves: archive
+        archive: archive
+        moves: archive; game
         """,
     ),
     **_modules("characteristics", "pcs_racing/game", "characteristics: characteristics"),
@@ -103,7 +104,7 @@ MODULES = {
         drive_kernel: drive_kernel; drive
         drive_batch: drive_kernel; drive
         drive moving_opponents: ; drive
-        game_batch opponents: game_batch; duel
+        game_batch circuit_games opponents: game_batch; duel
         duel: ; duel
         scalar vector over_batch reset_options: ; vector
         head_to_head: ; head_to_head

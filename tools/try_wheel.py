@@ -20,7 +20,7 @@ from zipfile import ZipFile
 EXTRAS = "mapping,plots,learning"
 NOT_IN_BASE = ("torch", "stable_baselines3", "matplotlib", "cma", "moocore", "pandas", "skimage", "clarabel")
 INSIDE = (
-    "pcs_racing/replay.html",
+    "pcs_racing/race/replay.html",
     "pcs_racing/py.typed",
     "pcs_racing/shipped_maps/Tarnfjord/",
     "pcs_racing/shipped_archives/default/archive.npz",

@@ -2,8 +2,9 @@
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from types import MappingProxyType
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -12,8 +13,10 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from pcs_racing.base.errors import InputError
 
 __all__ = [
+    "as_array",
     "check_array",
     "check_choice",
+    "check_facts",
     "check_flag",
     "check_names",
     "check_number",
@@ -21,6 +24,7 @@ __all__ = [
     "check_seed",
     "check_text",
     "check_whole",
+    "check_whole_array",
     "check_wholes",
     "did_you_mean",
     "is_flag",
@@ -203,3 +207,69 @@ def check_array(
         at = f" at {place[0] if len(place) == 1 else place}" if place else ""
         raise error(f"{name} holds {array[place]}{at}; it must be finite{within(least, most)}")
     return array
+
+
+def as_array(values: Any) -> NDArray[Any]:
+    """Return values as an array; an empty one of objects for lists of different lengths, to be refused by its type."""
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError):
+        return np.empty(0, object)
+
+
+def check_whole_array(
+    name: str,
+    value: ArrayLike,
+    *shapes: tuple[int | None, ...],
+    least: int | None = None,
+    most: int | None = None,
+    error: Error = InputError,
+) -> NDArray[np.int64]:
+    """Return a new array of whole numbers; numbers with a fraction are refused, not cut off.
+
+    Parameters
+    ----------
+    name : str
+    value : array_like
+    *shapes : tuple of int or None
+        Shapes that are allowed, all of them if none is named; None stands for any length.
+    least, most : int, optional
+        Limits of all numbers, which belong to the range.
+    error : type
+        What is raised.
+
+    Raises
+    ------
+    InputError
+        If it has another shape or type, or a number is out of the range.
+    """
+    array = as_array(value)
+    fits = not shapes or any(
+        array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+        for shape in shapes
+    )
+    if array.dtype.kind not in "iu" or not fits:
+        wanted = " or ".join(str(shape).replace("None", "any") for shape in shapes)
+        found = f"has shape {array.shape} and type {array.dtype}" if array.ndim else f"is {value!r:.80}"
+        raise error(f"{name} {found}; it must hold whole numbers" + (f" in shape {wanted}" if shapes else ""))
+    wrong = np.zeros(array.shape, np.bool_)
+    if least is not None:
+        wrong |= array < least
+    if most is not None:
+        wrong |= array > most
+    if wrong.any():
+        place = tuple(int(i) for i in np.argwhere(wrong)[0])
+        at = f" at {place[0] if len(place) == 1 else place}" if place else ""
+        has = "holds" if place else "is"
+        raise error(f"{name} {has} {array[place]}{at}; it must be a whole number{within(least, most)}")
+    return array.astype(np.int64)
+
+
+def check_facts(name: str, values: Any, error: Error = InputError) -> Mapping[str, str | int | float | bool]:
+    """Return a read-only copy of texts, numbers and truth values by name."""
+    if not isinstance(values, Mapping):
+        raise error(f"{name} is {values!r:.80}; it must hold texts and numbers by name")
+    for key, value in values.items():
+        if not isinstance(key, str) or not isinstance(value, str | bool | int | float):
+            raise error(f"{name} holds {key!r}: {value!r:.80}; it must hold texts and numbers by name")
+    return MappingProxyType(dict(values))

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.starting import random_bits
 from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits
-from pcs_racing.track.track import Track, as_track
+from pcs_racing.track.loading import as_track
+from pcs_racing.track.track import Track
 
 __all__ = ["Circuits", "is_circuits"]
 
@@ -44,7 +45,7 @@ class Circuits:
     Raises
     ------
     InputError
-        If it is none of these, or a circuit can't be had.
+        If it is none of these, or a circuit can't be loaded or generated.
     """
 
     def __init__(self, source: Any, episodes: int) -> None:

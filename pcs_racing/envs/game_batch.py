@@ -1,9 +1,7 @@
 """Many games side by side: the batch behind the environments of the strategy level."""
 
 import copy
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,17 +12,19 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.batch import BatchStep, check_batch_size
+from pcs_racing.envs.circuit_games import CircuitGames
 from pcs_racing.envs.infos import Crash, Result, codes
 from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
+from pcs_racing.envs.opponents import draw_opponent
 from pcs_racing.envs.reset_options import start_option
 from pcs_racing.envs.variety import Variety
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.competitor import ask_moves
 from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.moves import check_moves
 from pcs_racing.game.observation import ObservationElement
-from pcs_racing.game.rules import OUTSIDE, RaceGame, check_moves
+from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.starting import check_policies
 from pcs_racing.game.state import GameState, empty_game, put_games, take_games
 from pcs_racing.planners.planner import Policy
@@ -42,7 +42,6 @@ NO_MOVE = -1  # before the first move, and for a driver
 FILM_TICKS = 4  # simulation steps between two frames of a film
 FILM_RATE = 25  # frames for each second of racing
 TRAIL = 50  # frames of trail behind each car: two seconds
-KEPT_GAMES = 64  # on circuits that no episode is on
 
 
 class DrivenStep(NamedTuple):
@@ -70,7 +69,7 @@ class GameBatch:
     episodes : int
         Number of games.
     archive, race, **settings
-        As in :func:`pcs_racing.game.rules.make_game`.
+        As in :func:`pcs_racing.game.make.make_game`.
     track, vehicle, randomize, obstacles
         As in :class:`pcs_racing.envs.variety.Variety`.
     opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
@@ -124,10 +123,9 @@ class GameBatch:
         self.variety = Variety(self.episodes, track, vehicle, randomize, obstacles)
         if "lidar_noise" in self.variety.drawn:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
-        self._opponent = opponent
-        self._rules = load_game_config(race, **settings), load_archive(archive), threads
-        self._games: OrderedDict[int, tuple[RaceGame, list[Opponent]]] = OrderedDict()
-        self.game, self.opponents = self._on(0)
+        rules = load_game_config(race, **settings)
+        self._games = CircuitGames(self.variety, load_archive(archive), rules, opponent, threads)
+        self.game, self.opponents = self._games.on(0)
         weights = np.array([each.weight for each in self.opponents] or [1.0])
         self._edges = np.cumsum(weights) / weights.sum()
         self._deterministic = deterministic_opponent
@@ -169,30 +167,7 @@ class GameBatch:
 
     def game_of(self, episode: int) -> RaceGame:
         """Return the game on the circuit of an episode."""
-        return self._on(int(self.variety.circuits.number[episode]))[0]
-
-    def _on(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
-        """The game on a circuit, by its number, and the opponents in it."""
-        known = self._games.get(circuit)
-        if known is None:
-            (rules, archive, threads), variety = self._rules, self.variety
-            game = RaceGame(
-                variety.circuits.track(circuit),
-                archive,
-                rules,
-                threads=threads,
-                vehicles=variety.cars,
-                most_delay=variety.randomization.most_delay,
-            )
-            opponents = [] if self._opponent is None else parse_opponents(self._opponent, game)
-            planner = shared_planner(opponents, game)
-            if planner is not game.setup.planners[1]:
-                game = replace(game, opponent_planner=planner)
-            known = self._games[circuit] = game, opponents
-            if len(self._games) > KEPT_GAMES + self.episodes:
-                self._games.popitem(last=False)
-        self._games.move_to_end(circuit)
-        return known
+        return self._games.on(int(self.variety.circuits.number[episode]))[0]
 
     def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
         """Return moves as (episodes, players)."""
@@ -231,7 +206,7 @@ class GameBatch:
         if self.state is None:
             self.state = self._empty()
         for circuit, some in self.variety.groups(rows):
-            fresh = self._on(circuit)[0].reset(
+            fresh = self._games.on(circuit)[0].reset(
                 keys[some],
                 policies=policies[some],
                 starts=None if starts is None else starts.take(some),
@@ -275,11 +250,11 @@ class GameBatch:
         groups = self.variety.groups(np.arange(self.episodes))
         if len(groups) == 1:
             circuit, rows = groups[0]
-            return self._on(circuit)[0].apply(state, moves, self.variety.conditions(rows))
+            return self._games.on(circuit)[0].apply(state, moves, self.variety.conditions(rows))
         new = state.copy()
         for circuit, rows in groups:
             conditions = self.variety.conditions(rows)
-            put_games(new, rows, self._on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions))
+            put_games(new, rows, self._games.on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions))
         return new
 
     def _replies(
@@ -293,7 +268,7 @@ class GameBatch:
         replies = np.zeros(self.episodes, np.int64)
         among = np.arange(self.episodes) if among is None else among
         for circuit, some in self.variety.groups(among):
-            game, opponents = self._on(circuit)
+            game, opponents = self._games.on(circuit)
             on = among[some]
             for k, opponent in enumerate(opponents):
                 rows = on[self.drawn[on] == k]

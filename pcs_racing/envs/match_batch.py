@@ -18,8 +18,8 @@ from pcs_racing.envs.reset_options import start_option
 from pcs_racing.game.competitor import Chooser
 from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, put_matches
 from pcs_racing.game.match_choices import ask_choices
+from pcs_racing.game.moves import check_moves
 from pcs_racing.game.observation import ObservationElement
-from pcs_racing.game.rules import check_moves
 from pcs_racing.game.starting import check_policies
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.races import start_races
@@ -134,7 +134,7 @@ class MatchBatch(GameBatch):
 
     def match_on(self, circuit: int) -> MatchGame:
         """Return the rules on a circuit, by its number."""
-        game = self._on(circuit)[0]
+        game = self._games.on(circuit)[0]
         return self.match if game is self.match.game else MatchGame(game, self.match.config)
 
     def _forget(self, rows: NDArray[np.int64]) -> None:
@@ -175,7 +175,7 @@ class MatchBatch(GameBatch):
         memory, started = self.match.memory(played)[:, 1], played
         for circuit, some in self.variety.groups(between):
             match, on = self.match_on(circuit), between[some]
-            for k, opponent in enumerate(self._on(circuit)[1]):
+            for k, opponent in enumerate(self._games.on(circuit)[1]):
                 rows = on[self.drawn[on] == k]
                 if len(rows) and isinstance(opponent.competitor, Chooser):
                     chosen = ask_choices(opponent.competitor, match, played, 1, rows=rows, memory=memory)

@@ -20,7 +20,7 @@ __all__ = ["Variety"]
 
 
 class Variety:
-    """Circuits, cars and what is drawn about them, of a batch of episodes.
+    """The circuits, obstacles and cars of a batch of episodes, and what is drawn at random about them.
 
     Parameters
     ----------
@@ -52,6 +52,7 @@ class Variety:
     def __init__(self, episodes: int, track: Any, vehicle: Any, randomize: Any, obstacles: Any) -> None:
         self.cars = load_vehicles(vehicle)
         self.randomization = load_randomization(randomize)
+        self.episodes = episodes
         self.circuits = Circuits(track, episodes)
         self.vehicles = vehicle_rows(self.cars, episodes)  # never read-only, which would be another type to compile
         self.drawn = {name: np.zeros(episodes) for name in self.randomization.names}

@@ -10,12 +10,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_whole, is_whole
+from pcs_racing.base.checks import as_array, check_whole, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_reset_seed
 from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import REBUILDING, OverBatch
-from pcs_racing.game.starting import as_array
 from pcs_racing.race.rendering import MODES
 
 __all__ = ["BatchVectorEnv", "VectorState", "check_autoreset_mode"]

@@ -9,12 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_array, check_facts, check_names, check_text, check_whole_array
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.learned import LearnedCharacteristics, register_learned
@@ -24,7 +24,7 @@ from pcs_racing.planners.registry import get_planner
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Explored", "PolicyArchive", "check_indices"]
+__all__ = ["Explored", "PolicyArchive"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -63,8 +63,8 @@ class PolicyArchive:
     characteristics : tuple of str
         Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); more is more on all of them.
     coordinates : ndarray, shape (K, G)
-        Coordinates of the policies, in the characteristics' units. They come from races that had no say in the choice
-        of the policies, since the best of many noisy values is too good to be true.
+        Coordinates of the policies, in the characteristics' units. They come from races that were not used to choose
+        the policies, since the best of many noisy values is too good to be true.
     ideal, nadir : ndarray, shape (G,)
         Points that stand for 1 and 0 on each normalised axis; by default the largest and smallest coordinates.
     explored_parameters : ndarray, shape (E, P)
@@ -72,7 +72,7 @@ class PolicyArchive:
     explored_coordinates : ndarray, shape (E, G)
         What it was evaluated to.
     settings : Mapping
-        How the archive was made: texts and numbers by name. ``segment_seconds`` is the length of the pieces of racing
+        How the archive was made: texts and numbers by name. ``segment_seconds`` is the length of the segments of racing
         that the coordinates are means of.
     preset : str
         Name of the rules of the races that the coordinates were measured in.
@@ -113,23 +113,16 @@ class PolicyArchive:
 
     def __post_init__(self) -> None:
         for key in ("name", "planner", "preset"):
-            if not isinstance(getattr(self, key), str) or not getattr(self, key):
-                raise InputError(f"an archive's {key} is {getattr(self, key)!r}; it must be a non-empty text")
+            check_text(f"an archive's {key}", getattr(self, key))
         where = f"archive {self.name!r}"
         for key in ("parameter_names", "characteristics"):
-            names = getattr(self, key)
-            if isinstance(names, str) or not all(isinstance(name, str) for name in names) or len(names) == 0:
-                raise InputError(f"{where}: {key} is {names!r}; it must be a list of texts")
-            object.__setattr__(self, key, tuple(names))
+            object.__setattr__(self, key, check_names(f"{where}: {key}", getattr(self, key)))
         if self.learned is not None:
             if not isinstance(self.learned, LearnedCharacteristics):
                 raise InputError(f"{where}: learned is {self.learned!r:.80}; it must be LearnedCharacteristics")
             register_learned(self.learned)
         get_characteristics(self.characteristics)
-        for key, value in self.settings.items():
-            if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
-                raise InputError(f"{where}: setting {key!r} is {value!r}; settings must be texts and numbers by name")
-        object.__setattr__(self, "settings", MappingProxyType(dict(self.settings)))
+        object.__setattr__(self, "settings", check_facts(f"{where}: settings", self.settings))
         theta, axes = len(self.parameter_names), len(self.characteristics)
         self._set_array(where, "parameters", (None, theta))
         if len(self.parameters) == 0:
@@ -153,27 +146,15 @@ class PolicyArchive:
             ("explored_own_crash", (len(self.explored_parameters),)),
         ):
             if getattr(self, key) is not None:
-                self._set_array(where, key, shape)
-                if (getattr(self, key) < 0.0).any():
-                    raise InputError(f"{where}: {key} is {getattr(self, key).min():g} somewhere; it must be 0 or above")
+                self._set_array(where, key, shape, least=0.0)
         for axis, low, high in zip(self.characteristics, self.nadir, self.ideal, strict=True):
             if not low < high:
                 raise InputError(
                     f"{where}: {axis} reaches from {low:g} (nadir) to {high:g} (ideal); the ideal must be the larger"
                 )
 
-    def _set_array(self, where: str, key: str, shape: tuple[int | None, ...]) -> None:
-        try:
-            array = np.array(getattr(self, key), dtype=np.float64)
-        except (TypeError, ValueError):
-            raise InputError(f"{where}: {key} holds something that is no number") from None
-        fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
-        if not fits:
-            wanted = ", ".join("any" if n is None else str(n) for n in shape)
-            raise InputError(f"{where}: {key} has shape {array.shape}; it must have ({wanted})")
-        if not np.isfinite(array).all():
-            row = int(np.argwhere(~np.isfinite(array))[0][0])
-            raise InputError(f"{where}: {key} is not finite in row {row}")
+    def _set_array(self, where: str, key: str, shape: tuple[int | None, ...], least: float | None = None) -> None:
+        array = check_array(f"{where}: {key}", getattr(self, key), shape, least=least)
         array.setflags(write=False)
         object.__setattr__(self, key, array)
 
@@ -271,7 +252,7 @@ class PolicyArchive:
         """
         planner = get_planner(self.planner)
         unknown = [name for name in self.parameter_names if name not in planner.parameter_names]
-        if unknown or len(set(self.parameter_names)) < len(self.parameter_names):
+        if unknown:
             raise InputError(
                 f"archive {self.name!r} holds parameters {', '.join(self.parameter_names)}; planner {self.planner!r} "
                 f"has {', '.join(planner.parameter_names)}"
@@ -297,13 +278,13 @@ class PolicyArchive:
 
     def policy(self, index: int) -> Policy:
         """Return one of the policies, named after the archive and its index."""
-        at = int(check_indices(np.asarray(index), "policy index", len(self)))
+        at = int(check_whole_array("policy index", index, (), least=0, most=len(self) - 1))
         return Policy(get_planner(self.planner), self.complete(self.parameters[[at]])[0], f"{self.name}[{at}]")
 
     def explored_policy(self, index: int) -> Policy:
         """Return one of the explored policies."""
         explored: Any = self.explored_parameters
-        at = int(check_indices(np.asarray(index), "explored policy index", len(explored)))
+        at = int(check_whole_array("explored policy index", index, (), least=0, most=len(explored) - 1))
         return Policy(get_planner(self.planner), self.complete(explored[[at]])[0], f"{self.name}:explored[{at}]")
 
     @property
@@ -376,19 +357,3 @@ class PolicyArchive:
                 f"archive {self.name!r} has no characteristic {name!r}; it has {', '.join(self.characteristics)}"
             )
         return self.characteristics.index(name)
-
-
-def check_indices(values: NDArray[Any], name: str, below: int) -> Indices:
-    """Return whole numbers from 0 to ``below - 1`` as int64.
-
-    Raises
-    ------
-    InputError
-        If they are anything else; ``name`` stands in the message.
-    """
-    if values.dtype.kind not in "iu":
-        raise InputError(f"{name} is {values!r}; it must be a whole number")
-    wrong = (values < 0) | (values >= below)
-    if wrong.any():
-        raise InputError(f"{name} is {values[wrong].flat[0]}; it must lie in 0 to {below - 1}")
-    return values.astype(np.int64)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_names, check_number, check_text, check_whole
+from pcs_racing.base.checks import check_facts, check_names, check_number, check_text, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.characteristics import (
     Characteristic,
@@ -141,11 +141,7 @@ class LearnedCharacteristics:
         if set(names) & set(inputs):
             raise InputError(f"{self.name} has an input among its own axes; inputs must be other characteristics")
         get_characteristics(inputs)
-        for key, value in self.training.items() if isinstance(self.training, Mapping) else [("training", None)]:
-            if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
-                raise InputError(
-                    f"training of {self.name} holds {key!r}: {value!r:.80}; give texts and numbers by name"
-                )
+        check_facts(f"training of {self.name}", self.training)
 
     def __hash__(self) -> int:
         return hash((self.name, self.inputs, self.axes))
@@ -164,7 +160,7 @@ class LearnedCharacteristics:
     def characteristics(self) -> tuple[Characteristic, ...]:
         """The axes as ordinary characteristics; their unit is a standard deviation over the policies learned from."""
         return tuple(
-            Characteristic(axis.name, "sd", axis.meaning, _Evaluation(self.inputs, axis)) for axis in self.axes
+            Characteristic(axis.name, "sd", axis.meaning, _AxisFunction(self.inputs, axis)) for axis in self.axes
         )
 
     def estimate(self, values: Floats) -> Floats:
@@ -204,7 +200,7 @@ class LearnedCharacteristics:
 
 
 @dataclass(frozen=True)
-class _Evaluation:
+class _AxisFunction:
     """The function of an axis; a value, so that an axis that is read twice is the same one."""
 
     inputs: tuple[LearnedInput, ...]

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.checks import as_array
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import Chooser, competitor_name
 from pcs_racing.game.match import KEEP, MatchGame, MatchState
-from pcs_racing.game.starting import as_array
 
 __all__ = ["ask_choices"]
 

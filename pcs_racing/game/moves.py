@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import is_number
+from pcs_racing.base.checks import as_array, check_whole_array, is_flag, is_number
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive import PolicyArchive, check_indices
+from pcs_racing.game.archive import PolicyArchive
 
 __all__ = [
     "EPSILON",
     "STAY",
     "check_epsilon",
+    "check_moves",
     "duplicate_moves",
     "duplicate_share",
     "move",
@@ -33,6 +34,8 @@ EPSILON = 0.5
 
 STAY = "stay"
 """Name of the move that keeps the policy; where there is one, it comes last."""
+
+MOST_NAMES = 24  # moves that an error lists by name
 
 
 def move(archive: PolicyArchive, index: ArrayLike, axis: ArrayLike, sign: ArrayLike, epsilon: ArrayLike) -> Indices:
@@ -56,8 +59,8 @@ def move(archive: PolicyArchive, index: ArrayLike, axis: ArrayLike, sign: ArrayL
         If an index, a sign or an epsilon is out of its range.
     """
     arrays = np.broadcast_arrays(index, axis, sign, epsilon)
-    policies = check_indices(arrays[0], "index", len(archive))
-    axes = check_indices(arrays[1], "axis", len(archive.characteristics))
+    policies = check_whole_array("index", arrays[0], least=0, most=len(archive) - 1)
+    axes = check_whole_array("axis", arrays[1], least=0, most=len(archive.characteristics) - 1)
     signs, steps = np.asarray(arrays[2], np.float64), np.asarray(arrays[3], np.float64)
     if not np.isin(signs, (-1.0, 1.0)).all():
         raise InputError(f"sign is {signs[~np.isin(signs, (-1.0, 1.0))][0]:g}; it must be 1 or -1")
@@ -131,3 +134,53 @@ def check_epsilon(epsilon: Any) -> tuple[float, ...]:
     if not steps or len(steps) < len(lengths) or len(set(steps)) < len(steps):
         raise InputError(f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones")
     return steps
+
+
+def check_moves(
+    moves: Any,
+    names: Sequence[str],
+    shape: tuple[int, ...],
+    axes: tuple[str, ...] = (),
+    *,
+    rows: Indices | None = None,
+    player: str = "",
+) -> Indices:
+    """Return moves as whole numbers: the one check that every move passes on its way into a game.
+
+    Parameters
+    ----------
+    moves : array_like of int
+        Indices in ``names``.
+    names : sequence of str
+        The moves that there are.
+    shape : tuple of int
+        That the moves must have.
+    axes : tuple of str
+        What the axes of the shape count, for errors: ``("game", "car")``.
+    rows : ndarray of int, optional
+        Number of the game that each entry of the first axis belongs to, for errors.
+    player : str
+        Who made the moves, for errors.
+
+    Raises
+    ------
+    InputError
+        If they have another shape or type, or one is not among those that there are; game and car are named.
+    """
+    given = as_array(moves)
+    if isinstance(moves, list | tuple) and any(is_flag(move) for move in moves):
+        given = given.astype(np.bool_)  # among whole numbers numpy would take them for 0 and 1
+    by = f"{player}: " if player else ""
+    listed = f" ({', '.join(names)})" if len(names) <= MOST_NAMES else ""
+    known = f"from 0 to {len(names) - 1}{listed}"
+    if given.shape != shape or given.dtype.kind not in "iu":
+        wanted = f"whole numbers of shape {shape}" if shape else "a whole number"
+        found = f"{moves!r:.60}, of shape {given.shape} and type {given.dtype}"
+        raise InputError(f"{by}moves are {found}; they must be {wanted}, {known}")
+    wrong = np.argwhere((given < 0) | (given >= len(names)))
+    if len(wrong):
+        at = tuple(int(i) for i in wrong[0])
+        index = at if rows is None else (int(rows[at[0]]), *at[1:])
+        where = ", ".join(f"{axis} {i}" for axis, i in zip(axes, index, strict=False))
+        raise InputError(f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}")
+    return given.astype(np.int64)

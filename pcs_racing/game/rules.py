@@ -18,20 +18,17 @@ through :class:`RaceGame`: functions from one :class:`GameState` to the next, fo
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import is_flag
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
-from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.moves import duplicate_moves, move_names, move_table
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.moves import check_moves, duplicate_moves, move_names, move_table
 from pcs_racing.game.observation import (
     HIGH,
     LOW,
@@ -40,19 +37,18 @@ from pcs_racing.game.observation import (
     observation_elements,
 )
 from pcs_racing.game.reward import reward
-from pcs_racing.game.starting import DRAW, as_array, check_policies, driver_parameters, game_keys, random_bits
+from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, game_keys, random_bits
 from pcs_racing.game.state import GameState, empty_game, put_games
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.conditions import RaceConditions
-from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
-from pcs_racing.track.track import Track, as_track
+from pcs_racing.track.track import Track
 
-__all__ = ["GameState", "RaceGame", "check_moves", "make_game"]
+__all__ = ["GameState", "RaceGame"]
 
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -60,7 +56,6 @@ Floats = NDArray[np.float64]
 OUTSIDE = -1
 """In a state's ``policy``: a driver from outside the archive."""
 
-MOST_NAMES = 24  # moves that an error lists by name
 REDRAWS = 20  # times that a game which ends before the first move is drawn again
 
 PAPER_GAME = GameConfig()
@@ -475,90 +470,3 @@ class RaceGame:
         """Parameters of policies of the archive, as :func:`pcs_racing.advance` wants them, shape (..., P)."""
         theta: Floats = self._theta  # type: ignore[attr-defined]
         return theta[policies]
-
-
-def make_game(
-    track: Track | str | Path,
-    archive: PolicyArchive | str | Path = "default",
-    race: GameConfig | RaceConfig | str | Path = "paper",
-    *,
-    opponent_planner: Planner | str | None = None,
-    threads: int | None = None,
-    ego_planner: Planner | str | None = None,
-    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH),
-    most_delay: float = 0.0,
-    **settings: Any,
-) -> RaceGame:
-    """Make a game from names.
-
-    Parameters
-    ----------
-    track : Track, str or path
-        The circuit, its name or its folder.
-    archive : PolicyArchive, str or path
-        The archive, its name or its folder.
-    race : GameConfig, RaceConfig, str or path
-        Rules of the game; or of the race alone: a configuration, a preset's name or a YAML file.
-    opponent_planner, threads, ego_planner, vehicles, most_delay
-        See :class:`RaceGame`.
-    **settings
-        Fields of :class:`GameConfig` to change.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown or a value impossible.
-    """
-    rules = load_game_config(race, **settings)
-    planners = opponent_planner, threads, ego_planner
-    return RaceGame(as_track(track), load_archive(archive), rules, *planners, vehicles, most_delay)
-
-
-def check_moves(
-    moves: Any,
-    names: Sequence[str],
-    shape: tuple[int, ...],
-    axes: tuple[str, ...] = (),
-    *,
-    rows: Indices | None = None,
-    player: str = "",
-) -> Indices:
-    """Return moves as whole numbers: the one check that every move passes on its way into a game.
-
-    Parameters
-    ----------
-    moves : array_like of int
-        Indices in ``names``.
-    names : sequence of str
-        The moves that there are.
-    shape : tuple of int
-        That the moves must have.
-    axes : tuple of str
-        What the axes of the shape count, for errors: ``("game", "car")``.
-    rows : ndarray of int, optional
-        Number of the game that each entry of the first axis belongs to, for errors.
-    player : str
-        Who made the moves, for errors.
-
-    Raises
-    ------
-    InputError
-        If they have another shape or type, or one is not among those that there are; game and car are named.
-    """
-    given = as_array(moves)
-    if isinstance(moves, list | tuple) and any(is_flag(move) for move in moves):
-        given = given.astype(np.bool_)  # among whole numbers numpy would take them for 0 and 1
-    by = f"{player}: " if player else ""
-    listed = f" ({', '.join(names)})" if len(names) <= MOST_NAMES else ""
-    known = f"from 0 to {len(names) - 1}{listed}"
-    if given.shape != shape or given.dtype.kind not in "iu":
-        wanted = f"whole numbers of shape {shape}" if shape else "a whole number"
-        found = f"{moves!r:.60}, of shape {given.shape} and type {given.dtype}"
-        raise InputError(f"{by}moves are {found}; they must be {wanted}, {known}")
-    wrong = np.argwhere((given < 0) | (given >= len(names)))
-    if len(wrong):
-        at = tuple(int(i) for i in wrong[0])
-        index = at if rows is None else (int(rows[at[0]]), *at[1:])
-        where = ", ".join(f"{axis} {i}" for axis, i in zip(axes, index, strict=False))
-        raise InputError(f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}")
-    return given.astype(np.int64)

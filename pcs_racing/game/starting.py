@@ -1,19 +1,18 @@
 """How a batch of games begins: checks of what is given, and random numbers for the rest, from each game's own key."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_whole
+from pcs_racing.base.checks import as_array, check_whole, check_whole_array
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 
-__all__ = ["DRAW", "as_array", "check_policies", "driver_parameters", "game_keys", "random_bits"]
+__all__ = ["DRAW", "check_policies", "driver_parameters", "game_keys", "random_bits"]
 
 DRAW = -1
 """In place of a policy's index: draw one."""
@@ -47,13 +46,8 @@ def check_policies(archive: PolicyArchive, policies: ArrayLike | None, games: in
     """
     if policies is None:
         return np.full((games, 2), DRAW, np.int64)
-    given = as_array(policies)
-    if given.shape not in ((2,), (games, 2)) or given.dtype.kind not in "iu":
-        raise InputError(
-            f"policies have shape {given.shape} and type {given.dtype}; they must be whole numbers of shape (2,) or "
-            f"({games}, 2)"
-        )
-    indices = np.array(np.broadcast_to(given, (games, 2)), np.int64)
+    given = check_whole_array("policies", policies, (2,), (games, 2))
+    indices = np.array(np.broadcast_to(given, (games, 2)))
     wrong = np.argwhere((indices < DRAW) | (indices >= len(archive)))
     if len(wrong):
         game, car = (int(i) for i in wrong[0])
@@ -118,14 +112,6 @@ def driver_parameters(
         if driver is not None:
             theta[i, : len(driver.parameters)] = driver.parameters
     return np.array([driver is not None for driver in given], np.bool_).reshape(games), theta
-
-
-def as_array(values: Any) -> NDArray[Any]:
-    """Return values as an array; an empty one of objects for lists of different lengths, to be refused by its type."""
-    try:
-        return np.asarray(values)
-    except (TypeError, ValueError):
-        return np.empty(0, object)
 
 
 def random_bits(keys: NDArray[np.uint64], attempt: int) -> NDArray[np.uint64]:

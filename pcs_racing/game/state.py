@@ -13,7 +13,7 @@ from pcs_racing.base.reading import read_limited, unpack_arrays
 from pcs_racing.race.state import MAX_BYTES, RaceState, empty_state
 from pcs_racing.race.state import take as take_races
 
-__all__ = ["GameState", "empty_game", "join_games", "load_game", "save_game", "take_games"]
+__all__ = ["GameState", "empty_game", "load_game", "put_games", "save_game", "take_games"]
 
 
 class GameState(NamedTuple):
@@ -79,13 +79,6 @@ def take_games(state: GameState, indices: ArrayLike) -> GameState:
         take_races(state.race, chosen),
         *(np.ascontiguousarray(array[chosen]) for array in state[1:]),
     )
-
-
-def join_games(states: list[GameState]) -> GameState:
-    """Join batches of games into one."""
-    race = RaceState._make(np.concatenate(arrays) for arrays in zip(*(state.race for state in states), strict=True))
-    rest = zip(*(state[1:] for state in states), strict=True)
-    return GameState(race, *(np.concatenate(arrays) for arrays in rest))
 
 
 def put_games(state: GameState, indices: ArrayLike, values: GameState) -> None:

@@ -1,4 +1,4 @@
-"""Circuits that are generated while others are driven: endless training on tracks that nobody has seen."""
+"""Random circuits: generated from numbers, in threads, while other circuits are driven."""
 
 import threading
 from collections import OrderedDict
@@ -53,13 +53,13 @@ class RandomCircuits(Settings):
 def random_circuit(settings: RandomCircuits, index: int) -> Track:
     """Generate circuit number ``index``; the same circuit for the same settings, whatever was generated before.
 
-    Its speed ranges are fixed ones, and its start places lie where the race line is nearly straight. A circuit of
-    which you want to know both exactly is made by ``pcs-racing track generate``.
+    Its speed ranges are fixed, and its start places lie where the race line is nearly straight; ``pcs-racing track
+    generate`` makes circuits for which both are found by driving.
 
     Raises
     ------
     MapError
-        If no circuit comes of the settings.
+        If the settings allow no circuit.
     """
     refusal: MapError | None = None
     for attempt in range(TRIES):
@@ -147,7 +147,7 @@ class CircuitBuilder:
         Raises
         ------
         MapError
-            If no circuit comes of the settings.
+            If the settings allow no circuit.
         """
         return self.ahead(index).result()
 

@@ -1,4 +1,4 @@
-"""Obstacles that stand on a circuit: a track with some walls more, made in about a millisecond."""
+"""Obstacles: boxes and circles on a circuit; a copy of the track has them in its distance field and among its walls."""
 
 from dataclasses import replace
 
@@ -29,8 +29,7 @@ Floats = NDArray[np.float64]
 def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
     """Return a track on which obstacles stand as walls: the lidar sees them, cars crash into them, planners keep away.
 
-    Race line, free widths and calibration stay those of the circuit, and so does ``content_hash``: it is the same
-    circuit on another day.
+    Race line, free widths, calibration and ``content_hash`` stay those of the circuit: obstacles belong to an episode.
 
     Parameters
     ----------

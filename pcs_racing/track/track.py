@@ -1,47 +1,28 @@
-"""The Track: the immutable data of a circuit, and functions that load and build it."""
+"""The Track: the immutable data of a circuit, and the function that builds it from a grid and its lines."""
 
 import hashlib
-import json
-import logging
-import os
-import threading
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.compilation import compiled
-from pcs_racing.base.elementary import arctangent2
-from pcs_racing.base.errors import InputError, MapError, UnknownNameError
+from pcs_racing.base.errors import MapError
 from pcs_racing.track import frenet
-from pcs_racing.track.building.build import LINE_SPACING, build_arrays, check_centerline, check_grid, check_line
-from pcs_racing.track.building.clearance import wall_clearance
-from pcs_racing.track.building.splines import sample_closed
-from pcs_racing.track.cache import TRACK, cache_key, load_cached, store
+from pcs_racing.track.building.build import build_arrays, check_centerline, check_grid, check_line
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
-from pcs_racing.track.grid import distance_to_walls
-from pcs_racing.track.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
 
 __all__ = [
     "Calibration",
     "Track",
-    "as_track",
     "build_track",
     "calibration_from_values",
     "calibration_values",
-    "load_track",
 ]
 
 Floats = NDArray[np.float64]
-
-CLEARANCE = 0.305
-"""Minimum distance of a race line from the walls, in m: half the width of a car (0.155) and a margin of 0.15."""
-TOLERANCE = 0.02
-"""Amount by which a given race line may be below that distance, in m: about the size of a cell's corner."""
-
-_log = logging.getLogger("pcs_racing")
 
 
 @dataclass(frozen=True)
@@ -231,176 +212,6 @@ def build_track(
     for array in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
         digest.update(array.tobytes())
     return Track(name, arrays, _read_only(center), dict(calibration or {}), folder, digest.hexdigest())
-
-
-def as_track(track: Track | str | os.PathLike[str]) -> Track:
-    """Return a circuit as it is, or load it by its name or folder."""
-    return track if isinstance(track, Track) else load_track(track)
-
-
-def load_track(name_or_path: str | os.PathLike[str]) -> Track:
-    """Load a track by the name of a shipped circuit or from a map folder.
-
-    Missing lines are built, which needs ``pip install "pcs-racing[mapping]"``. The race line is built again if the
-    given one leaves a car less than 0.15 m to the walls; the logger ``pcs_racing`` then reports this. Building lines
-    and processing the walls takes about a second. The result is cached on disk (see `pcs_racing.track.cache`), and in
-    memory as long as the process runs. A map whose files have changed is loaded again.
-
-    Parameters
-    ----------
-    name_or_path : str or path-like
-        Name of a shipped circuit (case does not matter), a map folder, or a map's yaml file. See
-        `pcs_racing.track.maps` for the files of a folder.
-
-    Returns
-    -------
-    Track
-        The same object for the same map.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is neither a folder nor a shipped circuit of that name.
-    MapError
-        If the folder, or a file in it, is not a valid map.
-    """
-    files = find_map(_resolve(name_or_path))
-    with _lock:
-        kept = _loaded.get(files.yaml)
-        if kept is None or kept.files != files or kept.stamp != _stamp(kept.paths):
-            contents = read_bytes(files)
-            paths = tuple(files.folder / name for name in contents)
-            kept = _Loaded(files, paths, _stamp(paths), _load(files, contents))
-            _loaded[files.yaml] = kept
-        return kept.track
-
-
-class _Loaded(NamedTuple):
-    files: MapFiles
-    paths: tuple[Path, ...]
-    stamp: tuple[tuple[int, int], ...] | None
-    track: Track
-
-
-_lock = threading.Lock()
-_loaded: dict[Path, _Loaded] = {}
-
-
-def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
-    if not isinstance(name_or_path, str | os.PathLike):
-        raise InputError(f"track is {name_or_path!r:.80}; it must be the name of a circuit or the path of a map")
-    path = Path(name_or_path)
-    if isinstance(name_or_path, str) and path.name == name_or_path:
-        try:
-            return find_shipped(name_or_path)
-        except UnknownNameError:
-            if not os.path.exists(path):
-                raise
-    return path.resolve() if os.path.exists(path) else path
-
-
-def _stamp(paths: tuple[Path, ...]) -> tuple[tuple[int, int], ...] | None:
-    """Return values that change when one of the files changes; None if a file is missing."""
-    try:
-        return tuple((status.st_mtime_ns, status.st_size) for status in map(os.stat, paths))
-    except OSError:
-        return None
-
-
-def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
-    """Return a track from the cache on disk, or build and cache it."""
-    key = cache_key(contents, TRACK)
-    arrays = load_cached(TRACK, key)
-    restored = None if arrays is None else _restore(files, arrays)
-    if restored is not None:
-        track, note = restored
-    else:
-        content = parse_map(files, contents)
-        center, race, note = _lines(files, content)
-        calibration = content.info.get("calibration", {})
-        try:
-            track = build_track(
-                content.name,
-                content.occupied,
-                content.resolution,
-                content.origin,
-                center,
-                race,
-                calibration={preset: calibration_from_values(values) for preset, values in calibration.items()},
-                folder=content.folder,
-            )
-        except MapError as error:
-            raise MapError(f"{files.yaml}: {error}") from error
-        store(TRACK, key, _flatten(track, note))
-    if note:
-        _log.warning("track %s: %s", track.name, note)
-    return track
-
-
-def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
-    """Return centre line and race line of a map, built if missing or unsuitable, and a note with the reason."""
-    from pcs_racing.track.building.centerline import centerline_from_grid
-    from pcs_racing.track.building.raceline import minimum_curvature_raceline
-
-    occupied, resolution, origin = check_grid(content.occupied, content.resolution, content.origin, str(files.yaml))
-    center = race = None
-    reasons = []
-    if content.raceline is None:
-        reasons.append("it has no race line")
-    else:
-        race = check_line(content.raceline[:, 1:3], str(files.raceline))
-        points = sample_closed(race, LINE_SPACING).xy
-        air = float(wall_clearance(points, occupied, resolution, np.asarray(origin), 1.0).min())
-        if air == 0.0:
-            raise MapError(f"{files.raceline} leads through a wall or off the map: it must stay on the track")
-        if air < CLEARANCE - TOLERANCE:
-            reasons.append(f"its race line comes within {air:.2f} m of a wall ({CLEARANCE} m are needed)")
-    if content.centerline is None:
-        reasons.append("it has no centre line")
-    else:
-        center = check_centerline(content.centerline, str(files.centerline))
-    note = " and ".join(reasons)
-    try:
-        if center is None:
-            heading = None if race is None else float(arctangent2(*(race[1] - race[0])[::-1]))
-            seed = None if race is None else race[0]
-            center = centerline_from_grid(occupied, resolution, origin, seed_point=seed, direction=heading)
-        if race is None or air < CLEARANCE - TOLERANCE:
-            race = minimum_curvature_raceline(center, occupied, resolution, origin, clearance=CLEARANCE)
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(f"track {files.name} must be completed: {note}; {error}", name=error.name) from error
-    except MapError as error:
-        raise MapError(f"{files.yaml}: {error}") from error
-    return center, race, f"{note}; it was made from the picture" if note else ""
-
-
-def _flatten(track: Track, note: str) -> dict[str, Any]:
-    """Return all data of a track as arrays; the drivable region stands for the distance field."""
-    values = {name: np.asarray(value) for name, value in track.arrays._asdict().items() if name != "distance"}
-    own = {preset: calibration_values(calibration) for preset, calibration in track.calibration.items()}
-    return values | {
-        "drivable": np.packbits(track.arrays.distance > 0.0, axis=1),
-        "columns": np.asarray(track.arrays.distance.shape[1]),
-        "centerline": track.centerline,
-        "text": np.array(json.dumps([note, track.content_hash, own])),
-    }
-
-
-def _restore(files: MapFiles, stored: dict[str, NDArray[Any]]) -> tuple[Track, str] | None:
-    """Return the track of arrays from `_flatten`; None if an array is missing."""
-    try:
-        drivable = np.unpackbits(stored["drivable"], axis=1, count=int(stored["columns"])).view(np.bool_)
-        note, content_hash, own = json.loads(str(stored["text"]))
-        center = _read_only(stored["centerline"])
-        values: dict[str, Any] = {name: stored[name] for name in TrackArrays._fields if name != "distance"}
-    except (KeyError, ValueError):
-        return None
-    for name, value in values.items():
-        if value.ndim == 0:
-            values[name] = float(value)
-    arrays = TrackArrays(distance=distance_to_walls(drivable, values["cell"]), **values)
-    calibration = {preset: calibration_from_values(values) for preset, values in own.items()}
-    return Track(files.name, arrays, center, calibration, files.folder, content_hash), note
 
 
 def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:

@@ -1,4 +1,4 @@
-"""Behaviours of a pool of opponents, as one sees them in a race, and what each policy of an archive wins against them.
+"""Behaviours of a pool of opponents, as observed in races, and the scores of an archive's policies against them.
 
 :func:`pcs_racing_agents.tournament.match_learning.learn_behaviours` measures them in training races; the agent
 "remember" looks the best reply up in them.

@@ -6,9 +6,7 @@ families, and a family is either for training or for testing: never both. Studie
 
 from dataclasses import dataclass
 
-from pcs_racing.base.errors import InputError
-
-__all__ = ["FAMILIES", "OpponentFamily", "families_for", "family_of"]
+__all__ = ["FAMILIES", "OpponentFamily", "family_of"]
 
 TRAINING, TEST = "training", "test"
 
@@ -60,16 +58,3 @@ def family_of(opponent: str) -> OpponentFamily | None:
     """Return the family of an opponent by name, options left out; None if it belongs to none."""
     name = opponent.partition(":")[0]
     return next((family for family in FAMILIES if name in family.members), None)
-
-
-def families_for(use: str) -> tuple[OpponentFamily, ...]:
-    """Return the families for training, or for tests.
-
-    Raises
-    ------
-    InputError
-        If the use is another word.
-    """
-    if use not in (TRAINING, TEST):
-        raise InputError(f"use is {use!r}; it must be {TRAINING!r} or {TEST!r}")
-    return tuple(family for family in FAMILIES if family.use == use)

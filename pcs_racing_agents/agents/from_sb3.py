@@ -23,7 +23,7 @@ def network_from_sb3(
         With an ``MlpPolicy`` over the plain observation and ReLUs between the layers
         (``policy_kwargs={"activation_fn": torch.nn.ReLU}``), whose actions are the moves of the game.
     identity : GameIdentity
-        The game that it was trained on (:func:`pcs_racing_agents.networks.game_identity`).
+        The game that it was trained on (:func:`pcs_racing.game.identity.game_identity`).
     name : str
     training : dict of str to text or number, optional
         How it was trained, for reports.

@@ -1,4 +1,4 @@
-"""The agent that only remembers: in a match it chooses the best reply to the opponents that behave like this one.
+"""The agent "remember": before each race of a match it chooses the best reply to opponents that behave like this one.
 
 Against a known opponent the best reply is a look-up in a payoff matrix. What was seen in the earlier races tells which
 opponent of a pool it may be: each has a likelihood, normal in the distance between what was seen and what it does on

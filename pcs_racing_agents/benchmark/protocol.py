@@ -11,15 +11,16 @@ from itertools import zip_longest
 from typing import Any, NamedTuple
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.settings import Settings, load_settings, names, setting, text, whole
+from pcs_racing.base.settings import Settings, names, setting, text, whole
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import load_race_config
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.tournament.play import game_rules
 
@@ -153,7 +154,7 @@ def load_protocol(source: str | ProtocolConfig = "bench_v1", **changes: Any) -> 
     InputError
         If a circuit, an archive or an opponent is unknown, or differs from that of the protocol.
     """
-    config = load_settings("protocol", ProtocolConfig(), source, shipped_configs("protocol"), **changes)
+    config = load_config("protocol", ProtocolConfig(), source, **changes)
     rules: GameConfig = game_rules(load_race_config(config.race))
     setting = make_setting(config.archive, rules)
     circuits = dict.fromkeys([*config.seen, *config.unseen])

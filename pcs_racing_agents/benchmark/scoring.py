@@ -116,18 +116,18 @@ def summarise(races: Iterable[CellRaces]) -> list[CardScore]:
     scores = []
     for circuits, wanted in (("seen", (True,)), ("unseen", (False,)), ("all", (True, False))):
         for part in ("all", *KINDS):
-            chosen = [one for one in cells if one.cell.seen in wanted and part in ("all", one.cell.kind)]
+            chosen = [played for played in cells if played.cell.seen in wanted and part in ("all", played.cell.kind)]
             if chosen:
                 scores.append(_score(part, circuits, chosen))
-    return scores + [_score(one.cell.opponent, one.cell.circuit, [one]) for one in cells]
+    return scores + [_score(played.cell.opponent, played.cell.circuit, [played]) for played in cells]
 
 
 def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]]:
     """Scores, and labels of start policies and of opponents' variants, race by race."""
-    scores = np.concatenate([one.races.score for one in cells])
-    egos = np.concatenate([one.races.variants[:, 0] for one in cells])
+    scores = np.concatenate([played.races.score for played in cells])
+    egos = np.concatenate([played.races.variants[:, 0] for played in cells])
     opponents = np.concatenate(
-        [np.char.add(f"{one.cell.opponent} ", one.races.variants[:, 1].astype(str)) for one in cells]
+        [np.char.add(f"{played.cell.opponent} ", played.races.variants[:, 1].astype(str)) for played in cells]
     )
     return scores, egos, opponents
 
@@ -136,8 +136,8 @@ def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     scores, egos, opponents = _columns(cells)
     clusters = [labels for labels in (egos, opponents) if len(np.unique(labels)) > 1]
     estimate = clustered_mean(scores, *clusters)
-    own = np.concatenate([one.races.fault[:, 0] > 0 for one in cells])
-    crashed = np.concatenate([one.races.crashed for one in cells])
+    own = np.concatenate([played.races.fault[:, 0] > 0 for played in cells])
+    crashed = np.concatenate([played.races.crashed for played in cells])
     return CardScore(
         part,
         circuits,
@@ -165,7 +165,7 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
     """
 
     def rows(name: str) -> list[CellRaces]:
-        return [one for one in results[name] if seen is None or one.cell.seen == seen]
+        return [played for played in results[name] if seen is None or played.cell.seen == seen]
 
     blind = {name: float(_columns(rows(name))[0].mean()) for name in results if name != agent}
     best = max(blind, key=lambda name: blind[name])
@@ -185,9 +185,9 @@ def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
     table = measurements()
     archive, race = protocol.setting.archive.name, protocol.setting.race
     pairs = [
-        (table[archive, race, one.cell.opponent].rating, float(one.races.score.mean()))
-        for one in races
-        if (archive, race, one.cell.opponent) in table
+        (table[archive, race, played.cell.opponent].rating, float(played.races.score.mean()))
+        for played in races
+        if (archive, race, played.cell.opponent) in table
     ]
     known = [(strength, score) for strength, score in pairs if np.isfinite(strength)]
     if not known:

@@ -12,10 +12,8 @@ from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, ope
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from pcs_racing.race.replay import Replay
     from pcs_racing_agents.agents.agent import Competitor
     from pcs_racing_agents.benchmark.protocol import Protocol
-    from pcs_racing_agents.benchmark.scoring import CellRaces
     from pcs_racing_agents.jobs.jobs import Job
 
 __all__ = ["add"]
@@ -78,6 +76,7 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.benchmark.entrants import load_entrant
     from pcs_racing_agents.benchmark.protocol import load_protocol
     from pcs_racing_agents.benchmark.scoring import decision_cost, gain, play_protocol, rating, summarise
+    from pcs_racing_agents.benchmark.watching import telling_races
     from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
     from pcs_racing_agents.results.text_table import aligned
 
@@ -96,6 +95,7 @@ def run(arguments: argparse.Namespace) -> None:
             results = play_protocol(protocol, agent, job=job, executor=executor, progress=show_progress("races"))
             reply = _best_reply(protocol, agent, job, executor) if arguments.full else None
     own = results[name]
+    blind = next((cells for other, cells in results.items() if other != name), own)
     circuits = {"seen": True, "unseen": False, "all": None}
     card = Card(
         protocol=config.name,
@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace) -> None:
     )
     print("\n".join(aligned([COLUMNS, *summary_rows(card)])))
     print("\n".join(fact_lines(card)))
-    for path in write_card(card, arguments.out, list(_watched(own, results))):
+    for path in write_card(card, arguments.out, telling_races(own, blind, WATCHED)):
         print(f"written: {path}")
 
 
@@ -134,33 +134,6 @@ def _best_reply(
     )
     loss = reply.loss
     return {"loss": loss.mean, "low": loss.low, "high": loss.high, "starts": settings.starts, "races": loss.units}
-
-
-def _watched(own: "list[CellRaces]", results: "dict[str, list[CellRaces]]") -> "list[tuple[str, Replay]]":
-    """Return the most telling races: those that decide most between the agent and the first blind strategy."""
-    import numpy as np
-
-    from pcs_racing_agents.tournament.watching import record_game
-
-    others = next(iter(cells for name, cells in results.items() if cells is not own), own)
-    telling: list[tuple[float, CellRaces, int]] = []
-    for cell, other in zip(own, others, strict=True):
-        # Races that the agent wins and the other one loses, and the other way round, in turn.
-        surprise = (cell.races.score - other.races.score) * (1.0 if len(telling) % 2 == 0 else -1.0)
-        race = int(np.argmax(surprise))
-        telling.append((float(surprise[race]), cell, race))
-    telling.sort(key=lambda one: -one[0])
-    races = []
-    for _, cell, race in telling[:WATCHED]:
-        recording = record_game(
-            cell.pairing.game,
-            cell.pairing.ego,
-            cell.pairing.opponent,
-            **cell.pairing.race_arguments(race),
-            candidates=False,
-        )
-        races.append((f"{cell.cell.circuit}, race {race}: {recording.replay.outcome}", recording.replay))
-    return races
 
 
 def run_board(arguments: argparse.Namespace) -> None:

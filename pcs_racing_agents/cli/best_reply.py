@@ -5,8 +5,8 @@ from pathlib import Path
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.settings import plain_settings
-from pcs_racing.game.rules import make_game
-from pcs_racing.track.track import load_track
+from pcs_racing.game.make import make_game
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import Commands, add_command, add_rules, add_tracks, rules
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress

@@ -13,8 +13,8 @@ from pcs_racing.game.learned_files import load_learned, save_learned
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import load_race_config
-from pcs_racing.track.track import Track, load_track
-from pcs_racing_agents.cli.headroom import pool_of
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.cli.options import (
     POLICY_HELP,
     Commands,
@@ -29,12 +29,12 @@ from pcs_racing_agents.learning.characteristics.apply import ApplySettings, appl
 from pcs_racing_agents.learning.characteristics.learn import LearnSettings, learn_characteristics
 from pcs_racing_agents.learning.characteristics.pools import CANDIDATE_RACES, CANDIDATES, draw_pool
 from pcs_racing_agents.learning.characteristics.report import learned_text, learning_text, write_weights
-from pcs_racing_agents.payoffs.policy_pool import PolicyPool
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, spanning_policies
 
 __all__ = ["add"]
 
 FILE = "characteristics.yaml"
-_LEARN_OPTIONS = ("name", "inputs", "degree", "pieces", "opponents", "starts", "folds")
+_LEARN_OPTIONS = ("name", "inputs", "degree", "segments", "opponents", "starts", "folds")
 
 
 def add(commands: Commands) -> None:
@@ -101,7 +101,7 @@ def run_learn(arguments: argparse.Namespace) -> None:
     if arguments.policies:
         given = tuple(parse_policy(text) for text in arguments.policies)
     elif arguments.archive:
-        given = pool_of(load_archive(arguments.archive), arguments.size)[1]
+        given = spanning_policies(load_archive(arguments.archive), arguments.size)[1]
     planner = get_planner(arguments.planner)
     size = len(given) if given is not None else check_whole("size", arguments.size, 3, 1000)
     # Checked before anything is raced, with stand-ins for policies that are yet to be drawn.

@@ -9,11 +9,11 @@ from multiprocessing import get_context
 import numpy as np
 
 from pcs_racing.car.lidar import Lidar
-from pcs_racing.game.rules import make_game
+from pcs_racing.game.make import make_game
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.races import draw_starts, run_races
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import Commands, add_command
 
 __all__ = ["add", "compile_kernels"]

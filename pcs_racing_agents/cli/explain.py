@@ -92,7 +92,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _planned(arguments: argparse.Namespace) -> "Pairing":
     """Return the races of a tournament between the two agents of the options."""
-    from pcs_racing.track.track import load_track
+    from pcs_racing.track.loading import load_track
     from pcs_racing_agents.tournament import plan_tournament
 
     plan = plan_tournament(
@@ -138,7 +138,7 @@ def _race(arguments: argparse.Namespace) -> None:
     print(text)
     if arguments.out is not None:
         from pcs_racing.base.files import write_atomically
-        from pcs_racing.race.replay import save_replay
+        from pcs_racing.race.replay_files import save_replay
 
         write_atomically(arguments.out / "race.txt", lambda file: file.write(f"{text}\n".encode()))
         print(f"to watch: {save_replay(explanation.replay, arguments.out / 'race.html')}")

@@ -3,15 +3,9 @@
 import argparse
 from pathlib import Path
 
-import numpy as np
-
-from pcs_racing.base.checks import check_whole
-from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import (
     POLICY_HELP,
     Commands,
@@ -74,8 +68,8 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Race all pairs, print the table, and write files and pictures."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
-    from pcs_racing_agents.payoffs.lead_plans import lead_plan_payoffs, lead_plan_value, make_lead_plans
-    from pcs_racing_agents.payoffs.policy_pool import PolicyPool, slot_payoffs
+    from pcs_racing_agents.payoffs.lead_plans import lead_plan_payoffs, lead_plan_value, make_lead_plans, plan_members
+    from pcs_racing_agents.payoffs.policy_pool import PolicyPool, slot_payoffs, spanning_policies
     from pcs_racing_agents.pictures.style import save_picture
     from pcs_racing_agents.results.csv_files import write_csv
     from pcs_racing_agents.results.text_table import aligned
@@ -91,7 +85,7 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.policies:
         names, policies = list(arguments.policies), tuple(parse_policy(text) for text in arguments.policies)
     else:
-        names, policies = pool_of(load_archive(arguments.archive), arguments.size)
+        names, policies = spanning_policies(load_archive(arguments.archive), arguments.size)
     tracks = tuple(load_track(name) for name in arguments.track)
     pool = PolicyPool(policies, tracks, rules(arguments), races=arguments.races, seed=arguments.seed)
     settings = {
@@ -102,7 +96,7 @@ def run(arguments: argparse.Namespace) -> None:
         "folds": pool.folds,
         "seed": pool.seed,
     }
-    members = members_of(len(policies), arguments.lead_plans)
+    members = plan_members(len(policies), arguments.lead_plans)
     plans = make_lead_plans(len(policies), members) if members else []
     pairs = len(pool.pairs) + len(plans) * len(policies)
     with executor_from(arguments) as executor:
@@ -124,30 +118,3 @@ def run(arguments: argparse.Namespace) -> None:
                     print(
                         f"picture: {save_picture(headroom_picture(game, names), arguments.out / f'{game.track}.png')}"
                     )
-
-
-def members_of(policies: int, count: int) -> list[int]:
-    """Return the numbers of the policies that lead plans are made of, evenly spaced in a pool.
-
-    Raises
-    ------
-    InputError
-        If ``count`` is neither 0 nor from 2 to the number of policies.
-    """
-    if check_whole("lead-plans", count, 0, policies) == 1:
-        raise InputError("lead-plans is 1; a plan of its own needs 2 policies, and 0 means no plans")
-    return [int(k) for k in np.linspace(0, policies - 1, count).round()] if count else []
-
-
-def pool_of(archive: PolicyArchive, size: int) -> tuple[list[str], tuple[Policy, ...]]:
-    """Return names and policies of a pool that spans an archive: evenly spaced in the order of its first axis.
-
-    Raises
-    ------
-    InputError
-        If ``size`` is not from 3 to the number of policies.
-    """
-    size = check_whole("size", size, 3, len(archive))
-    order = np.argsort(archive.coordinates[:, 0], kind="stable")
-    indices = order[np.linspace(0, len(order) - 1, size).round().astype(np.intp)]
-    return [f"{archive.name} {i}" for i in indices], tuple(archive.policy(int(i)) for i in indices)

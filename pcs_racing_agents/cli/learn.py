@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pcs_racing.base.settings import plain_settings
-from pcs_racing.game.rules import RaceGame, make_game
-from pcs_racing.track.track import load_track
+from pcs_racing.game.make import make_game
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import Commands, add_command, add_rules, add_tracks, rules
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.jobs import Job, add_executor_options, executor_from, open_job, show_progress
@@ -26,7 +27,7 @@ METHODS = {
     "self-play": "an average strategy of counterfactual regret minimisation; it needs no pool",
 }
 POOL = ("never-switch", "random-moves")
-"""Opponents of a pool by default: policies of the archive that are kept, and such that change."""
+"""Opponents of a pool by default: one that keeps a policy of the archive, and one that changes it at random."""
 
 
 def add(commands: Commands) -> None:
@@ -153,24 +154,24 @@ def _method(
     source = arguments.config or _configs(arguments.method)[0]
     changes = {"seed": arguments.seed}
     config, moves, count = games[0].config, len(games[0].move_names), len(games)
-    told: dict[str, Any] = {"name": name, "progress": show_progress("tasks")}
+    options: dict[str, Any] = {"name": name, "progress": show_progress("tasks")}
     if arguments.method == "response":
         response = load_response_settings(source, **changes)
         seconds = response_seconds(response, config, moves, count * len(pool))
         return (
             response,
             seconds,
-            lambda job, on: learn_response(games, pool, setting, response, job, executor=on, **told),
+            lambda job, on: learn_response(games, pool, setting, response, job, executor=on, **options),
         )
     if arguments.method == "robust":
         robust = load_robust_settings(source, **changes)
         seconds = robust_seconds(robust, config, moves, count)
-        return robust, seconds, lambda job, on: learn_robust(games, pool, setting, robust, job, executor=on, **told)
+        return robust, seconds, lambda job, on: learn_robust(games, pool, setting, robust, job, executor=on, **options)
     if arguments.method == "psro":
         psro = load_psro_settings(source, **changes)
         seconds = psro_seconds(psro, config, moves, count)
-        return psro, seconds, lambda job, on: learn_psro(games, pool, setting, psro, job, executor=on, **told)
+        return psro, seconds, lambda job, on: learn_psro(games, pool, setting, psro, job, executor=on, **options)
     play = load_self_play_settings(source, **changes)
     arenas = [RaceArena(game, setting, play.worth) for game in games]
     seconds = self_play_seconds(play, config, moves, count)
-    return play, seconds, lambda job, on: learn_self_play(arenas, play, job, executor=on, **told)
+    return play, seconds, lambda job, on: learn_self_play(arenas, play, job, executor=on, **options)

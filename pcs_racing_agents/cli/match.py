@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import TRACK_HELP, Commands, add_command, add_rules, add_tracks, rules
 from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
 

@@ -36,8 +36,8 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Serve the page until the command is interrupted."""
     from pcs_racing.game.archive_files import load_archive
-    from pcs_racing.game.rules import make_game
-    from pcs_racing.track.track import load_track
+    from pcs_racing.game.make import make_game
+    from pcs_racing.track.loading import load_track
     from pcs_racing_agents.agents.zoo import make
     from pcs_racing_agents.view.person_race import PersonRaces, play_page
     from pcs_racing_agents.view.view_server import make_server

@@ -8,8 +8,9 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.recording import LAST_INDEX, record_race
-from pcs_racing.race.replay import Replay, save_replay
-from pcs_racing.track.track import load_track
+from pcs_racing.race.replay import Replay
+from pcs_racing.race.replay_files import save_replay
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents import zoo
 from pcs_racing_agents.cli.options import (
     POLICY_HELP,

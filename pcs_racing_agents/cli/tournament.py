@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from pcs_racing.planners.registry import parse_policy
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import (
     POLICY_HELP,
     Commands,

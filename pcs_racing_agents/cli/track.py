@@ -9,9 +9,10 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.race.calibration import calibrate
 from pcs_racing.race.config import load_race_config
+from pcs_racing.track.loading import load_track
 from pcs_racing.track.map_files import parse_info
 from pcs_racing.track.maps import list_tracks
-from pcs_racing.track.track import Calibration, Track, calibration_values, load_track
+from pcs_racing.track.track import Calibration, Track, calibration_values
 from pcs_racing_agents.cli.options import (
     DEFAULT_TRACK,
     TRACK_HELP,

@@ -7,7 +7,8 @@ from typing import Any
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import UTILITIES
-from pcs_racing.game.rules import RaceGame, make_game
+from pcs_racing.game.make import make_game
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.cli.estimates import announce, cores_of, ego_seconds, tree_seconds
 from pcs_racing_agents.cli.options import Commands, add_command, add_race, add_track
 from pcs_racing_agents.jobs.jobs import Progress, add_executor_options, executor_from, show_progress

@@ -11,7 +11,7 @@ from pcs_racing_agents.cli.options import Commands, add_command, output_file
 
 if TYPE_CHECKING:
     from pcs_racing_agents.results.races import RaceTable
-    from pcs_racing_agents.view.race_choice import Pick
+    from pcs_racing_agents.view.race_choice import SelectedRace
     from pcs_racing_agents.view.results_folder import ResultsFolder
     from pcs_racing_agents.view.view_page import ViewContent
 
@@ -120,9 +120,9 @@ def _find(path: Path) -> "tuple[ResultsFolder | None, Path]":
     return results, folder.with_suffix(".csv") if ratings else folder / "results.csv"
 
 
-def _picks(arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None") -> "list[Pick]":
+def _picks(arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None") -> "list[SelectedRace]":
     """Return the races with replays."""
-    from pcs_racing_agents.view.race_choice import Pick, choose_races
+    from pcs_racing_agents.view.race_choice import SelectedRace, choose_races
 
     if results is None:
         if arguments.replays or arguments.races or arguments.serve:
@@ -133,24 +133,24 @@ def _picks(arguments: argparse.Namespace, races: "RaceTable", results: "ResultsF
             raise InputError(f"--races names {number}; there are races 0 to {len(races) - 1}")
     default = 0 if arguments.races or arguments.serve else REPLAYS
     count = default if arguments.replays is None else arguments.replays
-    requested = {number: Pick(number, "a race that was asked for") for number in arguments.races}
+    requested = {number: SelectedRace(number, "a race that was asked for") for number in arguments.races}
     selected = {pick.race: pick for pick in choose_races(races, count)}
     return list({**requested, **selected, **requested}.values())
 
 
 def _content(
-    arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None", picks: "Sequence[Pick]"
+    arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None", picks: "Sequence[SelectedRace]"
 ) -> "ViewContent":
     """Simulate the selected races, and return the content of the page."""
     from pcs_racing_agents.jobs.jobs import show_progress
-    from pcs_racing_agents.view.race_replays import RaceDriver
+    from pcs_racing_agents.view.race_replays import RaceRepeater
     from pcs_racing_agents.view.view_page import ViewContent
 
     title = arguments.results.resolve()
     name = title.parent.name if title.name == "results.csv" else title.name
     if results is None:
         return ViewContent(name, races, str(arguments.results), why_not=f"{LONE_FILE[:1].upper()}{LONE_FILE[1:]}.")
-    driver, progress = RaceDriver(results), show_progress()
+    driver, progress = RaceRepeater(results), show_progress()
     driven = []
     try:
         for race in driver.drive_all([pick.race for pick in picks]):
@@ -180,16 +180,16 @@ def _kind_of_start(results: "ResultsFolder") -> str:
 
 
 def _serve(
-    arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder", picks: "Sequence[Pick]"
+    arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder", picks: "Sequence[SelectedRace]"
 ) -> None:
     """Serve the page until the command is interrupted."""
     from dataclasses import replace
 
-    from pcs_racing_agents.view.race_replays import RaceDriver
+    from pcs_racing_agents.view.race_replays import RaceRepeater
     from pcs_racing_agents.view.view_page import view_page
     from pcs_racing_agents.view.view_server import RaceService, make_server
 
     page = view_page(replace(_content(arguments, races, results, picks), serve=True))
-    service = RaceService(RaceDriver(results), len(races))
+    service = RaceService(RaceRepeater(results), len(races))
     with make_server(page, service.answer, arguments.port or 0) as server:
         serve(server, f"{len(races)} races", open_it=not arguments.no_open)

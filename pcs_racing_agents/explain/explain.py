@@ -26,8 +26,8 @@ from pcs_racing_agents.tournament.watching import record_game
 
 __all__ = [
     "DefaultStrategy",
+    "ExplainedDecision",
     "Explanation",
-    "Step",
     "Unit",
     "explain_game",
     "is_blind",
@@ -68,7 +68,7 @@ class DefaultStrategy(NamedTuple):
     margin: float
 
 
-class Step(NamedTuple):
+class ExplainedDecision(NamedTuple):
     """A decision: the observation, values and move of the explained car.
 
     Attributes
@@ -125,7 +125,7 @@ class Explanation:
         Name of the rules.
     step_seconds : float
         Time between two moves, s.
-    steps : tuple of Step
+    steps : tuple of ExplainedDecision
         One for each move that was made; fewer after a crash.
     replay : Replay
         The race, with the moves as events.
@@ -144,7 +144,7 @@ class Explanation:
     car: int
     race: str
     step_seconds: float
-    steps: tuple[Step, ...]
+    steps: tuple[ExplainedDecision, ...]
     replay: Replay
     played: PlayedGames
     unit: Unit | None
@@ -224,7 +224,7 @@ def explain_game(
 
 def _steps(
     arena: RaceGame, competitor: Competitor, played: PlayedGames, car: int, network: RegretNetwork | None
-) -> tuple[Step, ...]:
+) -> tuple[ExplainedDecision, ...]:
     axes = len(arena.characteristics)
     strategy = getattr(competitor, "strategy", None)
     steps = []
@@ -234,7 +234,7 @@ def _steps(
         if isinstance(strategy, AdaptiveStrategy):
             default_move = int(strategy.blind.predict(observation[0])[0])
         steps.append(
-            Step(
+            ExplainedDecision(
                 time=(k + 1) * arena.config.step_seconds,
                 own=own(observation, axes)[0].astype(np.float64),
                 opponent=opponent(observation, axes)[0].astype(np.float64),
@@ -269,7 +269,7 @@ def value_unit(network: RegretNetwork, utility: str) -> Unit:
     network : RegretNetwork
         The fact ``worth`` of its training decides ("win": shares of races won), else its target and the utility.
     utility : str
-        One of :data:`pcs_racing.UTILITIES`.
+        One of :data:`pcs_racing.game.config.UTILITIES`.
     """
     if network.training.get("worth") == "win":
         return Unit(1.0, "of a win")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing_agents.explain.explain import Explanation, Step
+from pcs_racing_agents.explain.explain import ExplainedDecision, Explanation
 
 __all__ = ["ADJECTIVES", "CLEAR", "lead_words", "move_words", "opponent_words", "story", "why"]
 
@@ -31,7 +31,7 @@ def story(explanation: Explanation) -> str:
         f"{explanation.race} rules: {explanation.replay.outcome}"
     ]
     if explanation.blind:
-        lines.append(f"{me} never looks at the opponent: what is seen below had no say in its moves.")
+        lines.append(f"{me} never looks at the opponent: what is seen below does not change its moves.")
     for k, step in enumerate(explanation.steps):
         lines += [
             f"{step.time:5.1f} s  saw: {opponent_words(explanation, step)}; {lead_words(step.lead)}.",
@@ -46,7 +46,7 @@ def story(explanation: Explanation) -> str:
     return "\n".join(lines)
 
 
-def opponent_words(explanation: Explanation, step: Step) -> str:
+def opponent_words(explanation: Explanation, step: ExplainedDecision) -> str:
     """Describe the observed opponent: ``"opponent restrained (aggressiveness 0.21 below the middle)"``."""
     names = [axis.name for axis in get_characteristics(explanation.archive.characteristics)]
     distances = step.opponent - explanation.middle
@@ -67,7 +67,7 @@ def lead_words(lead: float) -> str:
     return f"{'ahead' if lead > 0.0 else 'behind'} by {abs(lead):.1f} m"
 
 
-def move_words(explanation: Explanation, step: Step) -> str:
+def move_words(explanation: Explanation, step: ExplainedDecision) -> str:
     """Describe the move and the change of policy."""
     name = explanation.moves[step.move]
     chance = "" if step.probabilities is None or step.probabilities[step.move] > 0.999 else _drawn(step)
@@ -87,12 +87,12 @@ def move_words(explanation: Explanation, step: Step) -> str:
     return f"{name}{chance}, from policy {step.policy} to {step.next_policy} ({changes})"
 
 
-def _drawn(step: Step) -> str:
+def _drawn(step: ExplainedDecision) -> str:
     assert step.probabilities is not None
     return f" (drawn with a chance of {step.probabilities[step.move]:.0%})"
 
 
-def why(explanation: Explanation, step: Step) -> str:
+def why(explanation: Explanation, step: ExplainedDecision) -> str:
     """Describe the value of the move compared with others; empty without values."""
     values, unit = step.values, explanation.unit
     if values is None or unit is None:
@@ -118,7 +118,7 @@ def why(explanation: Explanation, step: Step) -> str:
     return text
 
 
-def _why_default(explanation: Explanation, step: Step, best: int) -> str:
+def _why_default(explanation: Explanation, step: ExplainedDecision, best: int) -> str:
     """Describe why an agent left its default strategy, or did not."""
     default, values, default_move = explanation.default, step.values, step.default_move
     assert default is not None

@@ -1,8 +1,13 @@
-"""The configurations that come with the package."""
+"""Configurations of a kind: those that come with the package, and files of a user."""
 
 from pathlib import Path
+from typing import Any, TypeVar
 
-__all__ = ["shipped_configs"]
+from pcs_racing.base.settings import Settings, load_settings
+
+__all__ = ["load_config", "shipped_configs"]
+
+Kind = TypeVar("Kind", bound=Settings)
 
 
 def shipped_configs(kind: str) -> dict[str, Path]:
@@ -12,3 +17,16 @@ def shipped_configs(kind: str) -> dict[str, Path]:
         file.stem.removeprefix(f"{kind}_"): file
         for file in sorted(folder.glob(f"{kind}_*.yaml"), key=lambda file: file.stem)
     }
+
+
+def load_config(kind: str, default: Kind, source: str | Path | Kind | None, /, **changes: Any) -> Kind:
+    """Return a configuration from a shipped one's name, a YAML file or settings, with some fields changed.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown, or a value is none that the key may have.
+    UnknownNameError
+        If the name is no configuration of this kind and no file.
+    """
+    return load_settings(kind, default, source, shipped_configs(kind), **changes)

@@ -6,12 +6,12 @@ It needs no torch, takes a few microseconds for a decision, and never changes. H
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_facts, check_text
 from pcs_racing.base.dense import DenseLayers, dense_rows
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
@@ -71,13 +71,9 @@ class RegretNetwork:
             object.__setattr__(self, key, value)
 
         for key in ("name", "target"):
-            if not isinstance(getattr(self, key), str) or not getattr(self, key):
-                raise InputError(f"a network's {key} is {getattr(self, key)!r}; it must be a non-empty text")
+            check_text(f"a network's {key}", getattr(self, key))
         where = f"network {self.name!r}"
-        for key, value in self.training.items():
-            if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
-                raise InputError(f"{where}: training {key!r} is {value!r:.80}; it must be texts and numbers by name")
-        assign("training", MappingProxyType(dict(self.training)))
+        assign("training", check_facts(f"{where}: training", self.training))
         if not isinstance(self.identity, GameIdentity):
             raise InputError(f"{where}: identity is {self.identity!r}; it must be a GameIdentity")
         sizes = self.layers.sizes

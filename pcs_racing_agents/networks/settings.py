@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import Settings, choice, flag, load_settings, number, setting, whole, wholes
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing.base.settings import Settings, choice, flag, number, setting, whole, wholes
+from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.networks.targets import OPPONENTS, ROW_WEIGHTS, TARGETS
 from pcs_racing_agents.solvers import VARIANTS
 
@@ -116,4 +116,4 @@ def load_train_settings(source: str | Path | TrainSettings | None = None, **chan
     UnknownNameError
         If the name is no configuration and no file.
     """
-    return load_settings("train", TrainSettings(), source, shipped_configs("train"), **changes)
+    return load_config("train", TrainSettings(), source, **changes)

@@ -13,7 +13,7 @@ from pcs_racing_agents.payoffs.headroom import (
     transitive_share,
 )
 from pcs_racing_agents.payoffs.lead_plans import LeadPlanValue, lead_plan_payoffs, lead_plan_value, make_lead_plans
-from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, slot_payoffs
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, slot_payoffs, spanning_policies
 
 __all__ = [
     "CyclicPlane",
@@ -34,5 +34,6 @@ __all__ = [
     "ratings",
     "slot_headroom",
     "slot_payoffs",
+    "spanning_policies",
     "transitive_share",
 ]

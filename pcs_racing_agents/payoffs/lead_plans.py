@@ -20,7 +20,7 @@ from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, race_scores
 
-__all__ = ["LeadPlanValue", "lead_plan_payoffs", "lead_plan_value", "make_lead_plans"]
+__all__ = ["LeadPlanValue", "lead_plan_payoffs", "lead_plan_value", "make_lead_plans", "plan_members"]
 
 Floats = NDArray[np.float64]
 Plan = tuple[int, int]
@@ -56,6 +56,19 @@ def make_lead_plans(policies: int, members: Sequence[int]) -> list[Plan]:
     """Return plans (policy ahead, policy behind): every policy all the time, then all pairs of different members."""
     fixed = [(k, k) for k in range(policies)]
     return [*fixed, *((ahead, behind) for ahead in members for behind in members if ahead != behind)]
+
+
+def plan_members(policies: int, count: int) -> list[int]:
+    """Return the numbers of the policies that lead plans are made of, evenly spaced in a pool.
+
+    Raises
+    ------
+    InputError
+        If ``count`` is neither 0 nor from 2 to the number of policies.
+    """
+    if check_whole("lead-plans", count, 0, policies) == 1:
+        raise InputError("lead-plans is 1; a plan of its own needs 2 policies, and 0 means no plans")
+    return [int(k) for k in np.linspace(0, policies - 1, count).round()] if count else []
 
 
 def lead_plan_payoffs(

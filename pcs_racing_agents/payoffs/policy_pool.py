@@ -13,16 +13,18 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.track.track import Track, as_track
+from pcs_racing.track.loading import as_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
 
-__all__ = ["PolicyPool", "pool_payoffs", "race_scores", "slot_payoffs"]
+__all__ = ["PolicyPool", "pool_payoffs", "race_scores", "slot_payoffs", "spanning_policies"]
 
 Floats = NDArray[np.float64]
 
@@ -174,3 +176,17 @@ def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: in
 def race_scores(winner: NDArray[np.int8]) -> Floats:
     """Return the score of car 0 in races that are over: 1 for a win, 0 for a loss, else one half."""
     return np.where(winner == 0, 1.0, np.where(winner == 1, 0.0, 0.5))
+
+
+def spanning_policies(archive: PolicyArchive, size: int) -> tuple[list[str], tuple[Policy, ...]]:
+    """Return names and policies of a pool that spans an archive, evenly spaced in the order of its first axis.
+
+    Raises
+    ------
+    InputError
+        If ``size`` is not from 3 to the number of policies.
+    """
+    size = check_whole("size", size, 3, len(archive))
+    order = np.argsort(archive.coordinates[:, 0], kind="stable")
+    indices = order[np.linspace(0, len(order) - 1, size).round().astype(np.intp)]
+    return [f"{archive.name} {i}" for i in indices], tuple(archive.policy(int(i)) for i in indices)

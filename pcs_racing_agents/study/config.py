@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import Settings, load_settings, names, setting, tenths, text, whole
+from pcs_racing.base.settings import Settings, names, setting, tenths, text, whole
 from pcs_racing.game.archive_files import list_archives
 from pcs_racing.game.config import EPSILON_RULE, GameConfig, load_game_config
 from pcs_racing.race.config import load_race_config
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
@@ -200,4 +200,4 @@ def load_study_config(source: str | Path | StudyConfig | None = None, **changes:
     UnknownNameError
         If a name is unknown.
     """
-    return load_settings("study", StudyConfig(), source, shipped_configs("study"), **changes)
+    return load_config("study", StudyConfig(), source, **changes)

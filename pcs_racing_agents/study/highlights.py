@@ -12,12 +12,12 @@ from pcs_racing_agents.explain.words import story
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.pairings import Pairing
 
-__all__ = ["KINDS", "Highlight", "Watched", "select_highlights", "watch_race"]
+__all__ = ["KINDS", "ExplainedRace", "Highlight", "select_highlights", "watch_race"]
 
 KINDS = ("win", "loss", "crash")
 
 
-class Watched(NamedTuple):
+class ExplainedRace(NamedTuple):
     """A race with explanation and replay for a report.
 
     Attributes
@@ -91,7 +91,7 @@ def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highli
     return highlights
 
 
-def watch_race(pairing: Pairing, race: int, title: str, *, candidates: bool = False) -> Watched:
+def watch_race(pairing: Pairing, race: int, title: str, *, candidates: bool = False) -> ExplainedRace:
     """Repeat a race for the report.
 
     Parameters
@@ -113,7 +113,7 @@ def watch_race(pairing: Pairing, race: int, title: str, *, candidates: bool = Fa
         from pcs_racing_agents.pictures.style import picture_bytes
 
         picture = picture_bytes(explanation_picture(explanation))
-    return Watched(title, story(explanation), explanation.replay, picture)
+    return ExplainedRace(title, story(explanation), explanation.replay, picture)
 
 
 def _median(races: NDArray[np.intp], lead: NDArray[np.float64]) -> int:

@@ -13,20 +13,20 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pcs_racing.base.files import write_atomically
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.race.replay import replay_page
+from pcs_racing.race.replay_files import replay_page
 from pcs_racing_agents.explain.situations import Situations, situations_text
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.text_table import is_number
-from pcs_racing_agents.study.highlights import Watched
+from pcs_racing_agents.study.highlights import ExplainedRace
 from pcs_racing_agents.study.report_inputs import ReplyLoss, mean_scores, scores_and_losses, total_losses
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
 
-__all__ = ["Picture", "ReportContent", "Sheet", "page_environment", "report_page", "write_page"]
+__all__ = ["Picture", "ReportContent", "TitledTable", "page_environment", "report_page", "write_page"]
 
 
-class Sheet(NamedTuple):
+class TitledTable(NamedTuple):
     """A table with a title.
 
     Attributes
@@ -86,12 +86,12 @@ class ReportContent:
     rivals : RoundRobin, optional
     situations : sequence of Situations
         Moves by situation, for each agent.
-    ablations : sequence of Sheet
-    sheets : sequence of Sheet
+    ablations : sequence of TitledTable
+    sheets : sequence of TitledTable
         Other tables.
     pictures : sequence of Picture
         Other pictures.
-    races : sequence of Watched
+    races : sequence of ExplainedRace
     settings, versions, seeds : mapping
     seconds : mapping of str to float
         Time of each stage, s.
@@ -109,10 +109,10 @@ class ReportContent:
     judged: StudyTable | None = None
     rivals: RoundRobin | None = None
     situations: Sequence[Situations] = ()
-    ablations: Sequence[Sheet] = ()
-    sheets: Sequence[Sheet] = ()
+    ablations: Sequence[TitledTable] = ()
+    sheets: Sequence[TitledTable] = ()
     pictures: Sequence[Picture] = ()
-    races: Sequence[Watched] = ()
+    races: Sequence[ExplainedRace] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, Any] = field(default_factory=dict)
     seeds: Mapping[str, Any] = field(default_factory=dict)

@@ -19,7 +19,7 @@ from pcs_racing_agents.study.highlights import KINDS, Highlight, select_highligh
 from pcs_racing_agents.study.playing import PLAYING_SEED, REPLY_SEED
 from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
 from pcs_racing_agents.study.racing import RIVAL_SEED, TABLE_SEED, StudyRaces, table_races
-from pcs_racing_agents.study.report import ReportContent, Sheet, Watched, write_page
+from pcs_racing_agents.study.report import ExplainedRace, ReportContent, TitledTable, write_page
 from pcs_racing_agents.study.report_inputs import ReplyLoss, read_curves, read_losses, software
 from pcs_racing_agents.study.situations import moves_in_situations
 from pcs_racing_agents.study.study import Study
@@ -91,7 +91,7 @@ def _content(
         further = judged = study_table(study, study_races, "further")
         head, *rows = overview_rows(further, difference_text)
         note = f"{config.further_lines * config.egos * config.variants * 2} races of each agent in each row."
-        sheets.append(Sheet("More opponents, circuits and agents", head, tuple(rows), note))
+        sheets.append(TitledTable("More opponents, circuits and agents", head, tuple(rows), note))
     sheets += _families(study, study_races, judged)
     return ReportContent(
         title=f"Study: {config.race} race, archive {study.archive.name}",
@@ -118,7 +118,7 @@ def _content(
     )
 
 
-def _families(study: Study, study_races: Sequence[StudyRaces], table: StudyTable) -> Iterator[Sheet]:
+def _families(study: Study, study_races: Sequence[StudyRaces], table: StudyTable) -> Iterator[TitledTable]:
     """Write the gains by family of opponents in the widest table, and yield them as a sheet; nothing without a gain."""
     if table.best is None or table.blind is None:
         return
@@ -128,7 +128,7 @@ def _families(study: Study, study_races: Sequence[StudyRaces], table: StudyTable
     if not gains:
         return
     write_family_gains(gains, study.folder / "families.csv")
-    yield Sheet(
+    yield TitledTable(
         f"Gain by family of opponents: {table.best} minus {table.blind}",
         FAMILY_HEAD,
         tuple(family_rows(gains)),
@@ -208,7 +208,7 @@ def _seeds(study: Study) -> dict[str, int]:
     return seeds
 
 
-def _watched(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[Watched]:
+def _watched(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[ExplainedRace]:
     """Yield a win by switching, a loss and a crash of the best agent, each from the first row that has one."""
     raced = {(f.pairing.game.track.name, *f.pairing.names): f for f in study_races if f.table == "main"}
     first: dict[str, tuple[Pairing, Highlight]] = {}

@@ -8,8 +8,10 @@ from typing import Any
 
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.game.rules import RaceGame, make_game
-from pcs_racing.track.track import Track, load_track
+from pcs_racing.game.make import make_game
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import build

@@ -119,14 +119,14 @@ def hypervolume_error(raced: Arrays, scale: Scale, reference: float, seed: int =
 
     Pairs of races that differ in the side only are drawn together.
     """
-    totals, pieces = raced["totals"], raced["pieces"].astype(np.float64)
+    totals, segments = raced["totals"], raced["segments"].astype(np.float64)
     pairs = totals.shape[1] // 2
     rng = np.random.default_rng(seed)
     volumes = []
     for _ in range(RESAMPLES):
         weights = np.repeat(np.bincount(rng.integers(pairs, size=pairs), minlength=pairs), 2)
         sums = (totals * weights[:, None]).sum(axis=1)
-        volumes.append(hypervolume(scale(sums / (pieces * weights).sum(axis=1)[:, None]), reference))
+        volumes.append(hypervolume(scale(sums / (segments * weights).sum(axis=1)[:, None]), reference))
     return float(np.std(volumes, ddof=1))
 
 

@@ -22,7 +22,7 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.folders import clear_half_written
 from pcs_racing_agents.jobs.jobs import open_job

@@ -11,7 +11,6 @@ from pcs_racing.base.settings import (
     Settings,
     checked,
     choice,
-    load_settings,
     names,
     number,
     setting,
@@ -22,7 +21,7 @@ from pcs_racing.base.settings import (
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig, load_race_config
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.jobs.configuration import load_config, shipped_configs
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS
 from pcs_racing_agents.synthesis.optimisers import METHODS
 
@@ -160,8 +159,8 @@ class ArchiveConfig(Settings):
         super().__post_init__()
         for key in ("duration", "final_duration"):
             length = getattr(self, key)
-            pieces = round(length / self.segment_seconds)
-            if pieces < 1 or abs(pieces * self.segment_seconds - length) > 1e-9:
+            segments = round(length / self.segment_seconds)
+            if segments < 1 or abs(segments * self.segment_seconds - length) > 1e-9:
                 raise ConfigError(
                     f"{key} is {length:g} s; it must be a multiple of segment_seconds, {self.segment_seconds:g} s"
                 )
@@ -268,4 +267,4 @@ def load_archive_config(source: str | Path | ArchiveConfig | None = None, **chan
     InputError
         If a name stands for nothing.
     """
-    return load_settings(KIND, ArchiveConfig(), source, shipped_configs(KIND), **changes)
+    return load_config(KIND, ArchiveConfig(), source, **changes)

@@ -13,11 +13,11 @@ from pcs_racing.game.characteristics import Segment, get_characteristics, measur
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.track.track import as_track
+from pcs_racing.track.loading import as_track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies
 
-__all__ = ["Evaluation", "PolicyTask", "evaluate", "join", "on_worker", "race_pieces", "race_policies", "summarise"]
+__all__ = ["Evaluation", "PolicyTask", "evaluate", "join", "on_worker", "race_policies", "race_segments", "summarise"]
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Evaluation(NamedTuple):
     Attributes
     ----------
     coordinates : ndarray, shape (K, G)
-        Mean over all pieces of racing, in the characteristics' units.
+        Mean over all segments of races, in the characteristics' units.
     own_crash : ndarray, shape (K,)
         Share of the races that ended by a crash of the policy's own fault.
     spread : ndarray, shape (K, G)
@@ -54,7 +54,7 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     Returns
     -------
     dict of ndarray
-        ``totals`` (k, R, G): sums over the pieces that each race began; ``pieces`` (k, R): how many it began;
+        ``totals`` (k, R, G): sums over the segments that each race began; ``segments`` (k, R): how many it began;
         ``own_crash`` (k, R): whether it ended by a crash of the policy's own fault; ``crashed`` (k, R): whether it
         ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none.
 
@@ -63,22 +63,22 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     InputError
         If a characteristic is not finite.
     """
-    raced = race_pieces(task, threads)
+    raced = race_segments(task, threads)
     values = raced.pop("values")
     begun = ~np.isnan(values[..., 0])
     totals = np.zeros((*values.shape[:2], values.shape[3]))
-    for piece in range(values.shape[2]):
-        totals += np.where(begun[:, :, piece, None], values[:, :, piece], 0.0)
-    return {"totals": totals, "pieces": begun.sum(axis=2).astype(np.int16), **raced}
+    for k in range(values.shape[2]):
+        totals += np.where(begun[:, :, k, None], values[:, :, k], 0.0)
+    return {"totals": totals, "segments": begun.sum(axis=2).astype(np.int16), **raced}
 
 
-def race_pieces(task: PolicyTask, threads: int | None = None) -> Arrays:
-    """Race some policies in some scenarios, and measure every piece of every race.
+def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
+    """Race some policies in some scenarios, and measure every segment of every race.
 
     Returns
     -------
     dict of ndarray
-        ``values`` (k, R, S, G): characteristics of the policy in each of the S pieces of a race; NaN in pieces that
+        ``values`` (k, R, S, G): characteristics of the policy in each of the S segments of a race; NaN in segments that
         the race did not begin. The others as :func:`race_policies` returns them.
 
     Raises
@@ -105,7 +105,7 @@ def race_pieces(task: PolicyTask, threads: int | None = None) -> Arrays:
             state = start_races(setup, Starts(scenarios.start_s[which], scenarios.side[which]), scenarios.seed[which])
             rivals = scenarios.opponents[scenarios.opponent[which]]
             theta = np.ascontiguousarray(np.stack([parameters[ego], rivals], axis=1))
-            for piece in range(number):
+            for k in range(number):
                 before = state.copy()
                 advance(setup, state, theta, length, threads=threads)
                 segment = Segment.between(before, state, scenarios.segment_seconds)
@@ -117,7 +117,7 @@ def race_pieces(task: PolicyTask, threads: int | None = None) -> Arrays:
                         f"characteristic {axes[axis].name!r} is {measured[row, axis]} in race {which[row]} of policy "
                         f"{ego[row]}; it must be finite"
                     )
-                values[ego, which, piece] = np.where(begun[:, None], measured, np.nan)
+                values[ego, which, k] = np.where(begun[:, None], measured, np.nan)
             own_crash[ego, which] = state.fault[:, 0] == 1
             crashed[ego, which] = state.crashed
             winner[ego, which] = winners(scenarios.config, state)
@@ -127,14 +127,14 @@ def race_pieces(task: PolicyTask, threads: int | None = None) -> Arrays:
 def summarise(raced: Arrays) -> Evaluation:
     """Return means, shares and standard errors of what :func:`race_policies` returned.
 
-    A coordinate is a ratio, the sum over all pieces by their number; its standard error follows from the residuals of
-    the races (linearised; the pieces of a race count as one observation).
+    A coordinate is a ratio, the sum over all segments by their number; its standard error follows from the residuals of
+    the races (linearised; the segments of a race count as one observation).
     """
-    totals, pieces = raced["totals"], raced["pieces"].astype(np.float64)
+    totals, segments = raced["totals"], raced["segments"].astype(np.float64)
     races = totals.shape[1]
-    coordinates = totals.sum(axis=1) / pieces.sum(axis=1)[:, None]
-    residuals = totals - coordinates[:, None] * pieces[..., None]
-    spread = np.sqrt(races / max(races - 1, 1) * (residuals**2).sum(axis=1)) / pieces.sum(axis=1)[:, None]
+    coordinates = totals.sum(axis=1) / segments.sum(axis=1)[:, None]
+    residuals = totals - coordinates[:, None] * segments[..., None]
+    spread = np.sqrt(races / max(races - 1, 1) * (residuals**2).sum(axis=1)) / segments.sum(axis=1)[:, None]
     return Evaluation(coordinates, raced["own_crash"].mean(axis=1), spread, (raced["winner"] == 0).mean(axis=1))
 
 

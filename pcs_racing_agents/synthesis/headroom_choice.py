@@ -84,7 +84,7 @@ def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tupl
 def judge_headroom(races: PolicyRaces, parameters: Floats, seed: int) -> Notes:
     """Race all pairs of an archive's policies in new races, and say how much of a game it holds on each circuit.
 
-    Circuits of ``config.judging_tracks`` had no say in the choice.
+    Circuits of ``config.judging_tracks`` are not used for the choice.
     """
     config = races.config
     tracks = (*config.tracks, *(config.judging_tracks or ()))

@@ -18,7 +18,8 @@ from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import start_lines
-from pcs_racing.track.track import Track, as_track
+from pcs_racing.track.loading import as_track
+from pcs_racing.track.track import Track
 
 __all__ = ["Scenarios", "check_policies", "draw_scenarios"]
 
@@ -39,7 +40,7 @@ class Scenarios:
         Of the policies and of their opponents.
     characteristics : tuple of str
     segment_seconds : float
-        Length of the pieces that coordinates are means of, s.
+        Length of the segments that coordinates are means of, s.
     opponents : ndarray, shape (O, P)
         Parameters of the opponents.
     track : ndarray, shape (R,)
@@ -99,7 +100,7 @@ def draw_scenarios(
     starts : int
         Start lines on each track, 1 to 1000.
     segment_seconds : float
-        Length of a piece, s; the duration of the race must be a multiple.
+        Length of a segment, s; the duration of the race must be a multiple.
     seed : int
         Root of start lines and noise.
 
@@ -112,10 +113,10 @@ def draw_scenarios(
     ------
     InputError
         If a number is out of its range, a track has no place for the start, or the duration is no multiple of the
-        pieces.
+        segments.
     """
-    pieces = round(config.duration / segment_seconds) if segment_seconds > 0.0 else 0
-    if pieces < 1 or abs(pieces * segment_seconds - config.duration) > 1e-9:
+    segments = round(config.duration / segment_seconds) if segment_seconds > 0.0 else 0
+    if segments < 1 or abs(segments * segment_seconds - config.duration) > 1e-9:
         raise InputError(f"a race of {config.duration:g} s is no multiple of segment_seconds, {segment_seconds:g} s")
     family = get_planner(planner)
     opponents = check_policies("opponents", opponents, family)

@@ -39,11 +39,11 @@ def difference_errors(raced: Arrays) -> Floats:
     raced : dict of ndarray
         What :func:`~pcs_racing_agents.synthesis.evaluate.race_policies` returned: the same R races for all of them.
     """
-    totals, pieces = raced["totals"], raced["pieces"].astype(np.float64)
+    totals, segments = raced["totals"], raced["segments"].astype(np.float64)
     races = totals.shape[1]
-    coordinates = totals.sum(axis=1) / pieces.sum(axis=1)[:, None]
+    coordinates = totals.sum(axis=1) / segments.sum(axis=1)[:, None]
     # What each race contributes to the error of a ratio of sums, linearised.
-    shares = (totals - coordinates[:, None] * pieces[..., None]) / pieces.sum(axis=1)[:, None, None]
+    shares = (totals - coordinates[:, None] * segments[..., None]) / segments.sum(axis=1)[:, None, None]
     products = np.einsum("irg,jrg->ijg", shares, shares)  # not BLAS: the same bits whatever its threads
     own = np.einsum("iig->ig", products)
     squares = own[:, None] + own[None] - 2.0 * products

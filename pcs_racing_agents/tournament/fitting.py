@@ -93,8 +93,8 @@ class TrainingRaces:
         }
 
 
-class Work(NamedTuple):
-    """Options of :func:`play_pairings`: where training races are simulated.
+class RunOptions(NamedTuple):
+    """Where training races are simulated, and who is told of their progress: options of :func:`play_pairings`.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Work(NamedTuple):
     progress: Progress | None = None
 
 
-def evaluate(training: TrainingRaces, candidates: Sequence[Agent], work: Work, name: str) -> NDArray[np.float64]:
+def evaluate(training: TrainingRaces, candidates: Sequence[Agent], run: RunOptions, name: str) -> NDArray[np.float64]:
     """Return the mean objective of each candidate over the training races, shape (len(candidates),)."""
     setting = training.setting
     common: list[Pairing] = []
@@ -120,7 +120,7 @@ def evaluate(training: TrainingRaces, candidates: Sequence[Agent], work: Work, n
             rolled = schedule._replace(draws=np.roll(schedule.draws, 2 * k, axis=0))
             common.append(schedule_pairing(game, candidates[0], opponent, rolled, training.seed))
     pairings = [replace(pairing, ego=candidate) for candidate in candidates for pairing in common]
-    played = play_pairings(pairings, name=name, **work._asdict())
+    played = play_pairings(pairings, name=name, **run._asdict())
     means = np.array([OBJECTIVES[training.objective](games).mean() for games in played])
     return means.reshape(len(candidates), -1).mean(axis=1)
 
@@ -153,7 +153,7 @@ def fit_best_schedule(
     InputError
         If the method is unknown, or "all" would evaluate more than 10,000 sequences.
     """
-    setting, work = training.setting, Work(job, executor, progress)
+    setting, run = training.setting, RunOptions(job, executor, progress)
     count, steps = len(setting.moves), setting.config.moves
     if method not in ("ascent", "all"):
         raise InputError(f"method is {method!r}; it must be 'ascent' or 'all'")
@@ -162,7 +162,7 @@ def fit_best_schedule(
 
     def raced(sequences: Sequence[Choices], before: int) -> NDArray[np.float64]:
         plans = [best_schedule(setting, moves=[setting.moves[i] for i in sequence]) for sequence in sequences]
-        return evaluate(training, plans, work, f"schedule-{before}")
+        return evaluate(training, plans, run, f"schedule-{before}")
 
     best, scores = _search(raced, range(count), steps, method == "all")
     facts = {"method": method, **training.facts(scores[best], len(scores))}
@@ -241,7 +241,7 @@ def fit_best_fixed(
     setting = training.setting
     candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
     walkers = [best_fixed(setting, target=target) for target in candidates]
-    values = evaluate(training, walkers, Work(job, executor, progress), "fixed")
+    values = evaluate(training, walkers, RunOptions(job, executor, progress), "fixed")
     index = int(np.argmax(values))
     return make_fit("best-fixed", candidates[index], setting, training.facts(float(values[index]), len(candidates)))
 
@@ -272,12 +272,12 @@ def fit_best_lead_plan(
     InputError
         If the archive has no such policy.
     """
-    setting, work = training.setting, Work(job, executor, progress)
+    setting, run = training.setting, RunOptions(job, executor, progress)
     candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
 
     def raced(plans: Sequence[Choices], before: int) -> NDArray[np.float64]:
         agents = [best_lead_plan(setting, targets=dict(zip(LEAD_PLAN, plan, strict=True))) for plan in plans]
-        return evaluate(training, agents, work, f"lead-plan-{before}")
+        return evaluate(training, agents, run, f"lead-plan-{before}")
 
     best, scores = _search(raced, candidates, len(LEAD_PLAN))
     choice = dict(zip(LEAD_PLAN, best, strict=True))

@@ -15,7 +15,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.match import MatchConfig, MatchGame
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import start_lines
-from pcs_racing.track.track import Track, as_track
+from pcs_racing.track.loading import as_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.behaviours import Behaviours
 from pcs_racing_agents.agents.remember import RememberedReply
 from pcs_racing_agents.agents.setting import Setting
@@ -30,16 +31,16 @@ __all__ = ["ARMS", "MatchTest", "TrackGain", "gain_text", "match_gains", "write_
 
 Floats = NDArray[np.float64]
 
-ARMS = ("best fixed", "remember", "nearest", "told")
+ARMS = ("best fixed", "remember", "nearest", "known")
 """The players that are compared: the best policy on average over the opponents in every race; the reply to what was
 seen, by likelihood and to the nearest behaviour; the best reply to the opponent, which is known from the start. All are
 chosen on the training races."""
 
-HEAD = ("track", "learned", "fixed", "gain", "low", "high", "by race", "nearest", "told", "low", "high")
-NOTE = """learned: whether behaviours and scores were learned on this circuit, in other races, or it had no say;
+HEAD = ("track", "learned", "fixed", "gain", "low", "high", "by race", "nearest", "known", "low", "high")
+NOTE = """learned: whether behaviours and scores were learned on this circuit, in other races;
 fixed: races won per race by the best fixed policy of the training races; gain: what remembering adds to it per race,
 over the whole match and by race; low, high: 95 % interval, clustered by opponent; nearest: gain of the reply to the
-nearest behaviour; told: gain if the opponent is known before the first race"""
+nearest behaviour; known: gain if the opponent is known before the first race"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,13 +123,17 @@ class TrackGain(NamedTuple):
 
     def gain_by_race(self, arm: str) -> Floats:
         """Mean gain in each race of the match, shape (R,)."""
-        return np.asarray((self.scores[ARMS.index(arm)] - self.scores[0]).mean(axis=(0, 1)))
+        return _gain_by_race(self.scores, arm)
 
 
 def _estimate(scores: Floats, arm: str) -> Estimate:
     differences = (scores[ARMS.index(arm)] - scores[0]).mean(axis=2)
     opponents = np.repeat(np.arange(len(differences)), differences.shape[1])
     return clustered_mean(differences.reshape(-1), opponents)
+
+
+def _gain_by_race(scores: Floats, arm: str) -> Floats:
+    return np.asarray((scores[ARMS.index(arm)] - scores[0]).mean(axis=(0, 1)))
 
 
 def match_gains(
@@ -182,15 +187,15 @@ def _play_opponent(task: tuple[MatchTest, int, int], threads: int | None = None)
     }
     players = {
         "best fixed": FixedChoice(table.best_fixed),
-        "remember": _Chooses(RememberedReply(table, setting)),
-        "nearest": _Chooses(RememberedReply(table, setting, "nearest")),
-        "told": KnownOpponentChoice(np.full(count, int(table.scores[:, opponent].argmax()))),
+        "remember": _ReplyChooser(RememberedReply(table, setting)),
+        "nearest": _ReplyChooser(RememberedReply(table, setting, "nearest")),
+        "known": KnownOpponentChoice(np.full(count, int(table.scores[:, opponent].argmax()))),
     }
     played = [play_matches(match, players[arm], None, **given) for arm in ARMS]
     return {"scores": np.stack([one.scores[:, 0] for one in played])}
 
 
-class _Chooses(NamedTuple):
+class _ReplyChooser(NamedTuple):
     """A chooser made of a reply."""
 
     reply: RememberedReply
@@ -210,15 +215,15 @@ def gain_text(gains: Sequence[TrackGain]) -> str:
 
 
 def _row(track: str, learned: str, scores: Floats) -> tuple[str, ...]:
-    remembered, told = _estimate(scores, "remember"), _estimate(scores, "told")
-    by_race = (scores[ARMS.index("remember")] - scores[0]).mean(axis=(0, 1))
+    remembered, known = _estimate(scores, "remember"), _estimate(scores, "known")
+    by_race = _gain_by_race(scores, "remember")
     return (
         track,
         learned,
         f"{scores[0].mean():.3f}",
         *(f"{number:+.3f}" for number in (remembered.mean, remembered.low, remembered.high)),
         " ".join(f"{number:+.3f}" for number in by_race),
-        *(f"{number:+.3f}" for number in (_estimate(scores, "nearest").mean, told.mean, told.low, told.high)),
+        *(f"{number:+.3f}" for number in (_estimate(scores, "nearest").mean, known.mean, known.low, known.high)),
     )
 
 

@@ -15,7 +15,8 @@ from pcs_racing.game.match import MatchConfig, MatchGame
 from pcs_racing.game.match_observation import decode_match
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import start_lines
-from pcs_racing.track.track import Track, as_track
+from pcs_racing.track.loading import as_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.behaviours import Behaviours, features
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_whole, is_whole
+from pcs_racing.base.checks import check_whole, check_whole_array, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.competitor import competitor_name
@@ -27,7 +27,7 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
 from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
 from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_games, variant_count
-from pcs_racing_agents.tournament.schedule import Schedule
+from pcs_racing_agents.tournament.schedule import RaceSchedule
 
 __all__ = ["Pairing", "cross_pairing", "schedule_pairing"]
 
@@ -118,7 +118,9 @@ class Pairing:
         )
 
 
-def schedule_pairing(game: RaceGame, ego: Competitor, opponent: Competitor, schedule: Schedule, seed: int) -> Pairing:
+def schedule_pairing(
+    game: RaceGame, ego: Competitor, opponent: Competitor, schedule: RaceSchedule, seed: int
+) -> Pairing:
     """Return the races of a schedule for two competitors; ``seed`` is that of the schedule."""
     variants = schedule.variants(variant_count(game, ego), variant_count(game, opponent))
     return Pairing(game, ego, opponent, variants, schedule.starts, schedule.seeds, seed)
@@ -182,10 +184,7 @@ def _variants(noun: str, requested: int | Sequence[int], available: int, seed: i
             raise InputError(f"{noun} is {requested}; a pairing needs at least one variant")
         generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))
         return np.sort(generator.permutation(available)[: int(requested)])
-    indices = np.asarray(requested)
-    repeated = len(np.unique(indices)) < indices.size
-    if indices.ndim != 1 or len(indices) == 0 or indices.dtype.kind not in "iu" or repeated:
+    indices = check_whole_array(noun, requested, (None,), least=0, most=available - 1)
+    if len(indices) == 0 or len(np.unique(indices)) < len(indices):
         raise InputError(f"{noun} is {requested!r}; it must be a number of variants, or a list of different ones")
-    if indices.min() < 0 or indices.max() >= available:
-        raise InputError(f"{noun} are {requested!r}; there are variants 0 to {available - 1}")
-    return indices.astype(np.int64)
+    return indices

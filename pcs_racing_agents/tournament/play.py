@@ -24,7 +24,7 @@ from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_race
 from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.schedule import Schedule, draw_schedule
+from pcs_racing_agents.tournament.schedule import RaceSchedule, draw_schedule
 from pcs_racing_agents.tournament.watching import Recording, record_game
 
 __all__ = [
@@ -52,7 +52,7 @@ class TournamentPlan:
     tracks : tuple of Track
     setting : Setting
         The archive and the rules, the move "stay" included.
-    schedules : tuple of Schedule
+    schedules : tuple of RaceSchedule
         The races of each pair, by track.
     races_per_pair : int
         On each track.
@@ -62,7 +62,7 @@ class TournamentPlan:
     competitors: tuple[Competitor, ...]
     tracks: tuple[Track, ...]
     setting: Setting
-    schedules: tuple[Schedule, ...]
+    schedules: tuple[RaceSchedule, ...]
     races_per_pair: int
     seed: int
 

@@ -14,12 +14,12 @@ from pcs_racing.race.races import draw_starts
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track
 
-__all__ = ["Schedule", "draw_schedule"]
+__all__ = ["RaceSchedule", "draw_schedule"]
 
 MOST_RACES = 2000
 
 
-class Schedule(NamedTuple):
+class RaceSchedule(NamedTuple):
     """Races of one pair on one track; the same for all pairs (common random numbers).
 
     Attributes
@@ -42,7 +42,7 @@ class Schedule(NamedTuple):
         return (self.draws % np.array([ego, opponent], np.uint64)).astype(np.int64)
 
 
-def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Schedule:
+def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> RaceSchedule:
     """Draw the races of each pair on a track.
 
     Parameters
@@ -68,4 +68,4 @@ def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Sc
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     draws = generator.integers(2**63, size=(races // 2, 2), dtype=np.uint64)
     swapped = np.stack([draws, draws[:, ::-1]], axis=1).reshape(races, 2)
-    return Schedule(starts, swapped, race_seeds(seed, races))
+    return RaceSchedule(starts, swapped, race_seeds(seed, races))

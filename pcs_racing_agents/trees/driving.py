@@ -11,7 +11,7 @@ from pcs_racing.race.kernel import PLAN_EVERY
 from pcs_racing.race.races import advance
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 
-__all__ = ["Ends", "drive_children", "drive_to_the_end"]
+__all__ = ["RaceEnds", "drive_children", "drive_to_the_end"]
 
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -20,7 +20,7 @@ CHUNK = 4096
 """Races that are driven at a time: about 1.2 kB of state each, and enough for any number of threads."""
 
 
-class Ends(NamedTuple):
+class RaceEnds(NamedTuple):
     """The ends of races: those parts of a :class:`RaceState` that decide the payoff.
 
     Attributes
@@ -34,19 +34,19 @@ class Ends(NamedTuple):
     fault: NDArray[np.int8]
 
     @classmethod
-    def empty(cls, races: int) -> "Ends":
+    def empty(cls, races: int) -> "RaceEnds":
         """Return arrays of zeros for so many races."""
         return cls(np.zeros((races, 2)), np.zeros((races, 2), np.int8), np.zeros((races, 2), np.int8))
 
-    def write(self, rows: Indices | slice, ends: "Ends") -> None:
+    def write(self, rows: Indices | slice, ends: "RaceEnds") -> None:
         """Overwrite some races, in place."""
         self.progress[rows] = ends.progress
         self.crash[rows] = ends.crash
         self.fault[rows] = ends.fault
 
-    def and_then(self, more: "Ends") -> "Ends":
+    def and_then(self, more: "RaceEnds") -> "RaceEnds":
         """Return these races followed by others."""
-        return Ends(
+        return RaceEnds(
             np.concatenate([self.progress, more.progress]),
             np.concatenate([self.crash, more.crash]),
             np.concatenate([self.fault, more.fault]),
@@ -92,7 +92,7 @@ def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: 
 
 def drive_to_the_end(
     game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, trace: bool = False
-) -> tuple[Ends, NDArray[np.float32]]:
+) -> tuple[RaceEnds, NDArray[np.float32]]:
     """Simulate the last step of the game, in which no characteristics are measured.
 
     Parameters
@@ -104,7 +104,7 @@ def drive_to_the_end(
 
     Returns
     -------
-    ends : Ends
+    ends : RaceEnds
         Of the B races.
     trace : ndarray, shape (B, T, 2), float32
         Progress of each car whenever the drivers plan (every 0.1 s), the step's first and last moment included;
@@ -112,7 +112,7 @@ def drive_to_the_end(
     """
     ticks = game.config.step_ticks
     moments = ticks // PLAN_EVERY + 1 if trace else 0
-    ends = Ends.empty(len(rows))
+    ends = RaceEnds.empty(len(rows))
     traces = np.zeros((len(rows), moments, 2), np.float32)
     for chunk_rows, chunk in _chunks(parents, rows):
         theta = game.theta(policies[chunk_rows])
@@ -123,5 +123,5 @@ def drive_to_the_end(
                 traces[chunk_rows, moment] = chunk.progress
         else:
             advance(game.setup, chunk, theta, ticks, threads=game.threads, ittc=False)
-        ends.write(chunk_rows, Ends(chunk.progress, chunk.crash, chunk.fault))
+        ends.write(chunk_rows, RaceEnds(chunk.progress, chunk.crash, chunk.fault))
     return ends, traces

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_seed, check_whole
+from pcs_racing.base.checks import check_seed, check_whole, check_whole_array
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.observation import encode_observation
 from pcs_racing.game.reward import reward
@@ -285,13 +285,8 @@ def check_ego(game: RaceGame, roots: int, opponent: str | ArrayLike, seed: int, 
 
 
 def _whole(values: ArrayLike, name: str, shape: tuple[int, ...], least: int, below: int) -> Indices:
-    array = np.asarray(values)
-    if array.dtype.kind not in "iu" or array.shape not in (shape, shape[1:]):
-        raise InputError(f"{name} have shape {array.shape} and type {array.dtype}; they must be whole numbers {shape}")
-    if ((array < least) | (array >= below)).any():
-        wrong = array[(array < least) | (array >= below)].flat[0]
-        raise InputError(f"{name}: {wrong} is impossible; they must lie in {least} to {below - 1}")
-    return np.array(np.broadcast_to(array, shape), np.int64)
+    array = check_whole_array(name, values, shape, shape[1:], least=least, most=below - 1)
+    return np.array(np.broadcast_to(array, shape))
 
 
 def _play(

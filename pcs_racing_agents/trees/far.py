@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.state import RaceState
-from pcs_racing_agents.trees.driving import Ends, drive_to_the_end
+from pcs_racing_agents.trees.driving import RaceEnds, drive_to_the_end
 
 __all__ = ["finish"]
 
@@ -29,7 +29,7 @@ UNKNOWN, KNOWN, CRASHES = range(3)
 
 def finish(
     game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, share: bool = True
-) -> tuple[Ends, int]:
+) -> tuple[RaceEnds, int]:
     """Compute how the last step of the game ends from some states.
 
     Parameters
@@ -46,20 +46,20 @@ def finish(
 
     Returns
     -------
-    ends : Ends
+    ends : RaceEnds
         Of the B races.
     driven : int
         How many of them were driven.
     """
     sight = max(planner.sight for planner in game.setup.planners) + MARGIN
-    ends = Ends.empty(len(rows))
+    ends = RaceEnds.empty(len(rows))
     length = game.track.length
     apart = _apart(parents.lead, length) > sight if share else np.zeros(parents.races, np.bool_)
     far = np.flatnonzero(apart[rows])
     drives = _different_drives(parents, rows[far], policies[far])
     status = np.full((2, int(drives.max(initial=-1)) + 1), UNKNOWN)
     source = np.zeros_like(status)  # row of a known drive in ``known_ends`` and ``traces``
-    known_ends = Ends.empty(0)
+    known_ends = RaceEnds.empty(0)
     traces = np.zeros((0, 1, 2), np.float32)
     waiting = np.arange(len(far))  # races whose end is not known yet
     count = 0
@@ -90,7 +90,7 @@ def finish(
         block = waiting[first : first + 4096]
         from0, from1 = (source[car, drives[car, block]] for car in range(2))
         apart_in_block = _stay_apart(traces[from0, :, 0], traces[from1, :, 1], length, sight)
-        combined = Ends.empty(len(block))
+        combined = RaceEnds.empty(len(block))
         combined.progress[:] = np.stack([known_ends.progress[from0, 0], known_ends.progress[from1, 1]], axis=1)
         ends.write(far[block], combined)
         not_shared.append(far[block[~apart_in_block]])

@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_whole, is_whole
+from pcs_racing.base.checks import check_whole, check_whole_array, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.identity import GameIdentity, game_identity
@@ -175,17 +175,10 @@ def stored_identity(settings: Mapping[str, Any]) -> GameIdentity:
 def _checked_pairs(archive: PolicyArchive, pairs: int | ArrayLike, seed: int) -> NDArray[np.int64]:
     if is_whole(pairs):
         return choose_pairs(archive, int(pairs), seed)
-    array = np.asarray(pairs)
-    if array.ndim != 2 or array.shape[1] != 2 or len(array) == 0 or array.dtype.kind not in "iu":
-        raise InputError(f"pairs have shape {array.shape} and type {array.dtype}; they must be whole numbers (N, 2)")
-    wrong = np.argwhere((array < 0) | (array >= len(archive)))
-    if len(wrong):
-        i, car = (int(at) for at in wrong[0])
-        raise InputError(
-            f"pair {i}: policy {array[i, car]} is not in archive {archive.name!r}; it must lie in 0 to "
-            f"{len(archive) - 1}"
-        )
-    return array.astype(np.int64)
+    array = check_whole_array("pairs", pairs, (None, 2), least=0, most=len(archive) - 1)
+    if len(array) == 0:
+        raise InputError("pairs are empty; give at least one")
+    return array
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,11 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import starts_of
-from pcs_racing.race.replay import Replay, replay_page, safe_json
+from pcs_racing.race.replay import Replay
+from pcs_racing.race.replay_files import replay_page, safe_json
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
-from pcs_racing_agents.explain.explain import Step, explain_game, mark_moves
+from pcs_racing_agents.explain.explain import ExplainedDecision, explain_game, mark_moves
 from pcs_racing_agents.tournament.games import PlayedGames
 from pcs_racing_agents.tournament.watching import record_game
 from pcs_racing_agents.view.view_page import fill, player_parts, template
@@ -138,7 +139,7 @@ class PersonRaces:
             "history": [self._decision(step, moves[k]) for k, step in enumerate(steps)],
         }
 
-    def _decision(self, step: Step, own_move: int) -> dict[str, Any]:
+    def _decision(self, step: ExplainedDecision, own_move: int) -> dict[str, Any]:
         """Return what the rival decided in a step, beside the person's move, as plain values."""
         names = self.game.competitor_moves
         return {
@@ -156,7 +157,7 @@ class PersonRaces:
         """Time at which the step after a number of moves ends, s."""
         return (made + 1) * self.game.config.step_seconds
 
-    def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, PlayedGames, tuple[Step, ...]]:
+    def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, PlayedGames, tuple[ExplainedDecision, ...]]:
         """Drive the whole race, staying after the given moves, and return it up to the next move."""
         game, names = self.game, self.game.competitor_moves
         if not 0 <= number < MOST_RACES:
@@ -178,7 +179,7 @@ class PersonRaces:
             recording = record_game(game, person, self.rival, **race, candidates=False)
             whole, played = recording.replay, recording.played
             replay = mark_moves(whole, played, recording.game.competitor_moves, game.config.step_seconds)
-            steps: tuple[Step, ...] = ()
+            steps: tuple[ExplainedDecision, ...] = ()
         else:
             explanation = explain_game(game, person, self.rival, **race, car=1)
             replay, played, steps = explanation.replay, explanation.played, explanation.steps

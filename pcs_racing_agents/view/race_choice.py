@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.results.races import RaceTable
 
-__all__ = ["OUTCOMES", "Pick", "choose_races", "outcomes"]
+__all__ = ["OUTCOMES", "SelectedRace", "choose_races", "outcomes"]
 
 OUTCOMES = (
     "a win by switching",
@@ -25,7 +25,7 @@ OUTCOMES = (
 )
 
 
-class Pick(NamedTuple):
+class SelectedRace(NamedTuple):
     """A selected race.
 
     Attributes
@@ -57,7 +57,7 @@ def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
     return np.select(cases, [2, 4, 0, 3, 1], 5)
 
 
-def choose_races(races: RaceTable, count: int) -> list[Pick]:
+def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
     """Select races to show, by a deterministic rule.
 
     Parameters
@@ -68,7 +68,7 @@ def choose_races(races: RaceTable, count: int) -> list[Pick]:
 
     Returns
     -------
-    list of Pick
+    list of SelectedRace
         In order of selection.
     """
     agents = range(len(races.agents.words))
@@ -78,7 +78,7 @@ def choose_races(races: RaceTable, count: int) -> list[Pick]:
         for outcome in range(len(OUTCOMES))
         for agent in agents
     ]
-    picks: dict[int, Pick] = {}
+    picks: dict[int, SelectedRace] = {}
     while piles and len(picks) < min(count, len(races)):
         remaining = []
         for agent, outcome, pile in piles:
@@ -86,7 +86,7 @@ def choose_races(races: RaceTable, count: int) -> list[Pick]:
             if race is None:
                 continue
             remaining.append((agent, outcome, pile))
-            picks[race] = Pick(race, f"{races.agents.words[agent]}: {OUTCOMES[outcome]}")
+            picks[race] = SelectedRace(race, f"{races.agents.words[agent]}: {OUTCOMES[outcome]}")
             if len(picks) >= count:
                 break
         piles = remaining

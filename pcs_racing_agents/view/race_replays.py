@@ -15,7 +15,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.packing import COARSE, FINE, pack, pack_paths, pack_segments
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.race.replay import Replay, plain_parts
+from pcs_racing.race.replay import Replay
+from pcs_racing.race.replay_files import plain_parts
 from pcs_racing_agents.agents.observing import opponent, step_count
 from pcs_racing_agents.explain.explain import mark_moves
 from pcs_racing_agents.explain.pcs_picture import in_units, plane
@@ -24,7 +25,7 @@ from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.watching import record_game
 from pcs_racing_agents.view.results_folder import ResultsFolder
 
-__all__ = ["PLACES", "DrivenRace", "RaceDriver", "circuit_values", "race_values", "space_values"]
+__all__ = ["PLACES", "RaceRepeater", "RepeatedRace", "circuit_values", "race_values", "space_values"]
 
 PLACES = 4000  # resolution of positions: steps across the picture
 PLAN_SKIP = 2  # every second plan is kept
@@ -33,7 +34,7 @@ MOST_PAIRINGS = 64
 Floats = NDArray[np.float64]
 
 
-class DrivenRace(NamedTuple):
+class RepeatedRace(NamedTuple):
     """A repeated race as data for the page.
 
     Attributes
@@ -51,7 +52,7 @@ class DrivenRace(NamedTuple):
     values: dict[str, Any]
 
 
-class RaceDriver:
+class RaceRepeater:
     """Repeats races of a results folder, and stores the data that they share; not thread-safe.
 
     Parameters
@@ -72,7 +73,7 @@ class RaceDriver:
         self.space: dict[str, Any] | None = None
         self._pairings: OrderedDict[tuple[str, str, str, int], Pairing] = OrderedDict()
 
-    def drive(self, number: int) -> DrivenRace:
+    def drive(self, number: int) -> RepeatedRace:
         """Repeat the race of a line of the results.
 
         Raises
@@ -109,9 +110,9 @@ class RaceDriver:
             "made": played.moves[0].tolist(),
             "seen": _places(self.space, in_units(arena.archive, estimates)[..., list(plane(arena.archive))]),
         }
-        return DrivenRace(number, row.track, values)
+        return RepeatedRace(number, row.track, values)
 
-    def drive_all(self, numbers: Sequence[int]) -> Iterator[DrivenRace]:
+    def drive_all(self, numbers: Sequence[int]) -> Iterator[RepeatedRace]:
         """Repeat the races of several lines, those of a pair together, and yield them in that order."""
         rows = self.results.row
         order = sorted(numbers, key=lambda number: (_pair(rows(number)), number))

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.packing import pack
-from pcs_racing.race.replay import safe_json
+from pcs_racing.race.replay_files import safe_json
 from pcs_racing_agents.results.races import Categorical, RaceTable
-from pcs_racing_agents.view.race_choice import Pick
-from pcs_racing_agents.view.race_replays import DrivenRace
+from pcs_racing_agents.view.race_choice import SelectedRace
+from pcs_racing_agents.view.race_replays import RepeatedRace
 
 __all__ = ["ViewContent", "fill", "packed_races", "player_parts", "template", "view_page"]
 
@@ -37,9 +37,9 @@ class ViewContent:
         Their path, as written in a command.
     start : str
         ``"side-by-side"``, or another kind of start, in which one car is in front.
-    picks : sequence of Pick
+    picks : sequence of SelectedRace
         The races with replays.
-    driven : sequence of DrivenRace
+    driven : sequence of RepeatedRace
         Their replays.
     circuits : mapping of str to dict
         Their circuits, by name.
@@ -55,8 +55,8 @@ class ViewContent:
     races: RaceTable
     results: str = ""
     start: str = "side-by-side"
-    picks: Sequence[Pick] = ()
-    driven: Sequence[DrivenRace] = ()
+    picks: Sequence[SelectedRace] = ()
+    driven: Sequence[RepeatedRace] = ()
     circuits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     space: Mapping[str, Any] | None = None
     why_not: str = ""

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.race.replay import safe_json
-from pcs_racing_agents.view.race_replays import RaceDriver
+from pcs_racing.race.replay_files import safe_json
+from pcs_racing_agents.view.race_replays import RaceRepeater
 
 __all__ = ["MOST_KEPT", "Answer", "RaceService", "error_answer", "make_server"]
 
@@ -53,12 +53,12 @@ class RaceService:
 
     Parameters
     ----------
-    driver : RaceDriver
+    driver : RaceRepeater
     races : int
         Number of races.
     """
 
-    def __init__(self, driver: RaceDriver, races: int) -> None:
+    def __init__(self, driver: RaceRepeater, races: int) -> None:
         self.driver = driver
         self.races = races
         self._kept: OrderedDict[int, bytes] = OrderedDict()

@@ -213,7 +213,7 @@ def test_tracks_that_are_no_name(track):
 
 def test_lists_of_different_lengths_for_two_players():
     env = HeadToHeadEnv("Pipkin", moves=1, step_seconds=0.1)
-    with pytest.raises(InputError, match="policies have shape"):
+    with pytest.raises(InputError, match="policies has shape"):
         env.reset(seed=0, options={"policies": [[0], [1, 2]]})
     env.reset(seed=0)
     with pytest.raises(InputError, match="moves are"):

@@ -5,6 +5,7 @@ import numpy as np
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
+from pcs_racing.track.frenet import interpolate
 
 __all__ = ["checked_grid", "corridor", "room_at", "wall_clearance"]
 
@@ -86,28 +87,13 @@ def wall_clearance(points, occupied, resolution, origin, reach):  # type: ignore
 
 
 @compiled
-def _look_up(room, u, v):  # type: ignore[no-untyped-def]
-    """Bilinear value of the field at column u and row v, counted from cell centres; 0 outside."""
-    rows, cols = room.shape
-    if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
-        return 0.0
-    j = int(u)
-    i = int(v)
-    fu = u - j
-    fv = v - i
-    low = room[i, j] * (1.0 - fu) + room[i, j + 1] * fu
-    high = room[i + 1, j] * (1.0 - fu) + room[i + 1, j + 1] * fu
-    return low * (1.0 - fv) + high * fv
-
-
-@compiled
 def room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
     """Bilinear value of a distance field at points (N, 2); 0 outside it."""
     out = np.empty(line.shape[0])
     for k in range(line.shape[0]):
         u = (line[k, 0] - corner[0]) / resolution - 0.5
         v = (line[k, 1] - corner[1]) / resolution - 0.5
-        out[k] = _look_up(room, u, v)
+        out[k] = interpolate(room, u, v)
     return out
 
 
@@ -147,20 +133,20 @@ def corridor(line, normal, room, resolution, corner, need, reach):  # type: igno
         du = normal[k, 0] / resolution
         dv = normal[k, 1] / resolution
         base = 0.0
-        enough = _look_up(room, u, v) >= need
+        enough = interpolate(room, u, v) >= need
         free_left = True
         free_right = True
         m = 0
         while not enough and m * step < reach and (free_left or free_right):
             m += 1
             if free_left:
-                r = _look_up(room, u + m * step * du, v + m * step * dv)
+                r = interpolate(room, u + m * step * du, v + m * step * dv)
                 free_left = r > 0.0
                 if r >= need:
                     base = m * step
                     enough = True
             if free_right and not enough:
-                r = _look_up(room, u - m * step * du, v - m * step * dv)
+                r = interpolate(room, u - m * step * du, v - m * step * dv)
                 free_right = r > 0.0
                 if r >= need:
                     base = -m * step
@@ -171,12 +157,12 @@ def corridor(line, normal, room, resolution, corner, need, reach):  # type: igno
             continue
         for side in (1.0, -1.0):
             a = 0.0
-            r = _look_up(room, u + base * du, v + base * dv)
+            r = interpolate(room, u + base * du, v + base * dv)
             while a < reach:
                 # No wall is nearer than r, so room can't run out within r - need.
                 ahead = max(step, 0.9 * (r - need))
                 x = base + side * (a + ahead)
-                r = _look_up(room, u + x * du, v + x * dv)
+                r = interpolate(room, u + x * du, v + x * dv)
                 if r < need:
                     break
                 a += ahead

@@ -1,4 +1,4 @@
-"""Learned characteristics: axes that tell a policy's rating and its place in the cycle from a piece of racing."""
+"""Learned characteristics: axes that tell a policy's rating and its place in the cycle from a segment of a race."""
 
 from pcs_racing_agents.learning.characteristics.learn import (
     Learning,

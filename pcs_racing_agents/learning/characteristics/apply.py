@@ -59,7 +59,7 @@ def apply_characteristics(
     tracks : sequence of Track or str
         Where the policies race the archive's own.
     config : RaceConfig
-        Its duration is a multiple of the archive's pieces.
+        Its duration is a multiple of the archive's segments.
     axes : sequence of str, optional
         Names of characteristics, learned or not; by default all of ``learned``.
     name : str, optional
@@ -73,7 +73,7 @@ def apply_characteristics(
     Raises
     ------
     InputError
-        If there are no axes, an axis has no extent, or the duration is no multiple of the pieces.
+        If there are no axes, an axis has no extent, or the duration is no multiple of the segments.
     UnknownNameError
         If an axis is unknown.
     """

@@ -1,4 +1,4 @@
-"""Behaviour of policies: characteristics of each in many pieces of racing against the same opponents."""
+"""Behaviour of policies: characteristics of each in many segments of races against the same opponents."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -15,7 +15,7 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
 from pcs_racing_agents.payoffs.policy_pool import race_scores
-from pcs_racing_agents.synthesis.evaluate import PolicyTask, join, race_pieces, race_policies
+from pcs_racing_agents.synthesis.evaluate import PolicyTask, join, race_policies, race_segments
 from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
 
 __all__ = [
@@ -50,7 +50,7 @@ def measure_behaviour(
     progress: Progress | None = None,
     name: str = "behaviour",
 ) -> Floats:
-    """Race policies against all opponents from both sides, and measure every piece.
+    """Race policies against all opponents from both sides, and measure every segment.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def measure_behaviour(
     starts : int
         Start lines for each opponent and circuit.
     segment_seconds : float
-        Length of a piece, s.
+        Length of a segment, s.
     seed : int
         Root of start lines and noise.
     job, executor, progress
@@ -75,12 +75,12 @@ def measure_behaviour(
     Returns
     -------
     ndarray, shape (T, N, M, I)
-        Inputs of every policy in each of M pieces on every circuit; NaN in pieces that a race did not reach.
+        Inputs of every policy in each of M segments on every circuit; NaN in segments that a race did not reach.
 
     Raises
     ------
     InputError
-        If the policies belong to several planners, or the duration is no multiple of the pieces.
+        If the policies belong to several planners, or the duration is no multiple of the segments.
     """
     planner = common_planner([*policies, *opponents])
     scenarios = draw_scenarios(
@@ -93,7 +93,7 @@ def measure_behaviour(
         segment_seconds=segment_seconds,
         seed=seed,
     )
-    raced = run_blocks(scenarios, parameters_of(policies), None, race_pieces, job, executor, progress, name)
+    raced = run_blocks(scenarios, parameters_of(policies), None, race_segments, job, executor, progress, name)
     values = raced["values"]
     # Every circuit has the same number of races, circuit after circuit.
     return np.moveaxis(values.reshape(len(policies), len(tracks), -1, len(inputs)), 1, 0)

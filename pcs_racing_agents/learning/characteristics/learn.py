@@ -1,10 +1,10 @@
-"""Learned characteristics: from a payoff matrix and behaviour in short pieces of racing to axes of a space.
+"""Learned characteristics: from a payoff matrix and behaviour in short segments of races to axes of a space.
 
 1. All pairs of a pool race (:func:`~pcs_racing_agents.payoffs.policy_pool.pool_payoffs`). The mean payoff matrix of
    all circuits gives each policy a rating and a place in the leading cyclic plane.
-2. Every policy is measured in pieces of racing: other characteristics, such as speed and restraint.
+2. Every policy is measured in segments of races: other characteristics, such as speed and restraint.
 3. Ridge regression of 1 on 2, with cross-validation that leaves policies and circuits out. The result is a
-   characteristic like any other: it can be estimated from what is seen of an opponent in one piece.
+   characteristic like any other: it can be estimated from what is seen of an opponent in one segment.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 JUDGED = (1, 4, 16)
-"""Numbers of pieces from which held-out policies are estimated."""
+"""Numbers of segments from which held-out policies are estimated."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ class LearnSettings(Settings):
         "Characteristics that the learned ones are made of; the first coordinate of the plane grows with the first.",
     )
     degree: int = setting(2, whole(1, 3), "Highest number of inputs that are multiplied with each other.")
-    pieces: int = setting(4, whole(1, 64), "Pieces of racing whose mean is a row of the regression.")
-    segment_seconds: float = setting(8.0, tenths(0.1, 600.0), "Length of a piece, s.")
+    segments: int = setting(4, whole(1, 64), "Segments of races whose mean is a row of the regression.")
+    segment_seconds: float = setting(8.0, tenths(0.1, 600.0), "Length of a segment, s.")
     opponents: int = setting(8, whole(1, 1000), "Opponents, out of the pool, in the races that measure behaviour.")
     starts: int = setting(2, whole(1, 1000), "Start lines for each opponent in these races.")
     folds: int = setting(6, whole(2, 100), "Folds of policies in the cross-validation.")
@@ -73,10 +73,10 @@ class LearnSettings(Settings):
         super().__post_init__()
         get_characteristics(self.inputs)
         races = 2 * self.opponents * self.starts
-        if races < max(JUDGED[-1], self.pieces):
+        if races < max(JUDGED[-1], self.segments):
             raise ConfigError(
                 f"{self.opponents} opponents and {self.starts} starts make {races} races of a policy on a circuit; "
-                f"there must be {max(JUDGED[-1], self.pieces)}"
+                f"there must be {max(JUDGED[-1], self.segments)}"
             )
 
 
@@ -90,9 +90,9 @@ class Learning:
     coordinates : PayoffCoordinates
         Of the pool.
     behaviour : ndarray, shape (T, N, M, I)
-        Inputs in every piece.
+        Inputs in every segment.
     scores : dict of int to Accuracy
-        R2 of the three coordinates of policies on circuits that were left out, by number of pieces.
+        R2 of the three coordinates of policies on circuits that were left out, by number of segments.
     estimates : ndarray, shape (N, 3)
         Coordinates of every policy as estimated when it was left out.
     """
@@ -184,13 +184,13 @@ def fit_characteristics(
         behaviour,
         targets,
         degree=settings.degree,
-        pieces=settings.pieces,
+        segments=settings.segments,
         folds=settings.folds,
         seed=seed,
         judged=JUDGED,
     )
     mean, scale = input_scales(behaviour)
-    rows = draw_rows(term_values(standardise(behaviour, mean, scale), settings.degree), settings.pieces, seed)
+    rows = draw_rows(term_values(standardise(behaviour, mean, scale), settings.degree), settings.segments, seed)
     wanted = np.broadcast_to(targets[:, None], (*rows.shape[:3], targets.shape[1]))
     regression = fit_ridge(rows.reshape(-1, rows.shape[-1]), wanted.reshape(-1, wanted.shape[-1]), penalties)
     terms = term_names(settings.inputs, settings.degree)

@@ -17,7 +17,7 @@ MOST_BARS = 10
 def learning_picture(learning: Learning) -> Any:
     """Draw, for each axis, its largest weights, and its estimates of left-out policies against their coordinates.
 
-    Estimates come from fits in which neither the policy nor the circuit had a say; colours show the first input.
+    Estimates come from fits that used neither the policy nor the circuit; colours show the first input.
     """
     axes = learning.characteristics.axes
     first = learning.characteristics.inputs[0].name
@@ -40,9 +40,9 @@ def learning_picture(learning: Learning) -> Any:
         dots.plot(ends, ends, "--", color=EDGE, lw=1.0)
         points = dots.scatter(truth, estimate, c=behaviour, cmap="viridis", s=34, edgecolors=EDGE, zorder=3)
         dots.set_xlabel(f"{COORDINATES[c]} in the payoffs, sd")
-        dots.set_ylabel(f"estimate from {max(JUDGED)} pieces, left out")
+        dots.set_ylabel(f"estimate from {max(JUDGED)} segments, left out")
         dots.set_title(
-            f"R2 from {', '.join(map(str, JUDGED))} pieces: "
+            f"R2 from {', '.join(map(str, JUDGED))} segments: "
             + ", ".join(f"{learning.scores[count].r2[c]:.2f}" for count in JUDGED)
         )
         tidy(dots, "both")

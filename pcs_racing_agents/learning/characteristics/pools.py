@@ -53,7 +53,7 @@ def draw_pool(
     seed : int
         Root of the policies, start lines and noise.
     segment_seconds : float
-        Length of the pieces in which speed is measured, s.
+        Length of the segments in which speed is measured, s.
     job, executor, progress
         As for :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`.
 
@@ -65,7 +65,7 @@ def draw_pool(
     Raises
     ------
     InputError
-        If a number is impossible, or the duration is no multiple of the pieces.
+        If a number is impossible, or the duration is no multiple of the segments.
     """
     check_whole("size", size, 3, 1000)
     drawn, rivals = (

@@ -21,11 +21,11 @@ def learning_text(learning: Learning) -> str:
     """Return the table of R2, the sentence of every axis, and what the inputs mean."""
     plane = learning.coordinates
     several = learning.behaviour.shape[0] > 1
-    held_out = "on circuits, neither of which had a say" if several else "that had no say"
+    circuits = " on held-out circuits" if several else ""
     parts = [
         *aligned(score_rows(learning.scores)),
         "",
-        f"R2 of policies {held_out} (cross-validated), from so many pieces;",
+        f"R2 of held-out policies{circuits} (cross-validated), from so many segments;",
         "+-: standard error over policies.",
         f"Cyclic plane: strength {plane.strength:.2f}; noise alone reaches {plane.noise:.2f}.",
     ]
@@ -55,8 +55,8 @@ def axis_words(axis: LearnedAxis) -> str:
 
 
 def score_rows(scores: Mapping[int, Accuracy]) -> list[tuple[str, ...]]:
-    """Return rows of a table: R2 of each coordinate by number of pieces."""
-    rows: list[tuple[str, ...]] = [("pieces", *(f"R2 {name}" for name in COORDINATES))]
+    """Return rows of a table: R2 of each coordinate by number of segments."""
+    rows: list[tuple[str, ...]] = [("segments", *(f"R2 {name}" for name in COORDINATES))]
     for count, score in sorted(scores.items()):
         cells = (f"{r2:+.2f} +- {error:.2f}" for r2, error in zip(score.r2, score.error, strict=True))
         rows.append((str(count), *cells))

@@ -1,6 +1,6 @@
 """Ridge regression of a few targets on products of standardised inputs.
 
-Rows are means over a few pieces of racing of one policy, since that is what a player can see of an opponent.
+Rows are means over a few segments of races of one policy, since that is what a player can see of an opponent.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ class Regression:
 
 
 def input_scales(values: Floats) -> tuple[Floats, Floats]:
-    """Return mean and standard deviation of each input over pieces, shape (I,) each; NaN pieces do not count."""
+    """Return mean and standard deviation of each input over segments, shape (I,) each; NaN segments do not count."""
     flat = values.reshape(-1, values.shape[-1])
     flat = flat[~np.isnan(flat).any(axis=1)]
     deviation = flat.std(axis=0)

@@ -1,4 +1,4 @@
-"""How well coordinates are estimated from a few pieces of racing, for policies and circuits that had no say."""
+"""How well coordinates are estimated from a few segments of races, for held-out policies and circuits."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -23,7 +23,7 @@ __all__ = ["DRAWS", "Accuracy", "cross_validate", "draw_rows", "explained", "jud
 Floats = NDArray[np.float64]
 
 DRAWS = 16
-"""Means over a few pieces that are drawn for each policy and circuit."""
+"""Means over a few segments that are drawn for each policy and circuit."""
 
 
 class Accuracy(NamedTuple):
@@ -41,15 +41,15 @@ class Accuracy(NamedTuple):
     error: Floats
 
 
-def draw_rows(values: Floats, pieces: int, seed: int) -> Floats:
-    """Draw means over a few pieces of every policy on every circuit.
+def draw_rows(values: Floats, segments: int, seed: int) -> Floats:
+    """Draw means over a few segments of every policy on every circuit.
 
     Parameters
     ----------
     values : ndarray, shape (T, N, M, K)
-        Of every piece; NaN where there was none.
-    pieces : int
-        How many pieces a mean is over.
+        Of every segment; NaN where there was none.
+    segments : int
+        How many segments a mean is over.
     seed : int
 
     Returns
@@ -59,23 +59,23 @@ def draw_rows(values: Floats, pieces: int, seed: int) -> Floats:
     Raises
     ------
     InputError
-        If a policy has too few pieces.
+        If a policy has too few segments.
     """
     tracks, policies, _, terms = values.shape
     rows = np.empty((tracks, policies, DRAWS, terms))
     for track, policy in np.ndindex(tracks, policies):
         known = values[track, policy]
         known = known[~np.isnan(known).any(axis=1)]
-        if len(known) < pieces:
-            raise InputError(f"policy {policy} has {len(known)} pieces on circuit {track}; {pieces} are needed")
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(track, policy, pieces)))
+        if len(known) < segments:
+            raise InputError(f"policy {policy} has {len(known)} segments on circuit {track}; {segments} are needed")
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(track, policy, segments)))
         for draw in range(DRAWS):
-            rows[track, policy, draw] = known[rng.permutation(len(known))[:pieces]].mean(axis=0)
+            rows[track, policy, draw] = known[rng.permutation(len(known))[:segments]].mean(axis=0)
     return rows
 
 
 def explained(estimates: Floats, targets: Floats) -> Accuracy:
-    """Accuracy estimates of the coordinates of policies.
+    """Return how accurate estimates of policies' coordinates are.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def judge(
     counts: Sequence[int],
     seed: int = 0,
 ) -> dict[int, Accuracy]:
-    """Accuracy learned characteristics on policies and circuits that had no say in them.
+    """Return how accurate learned characteristics are on policies and circuits that they were not learned from.
 
     Parameters
     ----------
@@ -114,13 +114,13 @@ def judge(
     coordinates : PayoffCoordinates
         Of the pool that they were learned from.
     behaviour : ndarray, shape (T, K, M, I)
-        Inputs of the other policies in every piece.
+        Inputs of the other policies in every segment.
     payoffs : ndarray, shape (T, K, N)
         Of the other policies against the pool's. Their mean over circuits places a policy in the pool's frame.
     counts : sequence of int
-        Numbers of pieces from which to estimate.
+        Numbers of segments from which to estimate.
     seed : int
-        Of the pieces that are drawn.
+        Of the segments that are drawn.
     """
     targets = coordinates.place(payoffs.mean(axis=0))
     estimates = learned.estimate(behaviour)
@@ -128,9 +128,9 @@ def judge(
 
 
 def cross_validate(
-    values: Floats, targets: Floats, *, degree: int, pieces: int, folds: int, seed: int, judged: Sequence[int]
+    values: Floats, targets: Floats, *, degree: int, segments: int, folds: int, seed: int, judged: Sequence[int]
 ) -> tuple[list[float], dict[int, Accuracy], Floats]:
-    """Choose penalties, and score estimates of policies on circuits neither of which had a say in them.
+    """Choose penalties, and score the estimates of held-out policies on held-out circuits.
 
     Policies are divided into folds. In each split one fold of the policies and one circuit are left out of the fit, and
     these policies are judged on this circuit; with a single circuit only the policies are left out.
@@ -138,25 +138,25 @@ def cross_validate(
     Parameters
     ----------
     values : ndarray, shape (T, N, M, I)
-        Inputs in every piece.
+        Inputs in every segment.
     targets : ndarray, shape (N, C)
     degree : int
         Of products of inputs.
-    pieces : int
+    segments : int
         Rows of the regression are means over so many.
     folds : int
     seed : int
         Of folds and rows.
     judged : sequence of int
-        Numbers of pieces from which to estimate.
+        Numbers of segments from which to estimate.
 
     Returns
     -------
     penalties : list of C floats
     scores : dict of int to Accuracy
-        By number of pieces.
+        By number of segments.
     estimates : ndarray, shape (N, C)
-        Of every policy when it was left out, the mean over circuits and rows of the largest number of pieces.
+        Of every policy when it was left out, the mean over circuits and rows of the largest number of segments.
     """
     tracks, policies = values.shape[:2]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
@@ -169,7 +169,7 @@ def cross_validate(
             out, kept = np.flatnonzero(fold_of == fold), np.flatnonzero(fold_of != fold)
             known = values[np.ix_(others, kept)]
             scales = input_scales(known)
-            rows = draw_rows(term_values(standardise(known, *scales), degree), pieces, seed)
+            rows = draw_rows(term_values(standardise(known, *scales), degree), segments, seed)
             left_out = term_values(standardise(values[[track]][:, out], *scales), degree)
             tests = {count: draw_rows(left_out, count, seed)[0] for count in judged}
             y = np.broadcast_to(wanted[kept], (len(others), len(kept), DRAWS, targets.shape[1]))
@@ -179,8 +179,8 @@ def cross_validate(
                 )
                 for count in judged:
                     fitted[count][i, track, out] = regression.predict(tests[count])
-    # Penalties by the error at the number of pieces that the fit is for, or the nearest that is judged.
-    nearest = min(judged, key=lambda count: abs(count - pieces))
+    # Penalties by the error at the number of segments that the fit is for, or the nearest that is judged.
+    nearest = min(judged, key=lambda count: abs(count - segments))
     wrong = np.square(fitted[nearest] - wanted).mean(axis=(1, 2, 3))
     best = wrong.argmin(axis=0)
     chosen = {count: np.stack([fitted[count][k, ..., c] for c, k in enumerate(best)], axis=-1) for count in judged}

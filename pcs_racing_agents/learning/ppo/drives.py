@@ -30,8 +30,9 @@ from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceSetup, run_races
 from pcs_racing.race.state import take
-from pcs_racing.track.track import Track, load_track
-from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score, score_races
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
+from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, score_races
 from pcs_racing_agents.learning.ppo.settings import DriveSettings
 from pcs_racing_agents.learning.ppo.tasks import split_envs
 
@@ -198,7 +199,7 @@ class DriveTask:
             changes["speed_range"] = (self.settings.slowest, high)
         return replace(config, **changes)
 
-    def evaluate(self, layers: DenseLayers) -> dict[Matchup, Score]:
+    def evaluate(self, layers: DenseLayers) -> dict[Matchup, MatchupScore]:
         """Race with the planner of a policy, without exploration noise, under the unchanged rules."""
         policy = _learner_planner(layers.hidden, self.settings.hold).policy(layers.flat(), name="learner")
         names = list(self.settings.opponents)

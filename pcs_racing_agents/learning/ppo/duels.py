@@ -18,9 +18,11 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.identity import game_identity
-from pcs_racing.game.rules import RaceGame, make_game
-from pcs_racing.track.track import Track, load_track
-from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score, score_races
+from pcs_racing.game.make import make_game
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
+from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, score_races
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.learning.ppo.tasks import group_seeds, split_envs
 from pcs_racing_agents.networks.network import RegretNetwork
@@ -99,7 +101,7 @@ class DuelTask:
             training=dict(about or {}),
         )
 
-    def evaluate(self, layers: DenseLayers) -> dict[Matchup, Score]:
+    def evaluate(self, layers: DenseLayers) -> dict[Matchup, MatchupScore]:
         """Play the games of the evaluation with the most probable moves."""
         network = self.network(layers, "learner")
         seeds = group_seeds(0, len(self.batches), 1)
@@ -157,7 +159,7 @@ def make_duel_task(
     return DuelTask(settings, archive, tracks, games[0], mixtures, batches, overrides)
 
 
-def play_duels(batch: GameBatch, network: RegretNetwork, seed: int) -> Score:
+def play_duels(batch: GameBatch, network: RegretNetwork, seed: int) -> MatchupScore:
     """Play a batch of games with a network's most probable moves, and return the score.
 
     Parameters

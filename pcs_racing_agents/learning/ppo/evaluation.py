@@ -16,7 +16,7 @@ from pcs_racing_agents.results.text_table import aligned
 __all__ = [
     "EvaluationCurve",
     "Matchup",
-    "Score",
+    "MatchupScore",
     "evaluation_curves",
     "mean_score",
     "read_evaluations",
@@ -40,7 +40,7 @@ class Matchup(NamedTuple):
     opponent: str
 
 
-class Score(NamedTuple):
+class MatchupScore(NamedTuple):
     """Result of the races of a matchup; the shares add up to 1 with ties and crashes that neither car wins.
 
     Attributes
@@ -71,7 +71,7 @@ class Score(NamedTuple):
     lead: float
 
 
-def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: RaceState) -> Score:
+def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: RaceState) -> MatchupScore:
     """Return the score of races.
 
     Parameters
@@ -83,7 +83,7 @@ def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: Race
         Where the races ended.
     """
     count = len(worth)
-    return Score(
+    return MatchupScore(
         races=count,
         worth=float(np.mean(worth)),
         error=float(np.std(worth, ddof=1) / np.sqrt(count)) if count > 1 else float("nan"),
@@ -95,24 +95,24 @@ def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: Race
     )
 
 
-def mean_score(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> Score:
+def mean_score(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, int]) -> MatchupScore:
     """Return the mean over matchups, weighted by opponent.
 
     Parameters
     ----------
-    scores : mapping of Matchup to Score
+    scores : mapping of Matchup to MatchupScore
     weights : mapping of str to int
         How often each opponent is met.
     """
     shares = np.array([weights[matchup.opponent] for matchup in scores], np.float64)
     shares /= shares.sum()
     rows = np.array([score[1:] for score in scores.values()])
-    means = dict(zip(Score._fields[1:], (shares @ rows).tolist(), strict=True))
-    means["error"] = float(np.sqrt(np.sum((shares * rows[:, Score._fields.index("error") - 1]) ** 2)))
-    return Score(sum(score.races for score in scores.values()), **means)
+    means = dict(zip(MatchupScore._fields[1:], (shares @ rows).tolist(), strict=True))
+    means["error"] = float(np.sqrt(np.sum((shares * rows[:, MatchupScore._fields.index("error") - 1]) ** 2)))
+    return MatchupScore(sum(score.races for score in scores.values()), **means)
 
 
-def score_table(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> str:
+def score_table(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, int]) -> str:
     """Return a text table: a line for each circuit and rules (mean over opponents), and one for all."""
     table = [["", "worth", "+-", "won", "lost", "crashed", "at fault", "lead"]]
     groups = list(dict.fromkeys((matchup.track, matchup.race) for matchup in scores))
@@ -129,7 +129,7 @@ def score_table(scores: Mapping[Matchup, Score], weights: Mapping[str, int]) -> 
 # Learning curves
 
 
-EVALUATION_COLUMNS = ("seed", "steps", *Matchup._fields, *Score._fields)
+EVALUATION_COLUMNS = ("seed", "steps", *Matchup._fields, *MatchupScore._fields)
 
 
 class EvaluationCurve(NamedTuple):
@@ -140,13 +140,13 @@ class EvaluationCurve(NamedTuple):
     seed : int
     steps : tuple of int
         Steps learned before each evaluation.
-    scores : tuple of mapping of Matchup to Score
+    scores : tuple of mapping of Matchup to MatchupScore
         Its result.
     """
 
     seed: int
     steps: tuple[int, ...]
-    scores: tuple[Mapping[Matchup, Score], ...]
+    scores: tuple[Mapping[Matchup, MatchupScore], ...]
 
 
 def write_evaluations(curves: Sequence[EvaluationCurve], file: Path) -> Path:
@@ -168,13 +168,13 @@ def read_evaluations(file: Path) -> list[EvaluationCurve]:
     InputError
         If it is something else.
     """
-    curves: dict[int, dict[int, dict[Matchup, Score]]] = {}
+    curves: dict[int, dict[int, dict[Matchup, MatchupScore]]] = {}
     table = read_csv(file)
     if table.columns != EVALUATION_COLUMNS:
         raise InputError(f"{file} has columns {', '.join(table.columns)}; a curve has {', '.join(EVALUATION_COLUMNS)}")
     for number, row in table.lines():
         try:
-            score = Score(int(row["races"]), *(float(row[key]) for key in Score._fields[1:]))
+            score = MatchupScore(int(row["races"]), *(float(row[key]) for key in MatchupScore._fields[1:]))
             matchup = Matchup(*(row[key] for key in Matchup._fields))
             curves.setdefault(int(row["seed"]), {}).setdefault(int(row["steps"]), {})[matchup] = score
         except ValueError as error:

@@ -9,7 +9,7 @@ import numpy as np
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.learning.ppo.checkpoint import restore_learner, store_learner, under
-from pcs_racing_agents.learning.ppo.evaluation import EvaluationCurve, Matchup, Score, mean_score
+from pcs_racing_agents.learning.ppo.evaluation import EvaluationCurve, Matchup, MatchupScore, mean_score
 from pcs_racing_agents.learning.ppo.learner import Learner, actor_layers, learn_once, make_learner, own_randomness
 from pcs_racing_agents.learning.ppo.settings import PPOSettings
 from pcs_racing_agents.learning.ppo.tasks import LearningTask
@@ -28,7 +28,7 @@ class SeedRecord:
         How often each opponent is met.
     steps : list of int
         Steps learned before each evaluation.
-    scores : list of dict of Matchup to Score
+    scores : list of dict of Matchup to MatchupScore
         The evaluations.
     updates : list of tuple of float
         Steps, and the figures of every update.
@@ -44,7 +44,7 @@ class SeedRecord:
     seed: int
     weights: Mapping[str, int]
     steps: list[int] = field(default_factory=list)
-    scores: list[dict[Matchup, Score]] = field(default_factory=list)
+    scores: list[dict[Matchup, MatchupScore]] = field(default_factory=list)
     updates: list[tuple[float, ...]] = field(default_factory=list)
     best_at: int = 0
     best: DenseLayers | None = None
@@ -71,7 +71,7 @@ class SeedRecord:
         """Steps made up to the last update."""
         return int(self.updates[-1][0]) if self.updates else 0
 
-    def add(self, steps: int, scores: dict[Matchup, Score], layers: DenseLayers) -> None:
+    def add(self, steps: int, scores: dict[Matchup, MatchupScore], layers: DenseLayers) -> None:
         """Add an evaluation, and keep the weights if none was better."""
         self.steps.append(steps)
         self.scores.append(scores)
@@ -105,7 +105,7 @@ class SeedRecord:
             weights,
             steps=arrays["curve.steps"].tolist(),
             scores=[
-                {m: Score(int(row[0]), *row[1:].tolist()) for m, row in zip(matchups, rows, strict=True)}
+                {m: MatchupScore(int(row[0]), *row[1:].tolist()) for m, row in zip(matchups, rows, strict=True)}
                 for rows in arrays["curve.scores"]
             ],
             updates=[tuple(row) for row in arrays["updates"].tolist()],

@@ -12,7 +12,7 @@ import numpy as np
 
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing_agents.learning.ppo.evaluation import Matchup, Score
+from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore
 
 __all__ = ["LearningTask", "group_seeds", "split_envs"]
 
@@ -45,7 +45,7 @@ class LearningTask(Protocol):
     def env_groups(self) -> Sequence[BatchVectorEnv]:
         """Make the training environments."""
 
-    def evaluate(self, layers: DenseLayers) -> dict[Matchup, Score]:
+    def evaluate(self, layers: DenseLayers) -> dict[Matchup, MatchupScore]:
         """Race without exploration noise, and return the scores."""
 
     def save(self, layers: DenseLayers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:

@@ -23,7 +23,13 @@ from pcs_racing_agents.jobs.jobs import Progress, open_job
 from pcs_racing_agents.jobs.tasks import in_other_processes
 from pcs_racing_agents.learning.ppo.drives import make_drive_task
 from pcs_racing_agents.learning.ppo.duels import make_duel_task
-from pcs_racing_agents.learning.ppo.evaluation import EvaluationCurve, Matchup, Score, mean_score, write_evaluations
+from pcs_racing_agents.learning.ppo.evaluation import (
+    EvaluationCurve,
+    Matchup,
+    MatchupScore,
+    mean_score,
+    write_evaluations,
+)
 from pcs_racing_agents.learning.ppo.learner import FIGURES, check_packages
 from pcs_racing_agents.learning.ppo.seed_training import SeedRecord, SeedTraining
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, PPOSettings, load_ppo_settings
@@ -51,7 +57,7 @@ class PPOResult:
         That it is from.
     steps : int
         After which it was evaluated.
-    scores : mapping of Matchup to Score
+    scores : mapping of Matchup to MatchupScore
         That evaluation. It is biased upwards: the best of many, in the same races every time.
     seconds : float
         Time of the training with all seeds, without interruptions.
@@ -65,7 +71,7 @@ class PPOResult:
     layers: DenseLayers
     seed: int
     steps: int
-    scores: Mapping[Matchup, Score]
+    scores: Mapping[Matchup, MatchupScore]
     seconds: float
     folder: Path
 

@@ -87,7 +87,7 @@ def branch_games(
     opponent : Competitor
         Competitor in car 1. Of a driver, the game's key selects the policy.
     keys : array of int, shape (B,)
-        Keys of the games (:func:`pcs_racing.race_seeds`): they determine starts, policies and noise.
+        Keys of the games (:func:`pcs_racing.base.seeds.race_seeds`): they determine starts, policies and noise.
     step : int
         Moves made before the branching, 0 to ``moves - 1``.
     behaviours : sequence of Competitor

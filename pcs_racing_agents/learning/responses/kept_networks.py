@@ -20,8 +20,8 @@ from pcs_racing_agents.networks.settings import TrainSettings
 __all__ = ["train_kept"]
 
 
-class Lesson(NamedTuple):
-    """What a network depends on.
+class NetworkTask(NamedTuple):
+    """One network to train, by what it depends on.
 
     Attributes
     ----------
@@ -60,13 +60,13 @@ def train_kept(
         Where they are trained, if its tasks run in other processes.
     """
     digest = fingerprint(rows.observations, rows.targets, rows.weights, rows.pair)
-    lessons = [Lesson(digest, one) for one in settings]
-    kept = job.run(part, partial(_learn, rows, identity, name), lessons, executor=in_other_processes(executor))
+    tasks = [NetworkTask(digest, one) for one in settings]
+    kept = job.run(part, partial(_learn, rows, identity, name), tasks, executor=in_other_processes(executor))
     return [_unpacked(arrays, identity, name) for arrays in kept]
 
 
-def _learn(rows: Rows, identity: GameIdentity, name: str, lesson: Lesson) -> Arrays:
-    network, _ = train_network(rows, identity, lesson.settings, name=name, target="advantage")
+def _learn(rows: Rows, identity: GameIdentity, name: str, task: NetworkTask) -> Arrays:
+    network, _ = train_network(rows, identity, task.settings, name=name, target="advantage")
     layers = network.layers
     arrays = {f"weights_{i}": weights for i, weights in enumerate(layers.weights)}
     arrays |= {f"biases_{i}": biases for i, biases in enumerate(layers.biases)}

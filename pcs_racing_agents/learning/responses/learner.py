@@ -17,14 +17,14 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.base.settings import load_settings, setting, whole
+from pcs_racing.base.settings import setting, whole
 from pcs_racing.game.identity import game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import ConstantStrategy
 from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
 from pcs_racing_agents.learning.responses.branches import branch_games
 from pcs_racing_agents.learning.responses.ensemble import merge_networks
@@ -64,16 +64,8 @@ class ResponseSettings(LearnerSettings):
 
 
 def load_response_settings(source: str | Path | ResponseSettings | None = None, **changes: Any) -> ResponseSettings:
-    """Return settings from a name, a YAML file or settings, with some fields changed.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value impossible.
-    UnknownNameError
-        If the name is no configuration and no file.
-    """
-    return load_settings("response", ResponseSettings(), source, shipped_configs("response"), **changes)
+    """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
+    return load_config("response", ResponseSettings(), source, **changes)
 
 
 class BranchTask(NamedTuple):

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pcs_racing.base.settings import Settings, load_settings, number, setting, text, whole
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing.base.settings import Settings, number, setting, text, whole
+from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, load_response_settings
 
 __all__ = ["PSROSettings", "RobustSettings", "load_psro_settings", "load_robust_settings"]
@@ -51,26 +51,10 @@ class PSROSettings(_ResponsesSettings):
 
 
 def load_robust_settings(source: str | Path | RobustSettings | None = None, **changes: Any) -> RobustSettings:
-    """Return settings from a name, a YAML file or settings, with some fields changed.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value impossible.
-    UnknownNameError
-        If the name is no configuration and no file.
-    """
-    return load_settings("robust", RobustSettings(), source, shipped_configs("robust"), **changes)
+    """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
+    return load_config("robust", RobustSettings(), source, **changes)
 
 
 def load_psro_settings(source: str | Path | PSROSettings | None = None, **changes: Any) -> PSROSettings:
-    """Return settings from a name, a YAML file or settings, with some fields changed.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value impossible.
-    UnknownNameError
-        If the name is no configuration and no file.
-    """
-    return load_settings("psro", PSROSettings(), source, shipped_configs("psro"), **changes)
+    """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
+    return load_config("psro", PSROSettings(), source, **changes)

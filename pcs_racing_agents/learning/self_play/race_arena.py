@@ -1,6 +1,6 @@
 """Races as an arena of self-play: every move of one car is tried, and both cars play by the same network."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,10 +75,6 @@ class RaceArena:
     def steps(self) -> int:
         """Number of moves that each car makes."""
         return self.game.config.moves
-
-    def on_one_thread(self) -> "RaceArena":
-        """Return the arena for tasks that share the cores."""
-        return replace(self, game=replace(self.game, threads=1))
 
     def traverse(
         self, network: RegretNetwork | None, exploration: float, step: int, keys: NDArray[np.uint64]

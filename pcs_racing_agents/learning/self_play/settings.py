@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pcs_racing.base.settings import choice, load_settings, number, setting, whole
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing.base.settings import choice, number, setting, whole
+from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.learning.responses.learner_settings import LearnerSettings
 from pcs_racing_agents.networks.settings import TrainSettings
 
@@ -46,13 +46,5 @@ class SelfPlaySettings(LearnerSettings):
 
 
 def load_self_play_settings(source: str | Path | SelfPlaySettings | None = None, **changes: Any) -> SelfPlaySettings:
-    """Return settings from a name, a YAML file or settings, with some fields changed.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value impossible.
-    UnknownNameError
-        If the name is no configuration and no file.
-    """
-    return load_settings("self-play", SelfPlaySettings(), source, shipped_configs("self-play"), **changes)
+    """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
+    return load_config("self-play", SelfPlaySettings(), source, **changes)

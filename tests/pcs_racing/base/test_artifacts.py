@@ -64,7 +64,7 @@ def test_the_shipped_ones_are_listed_and_found(album, tmp_path):
     assert album.find(tmp_path) == tmp_path
     with pytest.raises(UnknownNameError, match=r"unknown album 'spring': .*\(summer, winter\)"):
         album.find("spring")
-    with pytest.raises(InputError, match="album 3 must be a name or a folder"):
+    with pytest.raises(InputError, match="album 3 "):
         album.find(3)
 
 
@@ -79,9 +79,9 @@ def test_shipped_files_lie_beside_the_package_or_in_it(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": "pcs-racing album"}, "is no manifest of a note: format must be 'pcs-racing note'"),
-        ({"version": 2}, "has version 2; this release reads version 1"),
-        ({"colour": "red"}, "unknown or missing colour; a manifest holds text, pages"),
+        ({"format": "pcs-racing album"}, r"manifest of a note: .*'pcs-racing note'"),
+        ({"version": 2}, "has version 2"),
+        ({"colour": "red"}, "unknown or missing colour"),
         ({"pages": ...}, "unknown or missing pages"),
     ],
 )
@@ -94,5 +94,5 @@ def test_a_manifest_of_something_else_is_refused(tmp_path, change, message):
     with pytest.raises(InputError, match=message):
         NOTE.read(file)
     file.write_text("- 1")
-    with pytest.raises(InputError, match="is no manifest of a note"):
+    with pytest.raises(InputError, match="manifest of a note"):
         NOTE.read(file)

@@ -12,7 +12,7 @@ from pcs_racing.base.errors import ConfigError, InputError
 def test_whole_numbers_within_a_range(value):
     assert [checks.check_whole("n", good, 0, 5) for good in (0, 5, np.uint8(3))] == [0, 5, 3]
     assert type(checks.check_whole("n", np.int64(3), 0, 5)) is int
-    with pytest.raises(InputError, match=r"^n is .*; it must be a whole number from 0 to 5$"):
+    with pytest.raises(InputError, match=r"^n is .* from 0 to 5$"):
         checks.check_whole("n", value, 0, 5)
 
 
@@ -20,7 +20,7 @@ def test_whole_numbers_within_a_range(value):
 def test_numbers_within_a_range(value):
     assert [checks.check_number("x", good, 0.0, 1.0) for good in (0, 1.0, np.float32(0.5))] == [0.0, 1.0, 0.5]
     assert type(checks.check_number("x", np.float32(0.5))) is float
-    with pytest.raises(InputError, match=r"^x is .*; it must be a number above 0 up to 1$"):
+    with pytest.raises(InputError, match=r"^x is .* above 0 up to 1$"):
         checks.check_number("x", value, most=1.0, above=0.0)
 
 
@@ -35,7 +35,7 @@ def test_names_that_resemble_are_suggested():
     with pytest.raises(InputError, match=r"kind is 'mpa'; it must be one of map, kdpp \(did you mean 'map'\?\)"):
         checks.check_choice("kind", "mpa", ("map", "kdpp"))
     for odd in (None, 3, ["map"], "lattice"):
-        with pytest.raises(ConfigError, match=r"it must be one of map, kdpp$"):
+        with pytest.raises(ConfigError, match=r"one of map, kdpp$"):
             checks.check_choice("kind", odd, ("map", "kdpp"), ConfigError)
 
 
@@ -60,7 +60,7 @@ def test_texts_flags_paths_and_seeds():
 def test_lists_of_whole_numbers():
     assert checks.check_wholes("widths", [np.int64(3), 4], 1, 9, (0, 2)) == (3, 4)
     for odd in ([0], [1, 2, 3], [True], "12", 3, [1.0]):
-        with pytest.raises(InputError, match=r"^widths is .*; it must be a list of at most 2 whole numbers"):
+        with pytest.raises(InputError, match=r"^widths is .* at most 2 whole numbers"):
             checks.check_wholes("widths", odd, 1, 9, (0, 2))
     with pytest.raises(InputError, match="different"):
         checks.check_wholes("seeds", [1, 1], 0, 9, different=True)
@@ -83,3 +83,33 @@ def test_arrays(value, message):
     with pytest.raises(InputError) as error:
         checks.check_array("theta", value, (None, 3), least=0.0, most=9.0)
     assert message in str(error.value)
+
+
+def test_arrays_of_whole_numbers():
+    np.testing.assert_array_equal(checks.check_whole_array("n", [[1, 2]], (None, 2), least=0, most=2), [[1, 2]])
+    assert checks.check_whole_array("n", np.uint8(3)).dtype == np.int64
+    for wrong in ([[1.0, 2.0]], [[True, False]], [["a", "b"]], [[1], [2, 3]]):
+        with pytest.raises(InputError, match=r"^n has shape .* type"):
+            checks.check_whole_array("n", wrong, (None, 2))
+    with pytest.raises(InputError, match=r"^n is 2\.5;"):
+        checks.check_whole_array("n", 2.5, (None,))
+    with pytest.raises(InputError, match=r"^n has shape \(3,\) .*\(2,\) or \(4, 2\)"):
+        checks.check_whole_array("n", [1, 2, 3], (2,), (4, 2))
+    with pytest.raises(InputError, match=r"^n holds -1 at \(0, 1\); .* from 0 to 5"):
+        checks.check_whole_array("n", [[1, -1]], (1, 2), least=0, most=5)
+    with pytest.raises(ConfigError, match=r"^n is 6; .* up to 5"):
+        checks.check_whole_array("n", 6, most=5, error=ConfigError)
+
+
+def test_facts_are_texts_and_numbers_by_name():
+    facts = checks.check_facts("training", {"seed": 3, "tracks": "Pipkin", "share": 0.5})
+    assert dict(facts) == {"seed": 3, "tracks": "Pipkin", "share": 0.5}
+    with pytest.raises(TypeError):
+        facts["seed"] = 4
+    for wrong, message in (
+        (5, "training is 5"),
+        ({"a": [1]}, r"training holds 'a': \[1\]"),
+        ({1: 2}, "training holds 1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            checks.check_facts("training", wrong)

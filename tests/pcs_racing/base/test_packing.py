@@ -128,8 +128,8 @@ def test_costs_keep_their_order_and_their_rejections(costs):
 @pytest.mark.parametrize(
     ("points", "counts", "words"),
     [
-        (np.zeros((4, 3)), [4], "walls must have points of shape"),
-        (np.zeros((4, 2)), [3], "walls.counts must be at least 2 each and sum to the 4 points"),
+        (np.zeros((4, 3)), [4], "walls must have points"),
+        (np.zeros((4, 2)), [3], r"walls.counts must"),
         (np.zeros((4, 2)), [3, 1], "at least 2 each"),
     ],
 )
@@ -141,5 +141,5 @@ def test_segments_that_do_not_fit_their_counts_are_refused(points, counts, words
 
 def test_paths_without_their_counts_are_refused():
     packed = pack_paths(np.zeros((2, 3, 4, 2)), 100)
-    with pytest.raises(InputError, match=r"paths\.counts must have one number for each path of paths\.points"):
+    with pytest.raises(InputError, match=r"paths\.counts .*paths\.points"):
         unpack_paths({**packed, "counts": pack(np.ones(3), 1)}, "paths")

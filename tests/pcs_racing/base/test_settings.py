@@ -161,13 +161,13 @@ def test_a_wrong_file_is_refused_by_name(tmp_path, written, message):
 
 
 def test_an_unknown_name_lists_what_there_is():
-    with pytest.raises(UnknownNameError, match="soup settings 'borscht' are unknown; use none or the path of a YAML"):
+    with pytest.raises(UnknownNameError, match="soup settings 'borscht' are unknown"):
         load_settings("soup", Soup(), "borscht")
     with pytest.raises(UnknownNameError, match="did you mean 'salty'"):
         load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})
-    with pytest.raises(ConfigError, match="the arguments: unknown soup setting 'pepper'"):
+    with pytest.raises(ConfigError, match=r"the arguments: .*'pepper'"):
         load_settings("soup", Soup(), pepper=1)
-    with pytest.raises(ConfigError, match="soup settings are 3; use a name"):
+    with pytest.raises(ConfigError, match="soup settings are 3;"):
         load_settings("soup", Soup(), 3)
 
 

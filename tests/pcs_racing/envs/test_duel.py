@@ -17,7 +17,7 @@ from pcs_racing import InputError, UnknownNameError, advance, get_planner
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.registration import register_environments
 from pcs_racing.envs.video import RecordRaces
-from pcs_racing.game.rules import make_game
+from pcs_racing.game.make import make_game
 
 SHORT = {"step_seconds": 1.0, "moves": 3}
 MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
@@ -209,7 +209,7 @@ def test_masks_rule_out_moves_that_lead_to_the_same_place():
         ({"opponent": None}, "opponent is None"),
         ({"opponent": 5}, "5 is not a competitor"),
         ({"opponent": []}, "empty"),
-        ({"opponent": [(1, 2, "random-moves")]}, "opponent 0 of the mixture"),
+        ({"opponent": [(1, 2, "random-moves")]}, "opponent 0"),
         ({"opponent": [(-1.0, "random-moves")]}, "weight of opponent 0 is -1.0"),
         ({"opponent": [(1, "lane-switcher:3"), (1, "random-moves")]}, "drive with planners"),
         ({"epsilon": -1.0}, "epsilon is -1.0"),
@@ -280,7 +280,7 @@ def test_an_opponent_may_stay_whatever_moves_the_rules_offer(rules):
     assert env.batch.state.policy[0, 1] == before
     assert env.action_space.n == (5 if rules else 4)
     if not rules:
-        with pytest.raises(InputError, match="move 4 is not one of the moves from 0 to 3"):
+        with pytest.raises(InputError, match=r"move 4 .*0 to 3"):
             env.step(4)
 
 

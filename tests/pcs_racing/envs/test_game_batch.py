@@ -210,9 +210,9 @@ def test_random_moves_are_only_those_that_may_be_made(coarse_oval, archive):
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        ([0, 1, 2, 3, 4, 5], "environment 5: move 5 is not one of the moves from 0 to 4"),
+        ([0, 1, 2, 3, 4, 5], "environment 5: move 5"),
         ([0, -1, 2, 3, 4, 0], "environment 1: move -1"),
-        ([0, 1, 2], r"of shape \(3,\) and type int64; they must be whole numbers of shape \(6,\)"),
+        ([0, 1, 2], r"of shape \(3,\) and type int64"),
         ([0.0] * 6, "type float64"),
     ],
 )

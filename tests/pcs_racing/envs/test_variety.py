@@ -399,7 +399,7 @@ def test_a_car_never_starts_in_an_obstacle(oval):
     env.step([0.1, 0.0])
     before = env.batch.state.copy()
     poses = [[0.0, -4.0, 0.0], [4.0, 4.0, 3.1]]
-    with pytest.raises(InputError, match="starts in one of the obstacles"):
+    with pytest.raises(InputError, match="in one of the obstacles"):
         env.reset(options={"poses": poses, "obstacles": [[0.2, -4.0, 0.0, 0.4, 0.4]]})
     for mine, own in zip(env.batch.state, before, strict=True):
         np.testing.assert_array_equal(mine, own)

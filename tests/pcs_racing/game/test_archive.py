@@ -142,8 +142,8 @@ def test_parameters_that_an_archive_does_not_hold_have_the_planners_defaults(toy
     np.testing.assert_array_equal(toy.policy(4).parameters, [0.5, 1.0])
     np.testing.assert_array_equal(toy.explored_policy(0).parameters, [0.5, -1.0])
     np.testing.assert_array_equal(toy.complete(toy.parameters[:1]), [[0.5, 0.0]])
-    with pytest.raises(InputError, match="holds parameters b, b"):
-        archive(parameter_names=("b", "b")).family()
+    with pytest.raises(InputError, match="parameter_names are b, b"):
+        archive(parameter_names=("b", "b"))
 
 
 def test_policies_that_stand_out():
@@ -241,22 +241,22 @@ def test_the_shipped_archive_is_sound():
     [
         (
             {"coordinates": np.zeros((4, 2)), "parameters": np.zeros((5, 2))},
-            r"coordinates has shape \(4, 2\); it must have \(5, 2\)",
+            r"coordinates has shape \(4, 2\)",
         ),
-        ({"coordinates": np.zeros((5, 2))}, "aggressiveness reaches from 0 .nadir. to 0 .ideal."),
-        ({"coordinates": COORDINATES * np.nan}, "coordinates is not finite in row 0"),
-        ({"parameters": np.zeros((5, 3))}, r"parameters has shape \(5, 3\); it must have \(any, 2\)"),
+        ({"coordinates": np.zeros((5, 2))}, r"aggressiveness .* 0 .nadir. to 0"),
+        ({"coordinates": COORDINATES * np.nan}, r"coordinates holds nan at \(0, 0\)"),
+        ({"parameters": np.zeros((5, 3))}, r"parameters has shape \(5, 3\)"),
         ({"parameters": np.zeros((0, 2))}, "holds no policy"),
-        ({"parameters": [["x", "y"]] * 5}, "parameters holds something that is no number"),
+        ({"parameters": [["x", "y"]] * 5}, "parameters is"),
         ({"characteristics": ("aggressiveness", "aggressiveness")}, "each once"),
         ({"characteristics": ("aggressiveness", "charm")}, "characteristic 'charm' is unknown"),
-        ({"characteristics": "speed"}, "characteristics is 'speed'; it must be a list"),
+        ({"characteristics": "speed"}, "characteristics is 'speed'"),
         ({"name": ""}, "name is ''"),
-        ({"ideal": [1.0, -2.0], "nadir": [0.0, 0.0]}, "restraint reaches from 0 .nadir. to -2"),
-        ({"settings": {"a": [1]}}, "setting 'a' is"),
-        ({"own_crash": np.zeros(4)}, r"own_crash has shape \(4,\); it must have \(5\)"),
-        ({"own_crash": np.full(5, -0.1)}, "own_crash is -0.1 somewhere; it must be 0 or above"),
-        ({"spread": np.where(np.arange(10).reshape(5, 2) == 6, np.nan, 1.0)}, "spread is not finite in row 3"),
+        ({"ideal": [1.0, -2.0], "nadir": [0.0, 0.0]}, r"restraint .* 0 .nadir. to -2"),
+        ({"settings": {"a": [1]}}, "settings holds 'a'"),
+        ({"own_crash": np.zeros(4)}, r"own_crash has shape \(4,\)"),
+        ({"own_crash": np.full(5, -0.1)}, "own_crash holds -0.1"),
+        ({"spread": np.where(np.arange(10).reshape(5, 2) == 6, np.nan, 1.0)}, r"spread holds nan at \(3, 0\)"),
     ],
 )
 def test_an_impossible_archive_is_one_clear_error(changes, message):
@@ -267,10 +267,10 @@ def test_an_impossible_archive_is_one_clear_error(changes, message):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda toy: move(toy, 5, 0, 1, 0.1), "index is 5; it must lie in 0 to 4"),
+        (lambda toy: move(toy, 5, 0, 1, 0.1), "index is 5"),
         (lambda toy: move(toy, 0.5, 0, 1, 0.1), "whole number"),
-        (lambda toy: move(toy, 0, 2, 1, 0.1), "axis is 2; it must lie in 0 to 1"),
-        (lambda toy: move(toy, 0, 0, 2, 0.1), "sign is 2; it must be 1 or -1"),
+        (lambda toy: move(toy, 0, 2, 1, 0.1), "axis is 2"),
+        (lambda toy: move(toy, 0, 0, 2, 0.1), "sign is 2"),
         (lambda toy: move(toy, 0, 0, 1, np.nan), "epsilon is nan"),
         (lambda toy: toy.nearest([[1.0, 2.0, 3.0]]), r"needs \(..., 2\)"),
         (lambda toy: toy.nearest([np.inf, 0.0]), "NaN or infinity"),
@@ -295,7 +295,7 @@ def test_an_impossible_epsilon_is_one_clear_error(epsilon):
 def test_files_that_are_no_archive(tmp_path):
     with pytest.raises(UnknownNameError, match=r"unknown archive 'nonsense'.*default"):
         load_archive("nonsense")
-    with pytest.raises(InputError, match="must be a name or a folder"):
+    with pytest.raises(InputError, match="name or a folder"):
         load_archive(3)
     with pytest.raises(InputError, match=r"can't read .*manifest.yaml"):
         load_archive(tmp_path)
@@ -325,11 +325,11 @@ def swap_arrays(folder):
         (lambda folder: (folder / "manifest.yaml").write_text("- 1"), "no manifest of an archive"),
         (lambda folder: (folder / "archive.npz").write_bytes(b"half"), "digest differs"),
         (lambda folder: (folder / "archive.npz").unlink(), r"can't read .*archive.npz"),
-        (damage(lambda m: m.update(version=9)), "version 9; this release reads version 1"),
+        (damage(lambda m: m.update(version=9)), "version 9"),
         (damage(lambda m: m.update(surprise=1)), "unknown or missing surprise"),
         (damage(lambda m: m.pop("planner")), "unknown or missing planner"),
         (damage(lambda m: m.update(settings=[1])), "settings is"),
-        (damage(lambda m: m.update(parameter_names=["a"])), r"parameters has shape \(5, 2\); it must have \(any, 1\)"),
+        (damage(lambda m: m.update(parameter_names=["a"])), r"parameters has shape \(5, 2\)"),
         (swap_arrays, r"archive.npz (is no archive|holds)"),
     ],
 )

@@ -86,8 +86,8 @@ def test_ours_pass_the_check_for_everybody(name):
     ("evaluate", "message"),
     [
         (lambda segment: segment.progress[:, 0], r"returns shape \(5,\)"),
-        (lambda segment: segment.progress.astype(int), "type int64; it must be floating point"),
-        (lambda segment: segment.sums[..., STEERING] / segment.time[:, None], "of 0.0 s; it must be finite"),
+        (lambda segment: segment.progress.astype(int), "type int64"),
+        (lambda segment: segment.sums[..., STEERING] / segment.time[:, None], "of 0.0 s"),
         (lambda segment: segment.progress - segment.progress.mean(), "depends on the other races"),
         (lambda segment: segment.progress * [1.0, 2.0], "do not change places"),
         (lambda segment: segment.progress.__imul__(2.0), "writes to the segment"),
@@ -114,7 +114,7 @@ def test_a_characteristic_is_known_by_its_name(monkeypatch):
     [
         ([], "name at least one"),
         (["speed", "speed"], "each once"),
-        (["charm"], "'charm' is unknown; known are"),
+        (["charm"], "'charm' is unknown"),
     ],
 )
 def test_impossible_names_are_one_clear_error(names, message):

@@ -26,7 +26,7 @@ from pcs_racing.game.characteristics import Segment, get_characteristics, measur
 from pcs_racing.game.moves import move
 from pcs_racing.game.observation import observation_elements, observation_table
 from pcs_racing.game.reward import reward
-from pcs_racing.game.state import GameState, join_games, load_game, save_game, take_games
+from pcs_racing.game.state import GameState, load_game, put_games, save_game, take_games
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
@@ -122,7 +122,7 @@ def test_a_game_does_not_depend_on_its_batch(game):
     together = play(game, game.reset(keys), [(0, 3), (2, 1)])
     for i, key in enumerate(keys):
         assert_same(play(game, game.reset([key]), [(0, 3), (2, 1)]), take_games(together, [i]))
-    assert_same(game.reset(games=4, seed=3), join_games([take_games(game.reset(games=6, seed=3), [0, 1, 2, 3])]))
+    assert_same(game.reset(games=4, seed=3), take_games(game.reset(games=6, seed=3), [0, 1, 2, 3]))
 
 
 def test_the_number_of_threads_changes_nothing(game):
@@ -301,7 +301,8 @@ def test_who_leads_at_the_end_wins(track):
 def test_games_that_are_over_stand_still(game):
     state = game.reset(games=3)
     halfway = crash(take_games(state, [0, 1]), (1, 0))
-    mixed = join_games([halfway, take_games(state, [2])])
+    mixed = state.copy()
+    put_games(mixed, [0, 1], halfway)
     after = game.step(mixed, np.full((3, 2), 2))
     assert_same(take_games(after, [0, 1]), take_games(mixed, [0, 1]))
     np.testing.assert_array_equal(after.step, [0, 0, 1])
@@ -331,9 +332,9 @@ def test_drivers_from_outside_the_archive(track):
     assert_same(a, b)
     np.testing.assert_array_equal(a.own[:, 1], a.estimates[:, 1])
     assert (a.policy[:, 0] >= 0).all()
-    with pytest.raises(InputError, match="game 0: car 1 is driven by planner 'pure-pursuit'"):
+    with pytest.raises(InputError, match=r"game 0: car 1 .*'pure-pursuit'"):
         game.reset(1)
-    with pytest.raises(InputError, match="game 0: the opponent is of planner 'lattice'"):
+    with pytest.raises(InputError, match=r"game 0: the opponent .*'lattice'"):
         game.reset(1, opponents=LATTICE.policy())
 
     mixed = make_game(track, step_seconds=2.0)
@@ -368,11 +369,11 @@ def test_drivers_from_outside_in_either_car(track):
     end = play(small, small.reset([1], egos=egos[0], opponents=egos[1]), [(0, 0)] * 4)
     assert small.done(end).all()
 
-    with pytest.raises(InputError, match=r"game 0: car 0 is driven by planner 'pure-pursuit', .* give egos"):
+    with pytest.raises(InputError, match=r"game 0: car 0 .*'pure-pursuit'.* egos"):
         game.reset(1, opponents=wild)
-    with pytest.raises(InputError, match="there are 1 games but 2 egos"):
+    with pytest.raises(InputError, match=r"1 games .*2 egos"):
         game.reset(1, egos=egos)
-    with pytest.raises(InputError, match="game 0: the ego is of planner 'lattice'"):
+    with pytest.raises(InputError, match=r"game 0: the ego .*'lattice'"):
         game.reset(1, egos=wild)
 
 
@@ -405,13 +406,13 @@ def test_the_table_of_an_observation(game):
         ({"step_seconds": np.nan}, "step_seconds is nan"),
         ({"step_seconds": 600.0, "moves": 10}, "over 3600 s"),
         ({"epsilon": 0.0}, r"epsilon is 0\.0"),
-        ({"utility": "fame"}, "utility is 'fame'; it must be one of lead, lead-at-crash, win"),
+        ({"utility": "fame"}, "utility is 'fame'"),
         ({"fault_penalty": -1.0}, r"fault_penalty is -1\.0"),
         ({"discount": 0.0}, r"discount is 0\.0"),
         ({"stay": "yes"}, "stay is 'yes'"),
         ({"characteristics": "speed"}, "must be a list of names"),
         ({"race": 3}, "race is 3"),
-        ({"speeed": 1}, "unknown game setting 'speeed'; known are race, moves"),
+        ({"speeed": 1}, "unknown game setting 'speeed'"),
     ],
 )
 def test_impossible_rules_are_one_clear_error(settings, message):
@@ -440,14 +441,14 @@ def test_unknown_names_are_one_clear_error(track):
         ({"seeds": [1], "games": 1}, "give one of the two"),
         ({"games": -1}, "games is -1"),
         ({"seed": "x"}, "seed is 'x'"),
-        ({"policies": [0, 99]}, "game 0, car 1: policy 99 is not in archive 'default'"),
+        ({"policies": [0, 99]}, "game 0, car 1: policy 99"),
         ({"policies": [0, -2]}, "policy -2"),
         ({"policies": [0.0, 1.0]}, "type float64"),
-        ({"games": 2, "policies": [[0, 1]]}, r"policies have shape \(1, 2\)"),
+        ({"games": 2, "policies": [[0, 1]]}, r"policies has shape \(1, 2\)"),
         ({"starts": STARTS}, "1 games but 3 starts"),
         ({"starts": Starts(np.array([1e6]), np.array([0]))}, "race 0: the start line"),
         ({"games": 2, "opponents": [None]}, "2 games but 1 opponents"),
-        ({"opponents": ["fast"]}, "game 0: the opponent is of 'fast'"),
+        ({"opponents": ["fast"]}, r"game 0: the opponent .*'fast'"),
     ],
 )
 def test_an_impossible_reset_is_one_clear_error(game, arguments, message):
@@ -458,7 +459,7 @@ def test_an_impossible_reset_is_one_clear_error(game, arguments, message):
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        ([[0, 4]], "game 0, car 1: move 4 is not one of the moves from 0 to 3 .aggressiveness"),
+        ([[0, 4]], r"game 0, car 1: move 4 .*aggressiveness"),
         ([[-1, 0]], "game 0, car 0: move -1"),
         ([[0.0, 1.0]], "type float64"),
         ([[np.nan, 1.0]], "type float64"),

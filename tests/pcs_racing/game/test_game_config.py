@@ -74,12 +74,12 @@ def test_each_rule_has_its_limits(key, fine, wrong):
 
 def test_a_game_lasts_an_hour_at_most():
     assert GameConfig(moves=5, step_seconds=600.0).horizon == 3600.0
-    with pytest.raises(ConfigError, match="6 moves of 600 s make a race of over 3600 s"):
+    with pytest.raises(ConfigError, match="6 moves of 600 s"):
         GameConfig(moves=6, step_seconds=600.0)
 
 
 def test_rules_are_changed_by_name():
     config = load_game_config(GameConfig(moves=2), step_seconds=1.0)
     assert (config.moves, config.step_seconds) == (2, 1.0)
-    with pytest.raises(ConfigError, match="unknown game setting 'move'; known are race, moves"):
+    with pytest.raises(ConfigError, match="unknown game setting 'move'"):
         load_game_config(move=3)

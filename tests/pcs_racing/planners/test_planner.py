@@ -101,13 +101,13 @@ def test_vectors_of_some_parameters_are_completed():
 @pytest.mark.parametrize(
     ("parameters", "error", "message"),
     [
-        ([0.5], InputError, r"shape \(1,\); planner 'example' takes \(2,\)"),
+        ([0.5], InputError, r"shape \(1,\); planner 'example'"),
         ([[0.5, 0.1]], InputError, r"shape \(1, 2\)"),
-        ([np.nan, 0.1], InputError, "parameter 'pace' is nan; it must be finite"),
+        ([np.nan, 0.1], InputError, "parameter 'pace' is nan"),
         ([np.inf, 0.1], InputError, "parameter 'pace' is inf"),
-        ([0.5, 0.5], InputError, r"parameter 'air' is 0.5; it must lie in \[0.05, 0.35\]"),
-        ({"speed": 1.0}, UnknownNameError, "no parameter 'speed'; it has pace, air"),
-        ("timid", UnknownNameError, "no variant 'timid'; it has default, brave"),
+        ([0.5, 0.5], InputError, r"parameter 'air' is 0.5"),
+        ({"speed": 1.0}, UnknownNameError, "no parameter 'speed'"),
+        ("timid", UnknownNameError, "no variant 'timid'"),
     ],
 )
 def test_bad_parameters_are_refused(parameters, error, message):

@@ -64,15 +64,15 @@ def test_a_decision_is_that_of_the_network_planner_and_holds(oval, view_at, hidd
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"format": "pcs-racing network"}, "is no manifest of a driver"),
-        ({"version": 2}, "has version 2; this release reads version 1"),
+        ({"format": "pcs-racing network"}, "manifest of a driver"),
+        ({"version": 2}, "has version 2"),
         ({"inputs": ["speed"]}, "made for other inputs"),
-        ({"top_speed": 9.0}, "made for other inputs or another top speed"),
-        ({"hidden": [7]}, r"has hidden layers \[6\]; .* says \[7\]"),
+        ({"top_speed": 9.0}, "other inputs"),
+        ({"hidden": [7]}, r"hidden layers \[6\]; .*\[7\]"),
         ({"hidden": [6, 6]}, "unknown or missing layers.2.bias"),
-        ({"hidden": "6"}, "hidden is '6'; it must be a list"),
-        ({"hold": 3}, "holds its decisions for 3 steps"),
-        ({"hold": "4"}, "holds its decisions for '4' steps"),
+        ({"hidden": "6"}, "hidden is '6'"),
+        ({"hold": 3}, "for 3 steps"),
+        ({"hold": "4"}, "for '4' steps"),
         ({"name": 3}, "name must be a text"),
         ({"extra": 3}, "unknown or missing extra"),
     ],
@@ -108,9 +108,9 @@ def test_the_shipped_driver_is_read_when_it_is_first_asked_for(folder, monkeypat
 
 def test_drivers_must_fit():
     sound = layers(8)
-    with pytest.raises(InputError, match="has 16 inputs and 8 outputs"):
+    with pytest.raises(InputError, match="16 inputs and 8 outputs"):
         trained_planner("d", DenseLayers(sound.weights[:1], sound.biases[:1]), 2)
     with pytest.raises(InputError, match="a weight of 11"):
         trained_planner("d", DenseLayers(sound.weights, (sound.biases[0], np.full(2, 11))), 2)
-    with pytest.raises(InputError, match="holds its decisions for 3 steps"):
+    with pytest.raises(InputError, match="for 3 steps"):
         trained_planner("d", sound, 3)

@@ -8,7 +8,7 @@ import pytest
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.calibration import SCALES, calibrate, calibration_of, hazard_scan, starts_for
 from pcs_racing.race.config import CONTEST, PAPER
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 
 
 def test_faster_is_riskier_and_noise_makes_it_smooth() -> None:

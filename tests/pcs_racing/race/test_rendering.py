@@ -5,11 +5,11 @@ import sys
 
 import numpy as np
 import pytest
-from PIL import Image
+from recorded_races import race_on_a_straight
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.race.rendering import THEMES, VIEWS, Renderer, replay_frames, write_gif
-from pcs_racing.race.replay import Replay
+from pcs_racing.race.painting import THEMES
+from pcs_racing.race.rendering import VIEWS, Renderer
 
 BLUE, AMBER, RED = (27, 111, 216), (224, 135, 0), (209, 44, 76)
 
@@ -24,29 +24,7 @@ def state(x, y, psi, delta=0.0):
 
 @pytest.fixture(scope="module")
 def race():
-    """Two cars side by side for a second on the lower straight of a rectangular track of 20 m x 10 m."""
-    time = np.arange(21) * 0.05
-    cars = np.zeros((21, 2, 7))
-    cars[:, :, 0] = 5.0 + np.outer(time, [5.0, 4.0])
-    cars[:, :, 1] = [1.2, 0.6]
-    cars[:, :, 3] = [5.0, 4.0]
-    corners = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0], [0.0, 0.0]])
-    inner = np.array([1.0, 0.9]) + corners * [0.9, 0.8]
-    inner[:, 1] += 1.1
-    paths = np.full((10, 2, 5, 4), np.nan)
-    paths[:, :, :4, 0] = cars[:20:2, :, None, 0] + np.arange(4) * 0.5
-    paths[:, :, :4, 1] = cars[:20:2, :, None, 1]
-    paths[:, :, :4, 2:] = 0.0
-    return Replay(
-        title="straight",
-        track_name="box",
-        car_names=("a", "b"),
-        cars=cars,
-        progress=cars[:, :, 0],
-        walls=np.vstack([np.hstack([loop[:-1], loop[1:]]) for loop in (corners, inner)]),
-        line=np.array([[0.5, 0.9], [19.5, 0.9], [19.5, 9.5], [0.5, 9.5]]),
-        paths=paths,
-    )
+    return race_on_a_straight()
 
 
 def test_a_frame_shows_both_cars_where_they_are(race):
@@ -134,36 +112,7 @@ def test_a_track_is_a_scene_too(oval, theme):
     assert len(np.unique(frame.reshape(-1, 3), axis=0)) > 50
 
 
-def test_frames_of_a_replay(race):
-    frames = list(replay_frames(race, Renderer(race, 160, 100), fps=10.0))
-    assert len(frames) == 11
-    assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=10.0, speed=0.5))) == 21
-    # Candidates that were not kept are not missed.
-    assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=5.0, candidates=True))) == 6
-
-
-def test_frames_show_the_candidates_that_were_kept(race):
-    """From the plan on for which they were kept; before, there are none."""
-    fan = np.stack([race.cars[10, :, None, :2] + [[0.0, 0.0], [4.0, slope]] for slope in (-1.0, 0.0, 1.0)], axis=1)
-    kept = dataclasses.replace(race, candidate_steps=[5], candidates=fan[None], costs=np.array([[[1.0, 2.0, 3.0]] * 2]))
-    with_them, without = (
-        list(replay_frames(kept, Renderer(kept, 160, 100), fps=10.0, candidates=shown)) for shown in (True, False)
-    )
-    assert [bool((a != b).any()) for a, b in zip(with_them, without, strict=True)] == [False] * 5 + [True] * 6
-
-
-def test_a_gif_plays_the_race(race, tmp_path):
-    path = write_gif(race, tmp_path / "race.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0)
-    with Image.open(path) as gif:
-        assert gif.size == (160, 100)
-        assert gif.n_frames == 11
-        assert gif.info["duration"] == 100
-    assert [file.name for file in tmp_path.iterdir()] == ["race.gif"]
-    again = write_gif(race, tmp_path / "b.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0)
-    assert again.read_bytes() == path.read_bytes()
-
-
-def test_impossible_arguments_are_named(race, tmp_path):
+def test_impossible_arguments_are_named(race):
     for name, value in [("mode", "ansi"), ("view", "car_2"), ("theme", "pink"), ("width", 10), ("height", 2.5)]:
         with pytest.raises(InputError, match=name):
             Renderer(race, **{name: value})
@@ -173,14 +122,6 @@ def test_impossible_arguments_are_named(race, tmp_path):
     for cars in (np.zeros((3, 7)), np.zeros(7), np.full((2, 7), np.nan)):
         with pytest.raises(InputError, match="cars"):
             renderer.render(cars)
-    with pytest.raises(InputError, match="fps"):
-        replay_frames(race, fps=0.0)
-    with pytest.raises(InputError, match="gif"):
-        write_gif(race, tmp_path / "race.mp4")
-    with pytest.raises(InputError, match="fps must be above 0 and at most 50, got 60"):
-        write_gif(race, tmp_path / "race.gif", fps=60)
-    with pytest.raises(InputError, match="folder"):
-        write_gif(race, tmp_path / "none" / "race.gif")
 
 
 def test_a_window_shows_frames(race, monkeypatch):
@@ -193,8 +134,6 @@ def test_a_window_shows_frames(race, monkeypatch):
     assert renderer.render(race.cars[1]) is None
     renderer.close()
     renderer.close()
-    with pytest.raises(InputError, match="rgb_array"):
-        replay_frames(race, renderer)
 
 
 def test_a_missing_window_library_is_named(race, monkeypatch):

@@ -126,8 +126,8 @@ def test_places_in_blocks_of_one_kind_are_shared_one_by_one():
 
 
 def test_shipped_circuits_start_where_hardly_a_race_is_over_at_once():
+    from pcs_racing.track.loading import load_track
     from pcs_racing.track.maps import list_tracks
-    from pcs_racing.track.track import load_track
 
     rng = np.random.default_rng(5)
     over, races = 0, 40
@@ -142,8 +142,8 @@ def test_shipped_circuits_start_where_hardly_a_race_is_over_at_once():
 
 
 def test_every_shipped_circuit_has_the_usual_spacing_and_places_of_both_kinds():
+    from pcs_racing.track.loading import load_track
     from pcs_racing.track.maps import list_tracks
-    from pcs_racing.track.track import load_track
 
     for name in list_tracks():
         track = load_track(name)

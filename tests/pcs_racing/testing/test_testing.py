@@ -45,9 +45,9 @@ def remembers_nonsense(track, theta, view, memory):
 @pytest.mark.parametrize(
     ("planner", "message"),
     [
-        (driver(keeps_a_secret()), "the same races end differently"),
+        (driver(keeps_a_secret()), "end differently"),
         (driver(writes_to_theta), "writes to its parameters"),
-        (driver(remembers_nonsense, 1), "NaN or infinity in memory of race 0"),
+        (driver(remembers_nonsense, 1), "memory of race 0"),
     ],
 )
 def test_the_check_finds_what_is_wrong_with_a_planner(track, planner, message):
@@ -60,12 +60,12 @@ def test_a_planner_that_sees_beyond_its_sight_is_noticed(track):
         return 0.0, 2.0 + 0.01 * view[OPP_V]
 
     check_planner(driver(drive), track, seconds=0.8)
-    with pytest.raises(AssertionError, match="has sight 5, but drives differently when only an opponent"):
+    with pytest.raises(AssertionError, match="sight 5"):
         check_planner(Planner("mine", (PACE,), drive=drive, sight=5.0), track, seconds=0.8)
 
 
 def test_a_car_that_stands_is_noticed(track):
-    with pytest.raises(AssertionError, match="the cars stand still after 2 s"):
+    with pytest.raises(AssertionError, match="stand still after 2 s"):
         check_planner(driver(lambda track, theta, view, memory: (0.0, 0.0)), track, seconds=2.0)
 
 
@@ -82,7 +82,7 @@ def change(**values) -> PolicyArchive:
 def test_the_check_finds_what_is_wrong_with_an_archive():
     with pytest.raises(AssertionError, match="planner 'nobody' is unknown"):
         check_archive(change(planner="nobody"))
-    with pytest.raises(AssertionError, match="no move leads from any policy to another"):
+    with pytest.raises(AssertionError, match="no move leads"):
         check_archive(change(ideal=np.full(2, 1e-6), nadir=np.zeros(2)))
     with pytest.raises(AssertionError, match="parameter 'length' is 50"):
         check_archive(change(parameters=np.full_like(load_archive("default").parameters, 50.0)))

@@ -72,7 +72,7 @@ def test_a_map_of_the_same_name_is_replaced_and_other_files_stay(folder):
 def test_foreign_folders_and_impossible_names_are_refused(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("...")
-    with pytest.raises(MapError, match="holds no map called Ring"):
+    with pytest.raises(MapError, match="map called Ring"):
         write_map(_map(tmp_path / "mine"))
     assert os.listdir(tmp_path / "mine") == ["thesis.tex"]
     for name in ("", "a/b", "..", ".hidden", "a\nb", " a"):
@@ -177,23 +177,23 @@ def test_grey_pictures_of_any_mode_are_read(folder, mode):
     ("changes", "message"),
     [
         ({"resolution": None}, "missing 'resolution'"),
-        ({"color": "red"}, "unknown 'color'; the keys of a ROS map are image, resolution"),
-        ({"resolution": 0.0}, "resolution must be from 0.001 to 1"),
-        ({"resolution": 1e-9}, "resolution must be from 0.001 to 1"),
-        ({"resolution": float("nan")}, "resolution is nan; it must be a number from 0 to 1"),
-        ({"resolution": True}, "resolution is True; it must be a number"),
-        ({"resolution": "wide"}, "resolution is .wide.; it must be a number"),
-        ({"origin": [0.0, 0.0, 0.5]}, "yaw of origin is 0.5, only 0 is supported"),
-        ({"origin": [0.0, float("inf"), 0.0]}, "origin is inf; it must be a number"),
+        ({"color": "red"}, "unknown 'color'"),
+        ({"resolution": 0.0}, r"^.*resolution must"),
+        ({"resolution": 1e-9}, r"^.*resolution must"),
+        ({"resolution": float("nan")}, "resolution is nan"),
+        ({"resolution": True}, "resolution is True"),
+        ({"resolution": "wide"}, "resolution is .wide."),
+        ({"origin": [0.0, 0.0, 0.5]}, r"yaw of origin is 0.5"),
+        ({"origin": [0.0, float("inf"), 0.0]}, "origin is inf"),
         ({"origin": 3}, r"origin must be \[x, y, yaw\]"),
-        ({"negate": 2}, "negate must be 0 or 1, got 2"),
-        ({"mode": "raw"}, "mode must be trinary or scale, got 'raw'"),
-        ({"occupied_thresh": 0.1, "free_thresh": 0.2}, "free_thresh 0.2 must not be above"),
-        ({"image": 5}, "image must be a file name, got 5"),
-        ({"image": "nothing.png"}, "image 'nothing.png' is not there"),
-        ({"image": "../outside.png"}, r"image '\.\./outside\.png' lies outside the map's folder"),
-        ({"image": "/etc/hostname"}, "lies outside the map's folder"),
-        ({"image": "link.png"}, "image 'link.png' lies outside the map's folder"),
+        ({"negate": 2}, r"negate .* 2"),
+        ({"mode": "raw"}, r"mode .*'raw'"),
+        ({"occupied_thresh": 0.1, "free_thresh": 0.2}, r"free_thresh 0.2"),
+        ({"image": 5}, r"image .* 5"),
+        ({"image": "nothing.png"}, r"image 'nothing.png'"),
+        ({"image": "../outside.png"}, r"'\.\./outside\.png' lies outside"),
+        ({"image": "/etc/hostname"}, "lies outside"),
+        ({"image": "link.png"}, r"'link.png' lies outside"),
         ({"image": "a\0b"}, "is not there"),
         ({"image": "."}, "is not there"),
         ({"image": "Ring_map.yaml"}, "can't be read as a picture"),
@@ -212,7 +212,7 @@ def test_impossible_yaml_values_are_refused(folder, changes, message):
     ("text", "message"),
     [
         ("image: [", "is not valid yaml"),
-        ("- 1", "must hold keys and values, got list"),
+        ("- 1", "got list"),
         ("!!python/object/apply:os.system ['true']", "is not valid yaml"),
         ("\x00", "is not valid yaml"),
         ("[" * 5000, "is not valid yaml"),
@@ -245,7 +245,7 @@ def _png_header(width, height):
     [
         (b"", "can't be read as a picture"),
         (b"not a picture", "can't be read as a picture"),
-        (_png_header(9000, 9000), "has 9000 x 9000 pixels: at most 64000000"),
+        (_png_header(9000, 9000), "9000 x 9000 pixels"),
         (_png_header(2**31 - 1, 2**31 - 1), "at most|can't be read"),
         (_png_header(100, 100), "can't be read as a picture"),
     ],
@@ -260,7 +260,7 @@ def test_coloured_and_transparent_pictures_are_refused(folder):
     colour = np.zeros((10, 10, 3), dtype=np.uint8)
     colour[3, 3] = (255, 0, 0)
     _picture(folder, colour)
-    with pytest.raises(MapError, match="coloured pixels: save it as an 8-bit grey picture"):
+    with pytest.raises(MapError, match="coloured pixels"):
         read_map(folder)
     _picture(folder, np.zeros((10, 10, 4)))
     with pytest.raises(MapError, match="transparent pixels"):
@@ -273,10 +273,10 @@ def test_coloured_and_transparent_pictures_are_refused(folder):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("1.0, 2.0, 1.1", "line 30: '1.0, 2.0, 1.1' should be 4 finite numbers separated by ','"),
-        ("1.0, 2.0, nan, 1.1", "line 30: .* should be 4 finite numbers"),
-        ("1.0; 2.0; 1.1; 1.1", "should be 4 finite numbers"),
-        ("one, two, 1.1, 1.1", "should be 4 finite numbers"),
+        ("1.0, 2.0, 1.1", r"line 30: '1.0, 2.0, 1.1'"),
+        ("1.0, 2.0, nan, 1.1", r"line 30: .* 4 finite"),
+        ("1.0; 2.0; 1.1; 1.1", "4 finite numbers"),
+        ("one, two, 1.1, 1.1", "4 finite numbers"),
     ],
 )
 def test_broken_rows_are_named(folder, line, message):
@@ -291,7 +291,7 @@ def test_broken_rows_are_named(folder, line, message):
 def test_short_and_binary_lines_are_refused(folder):
     file = folder / "Ring_raceline.csv"
     file.write_text("# nothing\n")
-    with pytest.raises(MapError, match=r"raceline\.csv has 0 points: at least 10"):
+    with pytest.raises(MapError, match=r"raceline\.csv has 0 points"):
         read_map(folder)
     file.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(MapError, match="is no text"):
@@ -307,29 +307,29 @@ def calibration(speeds: str = "[0.5, 1.0]", spacing: str = "0.45", places: str =
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("sead: 5", "unknown 'sead'; the keys are description, license, seed"),
-        ("seed: -1", "seed is -1; it must be a whole number from 0"),
-        ("seed: 1.5", "seed is 1.5; it must be a whole number"),
-        ("style: 5", "style must be text, got 5"),
-        ("width: [1]", r"width is \[1\]; it must be a number"),
-        ("length_range: [9, 5]", "length_range must be .* with 0 < low < high"),
-        ("calibration: 1.0", "calibration must give values for each race preset"),
+        ("sead: 5", "unknown 'sead'"),
+        ("seed: -1", "seed is -1"),
+        ("seed: 1.5", "seed is 1.5"),
+        ("style: 5", r"style .* 5"),
+        ("width: [1]", r"width is \[1\]"),
+        ("length_range: [9, 5]", "length_range must"),
+        ("calibration: 1.0", "calibration must"),
         (
             "calibration: {contest: {speed_range: [0.5, 1.0]}}",
-            "must have the keys speed_range, start_spacing",
+            "keys speed_range",
         ),
-        (calibration(speeds="[1.0]"), r"speed_range in the calibration of contest must be \[low, high\]"),
+        (calibration(speeds="[1.0]"), "speed_range in the calibration of contest"),
         (calibration(speeds="[0.0, 1.0]"), "0 < low < high"),
         (calibration(speeds="[.nan, 1.0]"), "must be a number from 0 to 10"),
         (
             calibration(spacing="-1.0"),
-            "start_spacing in the calibration of contest is -1.0; it must be a number from 0 to 10",
+            r"start_spacing .* is -1.0",
         ),
-        (calibration(places="[]"), "must list stretches for each side"),
-        (calibration(places="{front: []}"), r"start_places front .* must list \[first, last\]"),
-        (calibration(places="{front: [[5.0, 1.0]]}"), "must be .* one after the other"),
-        (calibration(places="{front: [[1.0, 2.0], [1.5, 3.0]]}"), "must be .* one after the other"),
-        (calibration(places="{front: [[a, b]]}"), "must be .* one after the other"),
+        (calibration(places="[]"), "list stretches"),
+        (calibration(places="{front: []}"), "start_places front"),
+        (calibration(places="{front: [[5.0, 1.0]]}"), "one after the other"),
+        (calibration(places="{front: [[1.0, 2.0], [1.5, 3.0]]}"), "one after the other"),
+        (calibration(places="{front: [[a, b]]}"), "one after the other"),
     ],
 )
 def test_impossible_track_values_are_refused(folder, text, message):
@@ -339,7 +339,7 @@ def test_impossible_track_values_are_refused(folder, text, message):
 
 
 def test_folders_that_can_not_be_read_are_named(tmp_path):
-    with pytest.raises(MapError, match=r"no map folder at .*gone"):
+    with pytest.raises(MapError, match=r"map folder .*gone"):
         read_map(tmp_path / "gone")
     (tmp_path / "a.txt").write_text("")
     with pytest.raises(MapError, match="no map folder at"):

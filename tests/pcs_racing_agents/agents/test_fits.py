@@ -37,17 +37,17 @@ def test_a_fit_of_another_game_is_refused(setting, archive):
     for kind, option in OPTIONS.items():
         with pytest.raises(InputError, match=f"agent '{kind}' got .* and a fit"):
             build(kind, setting, fit=fit, **{option: CHOICES[kind]})
-    with pytest.raises(UnknownNameError, match="none is shipped for archive 'toy' and rules 'paper'"):
+    with pytest.raises(UnknownNameError, match="archive 'toy' and rules 'paper'"):
         find_fit("best-schedule", setting)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": "x"}, "is no manifest of a fit"),
+        ({"format": "x"}, "manifest of a fit"),
         ({"version": 2}, "has version 2"),
         ({"kind": "worst"}, "fit of 'worst' is unknown"),
-        ({"choice": "7"}, "must be the index of a policy"),
+        ({"choice": "7"}, "index of a policy"),
         ({"extra": 1}, "unknown or missing extra"),
         ({"race": 3}, "race is 3"),
         ({"training": [1]}, r"training is \[1\]"),

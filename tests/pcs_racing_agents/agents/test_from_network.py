@@ -77,12 +77,12 @@ def test_a_network_of_another_game_is_refused(setting, network, archive):
     with pytest.raises(InputError, match=r"agent 'cfr-argmax': network 'untrained-regret' sees 31 .* the game has 37"):
         build("cfr-argmax", longer, network=network)
     wider = make_setting(archive, replace(setting.config, epsilon=0.7))
-    with pytest.raises(InputError, match=r"was made for moves of epsilon 0.5"):
+    with pytest.raises(InputError, match=r"epsilon 0\.5"):
         build("nash", wider, network=network)
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
-    with pytest.raises(InputError, match="was made for archive 'toy'"):
+    with pytest.raises(InputError, match="archive 'toy'"):
         build("advantage", make_setting(fewer, setting.config), network=network)
-    with pytest.raises(UnknownNameError, match="needs a network, and none called 'toy-paper-static-q' is shipped"):
+    with pytest.raises(UnknownNameError, match=r"network, .*'toy-paper-static-q'"):
         build("static-q", setting)
     with pytest.raises(UnknownNameError, match="decision 'best' is unknown"):
         from_network(setting, name="mine", kind="regret", decision="best", network=network)

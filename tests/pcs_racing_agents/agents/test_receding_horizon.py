@@ -8,7 +8,7 @@ from zoo_games import untrained
 
 from pcs_racing import GameConfig, InputError, RaceGame, UnknownNameError, get_planner
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.state import join_games, take_games
+from pcs_racing.game.state import put_games, take_games
 from pcs_racing.race.config import CONTEST
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Decider, make_setting, parse_agent
@@ -150,7 +150,9 @@ def test_two_views_of_a_network(game, setting):
 )
 def test_every_game_is_decided_by_itself(noisy, archive, options):
     agent = receding_horizon(make_setting(archive, NOISY), seed=5, **options)
-    state = join_games([some_games(noisy, 3, seed, moves) for moves, seed in enumerate((1, 2, 3))])
+    state = noisy.reset(games=9)
+    for moves, seed in enumerate((1, 2, 3)):
+        put_games(state, np.arange(3) + 3 * moves, some_games(noisy, 3, seed, moves))
     together = agent.decide(noisy, state, 0)
     order = np.array([8, 0, 4, 4, 2])
     np.testing.assert_array_equal(agent.decide(noisy, take_games(state, order), 0), together[order])
@@ -256,7 +258,7 @@ def test_impossible_options(setting, options, message):
 def test_networks_that_say_nothing_of_worth(setting, archive):
     with pytest.raises(InputError, match=r"has target 'regret', .* must be 'static-q'"):
         receding_horizon(setting, leaf="network", network=untrained(setting, "regret"))
-    with pytest.raises(UnknownNameError, match="needs a network, and none called 'toy-paper-static-q'"):
+    with pytest.raises(UnknownNameError, match=r"network, .*'toy-paper-static-q'"):
         build("receding-horizon", setting, leaf="network")
     faster = make_setting(archive, replace(setting.config, moves=9, step_seconds=0.4))
     with pytest.raises(InputError, match="sees 31"):
@@ -266,12 +268,12 @@ def test_networks_that_say_nothing_of_worth(setting, archive):
 def test_games_that_it_is_not_made_for(game, setting):
     agent = receding_horizon(setting)
     longer = replace(game, config=replace(game.config, moves=5))
-    with pytest.raises(InputError, match="was made for games of 4 moves"):
+    with pytest.raises(InputError, match="games of 4 moves"):
         agent.decide(longer, longer.reset(games=1), 0)
     driver = get_planner("pure-pursuit").policy()
     outside = replace(game, opponent_planner="pure-pursuit")
     state = outside.reset(games=2, opponents=driver)
-    with pytest.raises(InputError, match="is to move car 1 of game 0, which is driven from outside the archive"):
+    with pytest.raises(InputError, match=r"car 1 of game 0, .*outside"):
         agent.decide(outside, state, 1)
 
 

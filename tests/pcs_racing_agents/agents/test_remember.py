@@ -109,7 +109,7 @@ def test_by_name_with_its_table(setting, oval, tmp_path):
     name = f"remember:table={folder}"
     made = MatchEnv(track=oval, archive=setting.archive, race=setting.config, opponent=name)
     assert [opponent.name for opponent in made.opponents] == [name]
-    with pytest.raises(UnknownNameError, match="needs a table of behaviours"):
+    with pytest.raises(UnknownNameError, match="table of behaviours"):
         make("remember")
     with pytest.raises(InputError, match="'often'"):
         make("remember", archive=setting.archive, race=setting.config, table=str(folder), reply="often")
@@ -119,7 +119,7 @@ def test_a_table_of_another_archive_is_refused(setting, archive, tmp_path):
     folder = save_behaviours(table(setting), tmp_path / "behaviours")
     values = {key: getattr(archive, key) for key in ("name", "planner", "parameter_names", "characteristics")}
     other = PolicyArchive(**values, parameters=archive.parameters[:5], coordinates=archive.coordinates[:5])
-    with pytest.raises(InputError, match="was made for archive 'toy'"):
+    with pytest.raises(InputError, match="archive 'toy'"):
         remember(make_setting(other, setting.config), table=folder)
     with pytest.raises(InputError, match="games of 4 moves"):
         remember(make_setting(archive, make_game("Pipkin", archive, moves=2).config), table=folder)

@@ -83,10 +83,10 @@ def test_an_agent_is_an_opponent_of_the_environments(setting, oval):
     [
         ("cfr-armax", {}, "did you mean 'cfr-argmax'?"),
         ("always-jump", {}, "'jump' is no move"),
-        ("never-switch", {"speed": 3}, "agent 'never-switch' has no option 'speed'"),
+        ("never-switch", {"speed": 3}, r"'never-switch' .*'speed'"),
         ("best-fixed", {"goal": 3}, "has no option 'goal'"),
         ("always-restraint+", {"x": 1}, "has no option 'x'"),
-        (7, {}, "agent 7 must be a name"),
+        (7, {}, "agent 7"),
         ("lattice:pace=7", {}, "must lie in"),
     ],
 )
@@ -142,7 +142,7 @@ def test_agents_of_other_people(setting, empty_registry, monkeypatch):
     created = build("first-move", setting)
     assert created.name == "first-move"
     assert isinstance(build("first-move", setting, bold=True), Agent)
-    with pytest.raises(InputError, match="there is an agent 'first-move' already"):
+    with pytest.raises(InputError, match="agent 'first-move' already"):
         register_agent("first-move", random_moves)
     for name in ("", "a b", "nash", "always-x", "a:b"):
         with pytest.raises(InputError, match="agent"):
@@ -162,7 +162,7 @@ def test_an_agent_of_another_archive_is_refused(game, setting, oval):
     with pytest.raises(InputError, match=r"agent 'never-switch' was made for archive 'default' \(.*\)"):
         game_between(game, other, other)
     agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.7)
-    with pytest.raises(InputError, match=r"epsilon 0\.5; the game has 0\.7"):
+    with pytest.raises(InputError, match=r"epsilon 0\.5; .*0\.7"):
         game_between(wider, agent, agent)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from pcs_racing import load_race_config, load_track, save_archive
 from pcs_racing.base.settings import plain_settings
-from pcs_racing.race.replay import read_replay
+from pcs_racing.race.replay_files import read_replay
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import open_job

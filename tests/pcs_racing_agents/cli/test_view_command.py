@@ -23,7 +23,7 @@ from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairing
-from pcs_racing_agents.view.race_replays import DrivenRace, RaceDriver
+from pcs_racing_agents.view.race_replays import RaceRepeater, RepeatedRace
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_server import MOST_KEPT, Answer, RaceService, make_server
 
@@ -201,7 +201,7 @@ def test_folders_that_are_not_what_they_were_are_one_clear_error(folder, spoil, 
 def ask(folder):
     """Asks a running server; returns status and content."""
     results = open_results(folder)
-    service = RaceService(RaceDriver(results), len(results.races))
+    service = RaceService(RaceRepeater(results), len(results.races))
     with make_server("<p>the page", service.answer) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
@@ -266,7 +266,7 @@ def test_the_server_is_for_reading(ask):
 
 def test_a_race_that_can_not_be_driven_is_told(folder):
     another_agent(folder)
-    service = RaceService(RaceDriver(open_results(folder)), 18)
+    service = RaceService(RaceRepeater(open_results(folder)), 18)
     answer = service.answer("/race/3")
     assert answer.status == 409
     assert "has changed since the races were driven" in json.loads(answer.body)["error"]
@@ -279,7 +279,7 @@ def test_answers_are_kept_but_not_for_ever():
 
         def drive(self, number):
             self.asked.append(number)
-            return DrivenRace(number, "c", {})
+            return RepeatedRace(number, "c", {})
 
     driver = Counting()
     service = RaceService(driver, MOST_KEPT + 10)

@@ -222,7 +222,7 @@ def test_a_killed_scheduler_is_told_in_a_line_and_another_goes_on(cluster, tmp_p
 
         with (
             open_job(tmp_path / "job", "k", {}) as job,
-            pytest.raises(JobError, match=r"slow was cut short: .*the cluster is gone.* start the same again to go on"),
+            pytest.raises(JobError, match=r"^slow .*cluster is gone"),
             make_executor("dask", address=first.address) as executor,
         ):
             job.run("slow", slow, tasks, executor=executor, progress=kill_it)
@@ -245,7 +245,7 @@ def out_of_memory(task: int) -> dict[str, int]:
 def test_a_task_that_kills_its_workers_is_told_in_a_line(tmp_path):
     with (
         open_job(tmp_path, "k", {}) as job,
-        pytest.raises(JobError, match=r"deadly was cut short: a worker died.*out_of_memory-12.*what is done is kept"),
+        pytest.raises(JobError, match=r"^deadly .*worker died.*out_of_memory-12"),
         make_executor("threads", 1) as executor,
     ):
         job.run("deadly", out_of_memory, range(2), executor=executor)
@@ -286,7 +286,7 @@ def test_a_scheduler_without_workers_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "WORKER_SECONDS", 0.5)
     with (
         started(tmp_path, 0) as lonely,
-        pytest.raises(InputError, match=f"the dask scheduler at {lonely.address} has no workers; start some: dask w"),
+        pytest.raises(InputError, match=f"{lonely.address} has no workers"),
         make_executor("dask", address=lonely.address),
     ):
         pass
@@ -296,7 +296,7 @@ def test_workers_of_other_versions_are_refused(cluster, monkeypatch):
     theirs = worker_identity()["pcs-racing"]
     monkeypatch.setattr(executors, "package_version", lambda: "99.0")
     with (
-        pytest.raises(InputError, match=rf"the worker at tcp://127\S+ has pcs-racing {theirs}, not 99\.0; install"),
+        pytest.raises(InputError, match=rf"tcp://127\S+ has pcs-racing {theirs}, not 99\.0"),
         make_executor("dask", address=cluster.address),
     ):
         pass
@@ -322,7 +322,7 @@ def test_torch_is_compared_where_there_is_one():
     theirs = {**worker_identity(), "torch": "0.1"}
     executors._check_workers({"tcp://there:1": {**theirs, "torch": ""}})  # a tournament needs none
     if worker_identity()["torch"]:
-        with pytest.raises(InputError, match=r"the worker at tcp://there:1 has torch 0\.1, not \d"):
+        with pytest.raises(InputError, match=r"tcp://there:1 has torch 0\.1, not \d"):
             executors._check_workers({"tcp://there:1": theirs})
 
 

@@ -121,7 +121,7 @@ def test_progress_counts_what_was_done_before(tmp_path):
 def test_results_must_be_arrays(tmp_path, value):
     with (
         open_job(tmp_path, "squares", SETTINGS) as job,
-        pytest.raises(InputError, match=r"task 0 of odd returned .*"),
+        pytest.raises(InputError, match="task 0 of odd"),
     ):
         job.run("odd", lambda _: value, [0])
 
@@ -229,7 +229,7 @@ def test_killed_and_started_again_the_files_are_the_same(tmp_path, kind):
     while len(list(folder.glob("chunks/*.npz"))) < 4:
         assert process.poll() is None
         time.sleep(0.01)
-    with pytest.raises(JobError, match=f"in use by process {process.pid}; wait"), open_job(folder, "squares", SETTINGS):
+    with pytest.raises(JobError, match=f"process {process.pid};"), open_job(folder, "squares", SETTINGS):
         pass
     process.send_signal(signal.SIGKILL)
     process.wait()
@@ -251,7 +251,7 @@ def kill_yourself(task: int) -> dict[str, int]:
 def test_a_killed_worker_is_told_in_a_line_and_loses_nothing_that_is_done(tmp_path):
     with (
         open_job(tmp_path, "squares", SETTINGS) as job,
-        pytest.raises(JobError, match=r"square was cut short: a worker died .*what is done is kept"),
+        pytest.raises(JobError, match=r"^square .*worker died"),
         make_executor("processes", 1) as executor,
     ):
         job.run("square", kill_yourself, range(8), executor=executor)
@@ -335,7 +335,7 @@ def test_an_interruption_drops_what_has_not_begun(tmp_path, kind):
         ("cubes", SETTINGS, "its kind is 'squares', not 'cubes'"),
         ("squares", {**SETTINGS, "seed": 4}, "its seed is 3, not 4"),
         ("squares", {**SETTINGS, "seed": True}, "its seed is 3, not True"),
-        ("squares", {"seed": 3}, "its race is .*, which these settings do not have"),
+        ("squares", {"seed": 3}, "its race is"),
         ("squares", {**SETTINGS, "moves": 4}, "it has no moves, which is 4"),
         (
             "squares",
@@ -365,7 +365,7 @@ def test_another_version_of_the_package_is_another_run(tmp_path, monkeypatch):
         pass
     monkeypatch.setattr("pcs_racing_agents.jobs.folders.package_version", lambda: "99.0")
     with (
-        pytest.raises(InputError, match=r"its package version is '.*', not '99\.0'"),
+        pytest.raises(InputError, match=r"package version is '.*', not '99\.0'"),
         open_job(tmp_path, "squares", SETTINGS),
     ):
         pass
@@ -390,7 +390,7 @@ def test_settings_may_be_arrays_tuples_and_dataclasses(tmp_path):
 
 def test_a_folder_with_other_things_is_refused(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match=r"holds thesis\.tex but no job\.yaml"), open_job(tmp_path, "k", {}):
+    with pytest.raises(InputError, match=r"thesis\.tex .*job\.yaml"), open_job(tmp_path, "k", {}):
         pass
     assert contents(tmp_path) == {"thesis.tex": b"years of work"}
 
@@ -398,14 +398,14 @@ def test_a_folder_with_other_things_is_refused(tmp_path):
 @pytest.mark.parametrize("text", ["", "[1, 2", "format: something\n", "- 1\n", "\x00"])
 def test_a_manifest_that_is_none_is_refused(tmp_path, text):
     (tmp_path / "job.yaml").write_text(text)
-    with pytest.raises(InputError, match=r"job\.yaml is no manifest of a job"), open_job(tmp_path, "k", {}):
+    with pytest.raises(InputError, match=r"job\.yaml is no manifest"), open_job(tmp_path, "k", {}):
         pass
 
 
 def test_one_process_at_a_time(tmp_path):
     with (
         open_job(tmp_path, "squares", SETTINGS),
-        pytest.raises(JobError, match=f"in use by process {os.getpid()}"),
+        pytest.raises(JobError, match=f"process {os.getpid()}"),
         open_job(tmp_path, "squares", SETTINGS),
     ):
         pass
@@ -473,7 +473,7 @@ def test_a_read_only_folder(tmp_path):
 
 @pytest.mark.parametrize("name", ["", "../up", "A", "a b", "x" * 81])
 def test_impossible_names(tmp_path, name):
-    with open_job(tmp_path, "k", {}) as job, pytest.raises(InputError, match="small letters, digits, - and _"):
+    with open_job(tmp_path, "k", {}) as job, pytest.raises(InputError, match="small letters"):
         job.run(name, square, [1])
 
 
@@ -483,10 +483,10 @@ def test_impossible_names(tmp_path, name):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("fibres",), "executor is 'fibres'; it must be one of serial, threads, processes, dask"),
+        (("fibres",), "executor is 'fibres'"),
         (("threads", 0), "workers is 0"),
         (("threads", True), "workers is True"),
-        (("threads", 2, "tcp://localhost:8786"), "goes with the executor dask"),
+        (("threads", 2, "tcp://localhost:8786"), "executor dask"),
     ],
 )
 def test_impossible_executors(arguments, message):

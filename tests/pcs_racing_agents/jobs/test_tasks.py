@@ -147,7 +147,7 @@ def test_errors_of_chains_are_those_of_jobs(tmp_path):
     with open_job(tmp_path, "k", {}) as job:
         with pytest.raises(InputError, match="'A!'"):
             job.run_chains("A!", count_up, GOALS)
-        with pytest.raises(InputError, match="task 0 of odd returned int"):
+        with pytest.raises(InputError, match=r"task 0 .* int"):
             job.run_chains("odd", lambda piece: 3, GOALS)
         (tmp_path / "chunks").write_text("in the way")
         with pytest.raises(JobError, match=r"can't write .*what is done is kept"):

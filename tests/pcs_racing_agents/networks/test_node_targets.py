@@ -111,7 +111,7 @@ def test_impossible_targets_are_one_clear_error():
         node_targets(tree, solve_exact(tree), "regret")
     with pytest.raises(InputError, match="target 'advantage' needs a ExactResult"):
         node_targets(tree, cfr(tree, 1), "advantage")
-    with pytest.raises(UnknownNameError, match="unknown static opponent 'x'; there are fixed-sequence, never-switch"):
+    with pytest.raises(UnknownNameError, match="unknown static opponent 'x'"):
         node_targets(tree, solve_exact(tree), "static-q", opponent="x")
     with pytest.raises(InputError, match="'never-switch' needs trees with the move 'stay'"):
         node_targets(tree, solve_exact(tree), "static-q", opponent="never-switch")
@@ -173,7 +173,7 @@ def test_weights(seeds):
     reach = rows_of(race_tree, row_weights="reach")
     np.testing.assert_allclose([reach.weights[uniform.step == k].sum() for k in range(2)], 2.0)
     assert reach.weights[reach.step == 1].max() > 2.0 * reach.weights[reach.step == 1].min() > 0.0
-    with pytest.raises(UnknownNameError, match="unknown row weights 'x'; there are uniform, random, reach"):
+    with pytest.raises(UnknownNameError, match="unknown row weights 'x'"):
         rows_of(race_tree, row_weights="x")
 
 
@@ -194,5 +194,5 @@ def test_some_nodes_can_stand_for_all():
 
 def test_a_tree_that_is_over_at_once_gives_no_rows():
     race_tree = random_tree(ended={0: np.ones((1, 1), bool), 1: np.ones((1, 9), bool)})
-    with pytest.raises(InputError, match=r"a tree of policies \[0, 1\] has no node where the race goes on"):
+    with pytest.raises(InputError, match=r"policies \[0, 1\] has no node"):
         rows_of(race_tree)

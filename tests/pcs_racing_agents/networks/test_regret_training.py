@@ -202,5 +202,5 @@ def test_bad_input_is_one_clear_error():
         train_network(rows, identity(7, MOVES[:3]), QUICK, name="net")
     with pytest.raises(InputError, match="one starting pair"):
         train_network(rows.take(rows.pair == 3), identity(), QUICK, name="net")
-    with pytest.raises(InputError, match=r"the loss is (nan|inf) after epoch \d+"):
+    with pytest.raises(InputError, match=r"loss is (nan|inf) .*\d+"):
         train_layers(rows, load_train_settings(QUICK, learning_rate=10.0, weight_decay=10.0))

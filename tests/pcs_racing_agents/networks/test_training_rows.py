@@ -37,10 +37,10 @@ def test_rows_are_compact_and_know_all_targets_unless_told_otherwise():
     [
         ({"targets": np.zeros((0, 3))}, r"targets have shape \(0, 3\)"),
         ({"targets": np.zeros(12)}, r"targets have shape \(12,\)"),
-        ({"observations": np.zeros((11, 5))}, r"observations have shape \(11, 5\).*must have \(12, any\) and float32"),
+        ({"observations": np.zeros((11, 5))}, r"observations have shape \(11, 5\)"),
         ({"observations": np.full((12, 5), "a")}, "observations have shape"),
-        ({"targets": np.where(np.arange(36).reshape(12, 3) == 13, np.nan, 1.0)}, "targets are not finite in row 4"),
-        ({"observations": np.full((12, 5), np.inf)}, "observations are not finite in row 0"),
+        ({"targets": np.where(np.arange(36).reshape(12, 3) == 13, np.nan, 1.0)}, r"targets .* row 4"),
+        ({"observations": np.full((12, 5), np.inf)}, r"observations .* row 0"),
         ({"weights": np.zeros(12)}, "some must be above 0"),
         ({"weights": np.linspace(-1.0, 1.0, 12)}, "weights lie in -1 to 1"),
         ({"pair": np.zeros(12)}, "type float64"),
@@ -60,7 +60,7 @@ def test_rows_can_be_taken_and_joined():
     again = join_rows([made.take(np.arange(12) < 5), made.take(np.arange(12) >= 5)])
     for key in ("observations", "targets", "weights", "pair", "step", "mask"):
         np.testing.assert_array_equal(getattr(again, key), getattr(made, key))
-    with pytest.raises(InputError, match="source 1 has targets of 2 numbers, source 0 of 3"):
+    with pytest.raises(InputError, match=r"source 1 .*2 numbers, source 0 of 3"):
         join_rows([made, rows(targets=np.ones((12, 2)))])
     with pytest.raises(InputError, match="no rows to join"):
         join_rows([])
@@ -85,7 +85,7 @@ def test_no_pair_is_on_both_sides_of_the_split(pairs, share, seed):
 
 
 def test_the_split_needs_two_pairs():
-    with pytest.raises(InputError, match="all rows come from one starting pair"):
+    with pytest.raises(InputError, match="one starting pair"):
         split_by_pair(rows(pairs=1), 0.2, 0)
-    with pytest.raises(InputError, match="one side has weights of 0 only"):
+    with pytest.raises(InputError, match="weights of 0"):
         split_by_pair(rows(pairs=2, weights=np.arange(12) % 2 + 0.0), 0.5, 0)

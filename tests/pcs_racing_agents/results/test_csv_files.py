@@ -29,10 +29,10 @@ def test_an_empty_file_has_neither_columns_nor_rows(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("ego,lead\na,1\nb\n", "line 3 is damaged: it has 1 values"),
-        ("ego,lead\na,1,2\n", "line 2 is damaged: it has 3 values"),
-        ('ego,lead\na,"1\n', "line 2 is damaged: unexpected end of data"),
-        ("x" * 200_000, "is damaged: field larger than field limit"),
+        ("ego,lead\na,1\nb\n", r"line 3 .* 1 values"),
+        ("ego,lead\na,1,2\n", r"line 2 .* 3 values"),
+        ('ego,lead\na,"1\n', "line 2 is damaged"),
+        ("x" * 200_000, "is damaged"),
         ("a," * 2000, "has 2001 columns"),
     ],
 )

@@ -58,10 +58,10 @@ def test_empty_lines_are_left_out_and_counted(tmp_path):
     path = tmp_path / "results.csv"
     head, first, second, _ = EXAMPLE.split("\n")
     path.write_text("\n".join([head, first, "", second.replace("both", "me")]))
-    with pytest.raises(InputError, match=r"line 4 \(race 1\), is damaged: fault is 'me'"):
+    with pytest.raises(InputError, match=r"line 4 \(race 1\), .*fault is 'me'"):
         read_results(path)
     path.write_text("\n".join([head, first, "a,1.5"]))
-    with pytest.raises(InputError, match="line 3 is damaged: it has 2 values, more or fewer than the 21"):
+    with pytest.raises(InputError, match=r"line 3 .*2 values, .*21"):
         read_results(path)
 
 

@@ -126,8 +126,8 @@ def test_impossible_trees(payoffs, chance, message):
         ([([0], [0])], "must be 2 pairs"),
         ([([0], [0]), ([0, 0, 1], [0] * 4)], "must be 4 whole numbers"),
         ([([0], [0]), ([0.0] * 4, [0] * 4)], "type float64"),
-        ([([0], [0]), ([0, 1, 0, 1], [0, 1, 0, 1])], "level 1, car 0: node 2 shares its label"),  # forgets its own move
-        ([([0], [0]), ([0, 0, 1, 1], [0, 0, 1, 1])], "level 1, car 1: node 1 shares its label"),
+        ([([0], [0]), ([0, 1, 0, 1], [0, 1, 0, 1])], "level 1, car 0: node 2"),  # forgets its own move
+        ([([0], [0]), ([0, 0, 1, 1], [0, 0, 1, 1])], "level 1, car 1: node 1"),
     ],
 )
 def test_impossible_infosets(labels, message):

@@ -86,13 +86,13 @@ def test_tensors_of_your_own():
     state = python_game(TREE, seen).new_initial_state()
     state.apply_actions([1, 1])
     assert state.information_state_tensor(1)[2:] == pytest.approx(seen[1][1][1 * 3 + 1])
-    with pytest.raises(InputError, match="each pair needs a row for every infoset"):
+    with pytest.raises(InputError, match="row for every infoset"):
         python_game(TREE, seen[:1])
 
 
 def test_unknown_trees():
     register_game()
-    with pytest.raises(InputError, match="no tree is registered as 'nowhere'"):
+    with pytest.raises(InputError, match=r"tree .*'nowhere'"):
         pyspiel.load_game(GAME_NAME, {"tree": "nowhere"})
 
 

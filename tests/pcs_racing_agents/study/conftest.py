@@ -3,7 +3,7 @@ import pytest
 from pcs_racing import make_game
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.study.highlights import Watched, select_highlights, watch_race
+from pcs_racing_agents.study.highlights import ExplainedRace, select_highlights, watch_race
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairing
 
@@ -19,7 +19,7 @@ def raced(oval, archive):
 
 
 @pytest.fixture(scope="session")
-def watched(raced) -> Watched:
+def watched(raced) -> ExplainedRace:
     pairing, ours, baseline = raced
     title, race = next(iter(select_highlights(ours, baseline).values()))
     return watch_race(pairing, race, title)

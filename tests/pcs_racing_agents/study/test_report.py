@@ -13,12 +13,12 @@ import pytest
 from toy_races import toy_races
 
 from pcs_racing import InputError
-from pcs_racing.race.replay import read_replay
+from pcs_racing.race.replay_files import read_replay
 from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
-from pcs_racing_agents.study.report import Picture, ReportContent, Sheet, report_page, write_page
+from pcs_racing_agents.study.report import Picture, ReportContent, TitledTable, report_page, write_page
 from pcs_racing_agents.study.report_inputs import (
     ReplyLoss,
     software,
@@ -57,8 +57,8 @@ def content(archive, watched) -> ReportContent:
         situations=[
             Situations(NASTY, ("stay", NASTY), "pace", np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 3, 3, 2), int))
         ],
-        ablations=[Sheet("Ablation", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
-        sheets=[Sheet("Sheet", ("what",), ((NASTY,),))],
+        ablations=[TitledTable("Ablation", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
+        sheets=[TitledTable("Sheet", ("what",), ((NASTY,),))],
         pictures=[Picture(NASTY, NASTY, b"\x89PNG\r\n")],
         races=[watched, watched._replace(title=NASTY, text=NASTY)],
         settings={"race": NASTY, "tracks": ["a", "b"]},

@@ -222,9 +222,7 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     assert archive.settings["search_hypervolume"] < archive.settings["search_hypervolume_without_crash_limit"]
     assert archive.preset == "wild"
     wild.write_text("preset: contest\nname: wild\nspeed_range: [2.0, 3.0]\n")
-    with pytest.raises(
-        InputError, match=r"all 30 policies crash in more than|policies remain below the crash limit of 0%"
-    ):
+    with pytest.raises(InputError, match=r"all 30 policies|crash limit of 0%"):
         make_archive(with_(preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",)), tmp_path / "none")
 
 
@@ -265,7 +263,7 @@ def test_too_few_policies_are_told(tmp_path, caplog):
 def test_a_folder_with_something_else_is_left_alone(tmp_path, made):
     shipped = Path(shutil.copytree(made[1], tmp_path / "shipped", ignore=shutil.ignore_patterns("job")))
     before = results(shipped)
-    with pytest.raises(InputError, match=r"holds archive\.npz but no run of a synthesis"):
+    with pytest.raises(InputError, match=r"archive\.npz but no run"):
         make_archive(TINY, shipped)
     assert results(shipped) == before
     assert len(list(shipped.iterdir())) == len(before)
@@ -273,7 +271,7 @@ def test_a_folder_with_something_else_is_left_alone(tmp_path, made):
 
 def test_another_run_is_refused(made):
     before = results(made[1])
-    with pytest.raises(InputError, match="holds another run: its generations is 3, not 4"):
+    with pytest.raises(InputError, match="generations is 3, not 4"):
         make_archive(with_(generations=4), made[1])
     assert results(made[1]) == before
 
@@ -283,18 +281,18 @@ def test_another_run_is_refused(made):
     [
         ({"generations": -1}, "generations is -1"),
         ({"population": 2.5}, "population is 2.5"),
-        ({"tracks": "Pipkin"}, "tracks is 'Pipkin'; it must be a list of names"),
+        ({"tracks": "Pipkin"}, "tracks is 'Pipkin'"),
         ({"tracks": ("Pipkin", "Pipkin")}, "name each once"),
-        ({"duration": 5.0}, "duration is 5 s; it must be a multiple of segment_seconds, 2 s"),
-        ({"method": "magic"}, "method is 'magic'; it must be one of mo-cma-es"),
+        ({"duration": 5.0}, "duration is 5 s"),
+        ({"method": "magic"}, "method is 'magic'"),
         ({"loss": "none"}, "loss is 'none'"),
         ({"crash_limit": 1.5}, "crash_limit is 1.5"),
-        ({"least": (1.0,)}, "least is .*; it must be a list of numbers, one for each of aggressiveness, restraint"),
+        ({"least": (1.0,)}, "least is .*"),
         ({"least": (1.0, "x")}, "least is"),
-        ({"fewest": 90}, "fewest is 90, above most, 80"),
+        ({"fewest": 90}, "fewest is 90"),
         (
             {"refresh_generations": (3,)},
-            "refresh_generations is .*; it must be a list of different generations from 1 to 2",
+            "refresh_generations is .*",
         ),
         ({"refresh_generations": (True,)}, "refresh_generations is"),
         ({"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
@@ -314,7 +312,7 @@ def test_a_configuration_from_a_file(tmp_path):
     config = load_archive_config(file, seed=3)
     assert (config.name, config.tracks, config.generations, config.seed) == ("mine", ("Pipkin",), 5, 3)
     file.write_text("name: mine\nspeed: 3\n")
-    with pytest.raises(ConfigError, match="unknown archive setting 'speed'; known are name, preset"):
+    with pytest.raises(ConfigError, match="unknown archive setting 'speed'"):
         load_archive_config(file)
 
 

@@ -115,10 +115,10 @@ def test_diverse_sets_lie_farther_apart_than_random_ones():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"k": 0}, "k is 0; it must be a whole number from 1 to 5"),
+        ({"k": 0}, "k is 0"),
         ({"k": 6}, "k is 6"),
         ({"k": True}, "k is True"),
-        ({"k": 2, "method": "best"}, "method is 'best'; it must be one of kdpp, map, random"),
+        ({"k": 2, "method": "best"}, "method is 'best'"),
         ({"k": 2, "scale": 0.0}, "scale is 0.0"),
         ({"k": 2, "scale": float("nan")}, "scale is nan"),
     ],

@@ -66,21 +66,21 @@ def test_coordinates_are_means_over_the_pieces(scenarios, raced, oval):
     setup = RaceSetup(oval, SHORT, (LATTICE, LATTICE))
     state = start_races(setup, Starts(scenarios.start_s[:12], scenarios.side[:12]), scenarios.seed[:12])
     theta = np.stack([np.tile(policies(5)[2], (12, 1)), scenarios.opponents[scenarios.opponent[:12]]], axis=1)
-    totals, pieces = np.zeros((12, 2)), np.zeros(12)
+    totals, segments = np.zeros((12, 2)), np.zeros(12)
     for _ in range(2):
         before = state.copy()
         advance(setup, state, theta, 200)
-        piece = Segment.between(before, state, 2.0)
-        values = measure(piece, get_characteristics(AXES))[:, 0]
+        segment = Segment.between(before, state, 2.0)
+        values = measure(segment, get_characteristics(AXES))[:, 0]
         for race in range(12):
-            if piece.time[race] > 0.0:
+            if segment.time[race] > 0.0:
                 totals[race] += values[race]
-                pieces[race] += 1
+                segments[race] += 1
     np.testing.assert_array_equal(raced["totals"][2, :12], totals)
-    np.testing.assert_array_equal(raced["pieces"][2, :12], pieces)
+    np.testing.assert_array_equal(raced["segments"][2, :12], segments)
     np.testing.assert_array_equal(raced["own_crash"][2, :12], state.fault[:, 0] == 1)
     found = summarise(raced)
-    np.testing.assert_allclose(found.coordinates, raced["totals"].sum(axis=1) / raced["pieces"].sum(axis=1)[:, None])
+    np.testing.assert_allclose(found.coordinates, raced["totals"].sum(axis=1) / raced["segments"].sum(axis=1)[:, None])
     np.testing.assert_array_equal(found.own_crash, raced["own_crash"].mean(axis=1))
 
 
@@ -101,7 +101,7 @@ def test_policies_do_not_disturb_each_other(scenarios, raced):
 
 
 def test_the_spread_is_that_of_a_mean_over_races():
-    """Where each race has as many pieces: the textbook's standard error; and as good where crashes cut races short."""
+    """With equally many segments in all races, the textbook's standard error; as good where crashes cut races short."""
 
     def nobody(policies: int) -> dict[str, np.ndarray]:
         """Races without a winner."""
@@ -110,12 +110,12 @@ def test_the_spread_is_that_of_a_mean_over_races():
     rng = np.random.default_rng(0)
     totals = rng.normal(3.0, 2.0, (4, 50, 1))
     whole = summarise(
-        {"totals": totals, "pieces": np.full((4, 50), 2), "own_crash": np.zeros((4, 50), bool), **nobody(4)}
+        {"totals": totals, "segments": np.full((4, 50), 2), "own_crash": np.zeros((4, 50), bool), **nobody(4)}
     )
     np.testing.assert_allclose(whole.spread[:, 0], (totals[..., 0] / 2.0).std(axis=1, ddof=1) / np.sqrt(50.0))
-    pieces = rng.integers(1, 3, (4000, 50))
-    values = rng.normal(3.0, 2.0, (4000, 50, 1)) + 3.0 * (pieces[..., None] - 1)
-    cut = summarise({"totals": values, "pieces": pieces, "own_crash": np.zeros((4000, 50), bool), **nobody(4000)})
+    segments = rng.integers(1, 3, (4000, 50))
+    values = rng.normal(3.0, 2.0, (4000, 50, 1)) + 3.0 * (segments[..., None] - 1)
+    cut = summarise({"totals": values, "segments": segments, "own_crash": np.zeros((4000, 50), bool), **nobody(4000)})
     assert cut.spread.mean() == pytest.approx(cut.coordinates.std(), rel=0.06)
 
 
@@ -123,7 +123,7 @@ def test_a_refreshed_set_of_opponents(scenarios):
     fresh = scenarios.against(policies(3, 9))
     np.testing.assert_array_equal(fresh.start_s, scenarios.start_s)
     assert (fresh.opponents != scenarios.opponents).any()
-    with pytest.raises(InputError, match=r"opponents have shape \(2, 17\)"):
+    with pytest.raises(InputError, match=r"opponents .*\(2, 17\)"):
         scenarios.against(policies(2))
 
 
@@ -132,14 +132,14 @@ def test_a_refreshed_set_of_opponents(scenarios):
     [
         ({"tracks": []}, "there are no tracks"),
         ({"opponents": np.zeros((0, 17))}, r"there are no opponents"),
-        ({"opponents": np.zeros((3, 2))}, r"opponents has shape \(3, 2\); it must have \(any, 17\)"),
-        ({"segment_seconds": 3.0}, "a race of 4 s is no multiple of segment_seconds, 3 s"),
-        ({"segment_seconds": 0.0}, "no multiple of segment_seconds, 0 s"),
+        ({"opponents": np.zeros((3, 2))}, r"opponents has shape \(3, 2\)"),
+        ({"segment_seconds": 3.0}, r"4 s .*segment_seconds, 3 s"),
+        ({"segment_seconds": 0.0}, "segment_seconds, 0 s"),
         ({"starts": 0}, "start_lines is 0"),
         ({"characteristics": ("pace", "charm")}, "characteristic 'charm' is unknown"),
         (
             {"config": load_race_config("paper", start_spacing=5.0, duration=4.0)},
-            "has no place from which two cars",
+            "has no place",
         ),
     ],
 )
@@ -156,12 +156,12 @@ def test_impossible_races(oval, change, message):
 
 
 def test_policies_of_the_wrong_shape(scenarios):
-    with pytest.raises(InputError, match=r"parameters has shape \(2, 3\)"):
+    with pytest.raises(InputError, match=r"parameters .*\(2, 3\)"):
         evaluate(scenarios, np.zeros((2, 3)))
 
 
 def test_a_characteristic_that_is_not_a_number(oval, monkeypatch):
-    broken = Characteristic("broken", "1", "for a test", lambda piece: piece.progress / 0.0 - np.inf)
+    broken = Characteristic("broken", "1", "for a test", lambda segment: segment.progress / 0.0 - np.inf)
     monkeypatch.setattr(characteristics, "_registered", {**characteristics._registered, "broken": broken})
     scenarios = draw_scenarios([oval], SHORT, policies(1), ("pace", "broken"), starts=1, segment_seconds=2.0)
     with (

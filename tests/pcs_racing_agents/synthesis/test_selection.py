@@ -24,10 +24,10 @@ def test_the_first_layer_is_what_no_other_point_beats(points):
         assert (layer == 0) == (not any(beats(other, point) for other in points))
 
 
-def raced(totals, pieces=None):
-    pieces = np.full(totals.shape[:2], 2) if pieces is None else pieces
+def raced(totals, segments=None):
+    segments = np.full(totals.shape[:2], 2) if segments is None else segments
     nobody = np.full(totals.shape[:2], -1)
-    return {"totals": totals, "pieces": pieces, "own_crash": np.zeros(totals.shape[:2], bool), "winner": nobody}
+    return {"totals": totals, "segments": segments, "own_crash": np.zeros(totals.shape[:2], bool), "winner": nobody}
 
 
 def test_errors_of_differences_are_those_of_paired_means():
@@ -48,9 +48,9 @@ def test_errors_of_differences_where_crashes_cut_races_short():
     differences, stated = [], []
     for _ in range(400):
         luck = rng.normal(0.0, 3.0, (1, 60, 1))
-        pieces = rng.integers(1, 3, (2, 60))
-        totals = (luck + rng.normal(1.0, 1.0, (2, 60, 1))) * pieces[..., None]
-        both = raced(totals, pieces)
+        segments = rng.integers(1, 3, (2, 60))
+        totals = (luck + rng.normal(1.0, 1.0, (2, 60, 1))) * segments[..., None]
+        both = raced(totals, segments)
         coordinates = summarise(both).coordinates
         differences.append(coordinates[0, 0] - coordinates[1, 0])
         stated.append(difference_errors(both)[0, 1, 0])

@@ -71,8 +71,8 @@ def test_the_archive_of_the_contest_holds_a_game():
     speed = archive.coordinates[:, archive.characteristics.index("speed")]
     assert speed.min() < 0.5
     assert speed.max() > 0.85
-    assert float(archive.settings["headroom_low"]) > 0.05  # on races that had no say
-    assert float(archive.settings["headroom_low_elsewhere"]) > 0.05  # on circuits that had no say
+    assert float(archive.settings["headroom_low"]) > 0.05  # on races not used for the choice
+    assert float(archive.settings["headroom_low_elsewhere"]) > 0.05  # on circuits not used for the choice
 
 
 def test_its_coordinates_are_what_the_measuring_races_give(name):

@@ -221,7 +221,7 @@ def test_stored_results_of_another_search_are_refused():
     stored = [
         Evaluated(news.objectives, None, news.parameters) for news in synthesize(spheres, UNIT, **SMALL).generations
     ]
-    with pytest.raises(InputError, match="belong to other points than those after 0 evaluations"):
+    with pytest.raises(InputError, match=r"other points .*0 evaluations"):
         synthesize(spheres, UNIT, **{**SMALL, "seed": 4}, evaluated=stored)
     with pytest.raises(InputError, match="holds 6 results"):
         synthesize(spheres, UNIT, **{**SMALL, "generations": 5}, evaluated=stored)
@@ -365,23 +365,23 @@ def test_where_objectives_change_the_front_is_evaluated_again():
         ({"population": 3}, "population is 3"),
         ({"population": 12.0}, r"population is 12\.0"),
         ({"generations": 0}, "generations is 0"),
-        ({"elite_ratio": 0.0}, "elite_ratio is 0.0; it must be a number above 0 up to 1"),
+        ({"elite_ratio": 0.0}, "elite_ratio is 0.0"),
         ({"reevaluation": 0.95}, "reevaluation is 0.95"),
         ({"step_size": np.nan}, "step_size is nan"),
         ({"seed": -1}, "seed is -1"),
-        ({"loss": "hv"}, "loss is 'hv'; it must be one of uhvi, total_hypervolume"),
+        ({"loss": "hv"}, "loss is 'hv'"),
         ({"mean": "median"}, "mean is 'median'"),
-        ({"ideal": [1.0, 1.0]}, "only one of ideal and nadir"),
+        ({"ideal": [1.0, 1.0]}, "only one of ideal"),
         ({"ideal": [1.0, 1.0], "nadir": [0.0, 1.0]}, "must be larger on all axes"),
-        ({"ideal": [1.0] * 3, "nadir": [0.0] * 3}, "ideal has 3 numbers; there are 2 objectives"),
-        ({"reference": [0.0] * 3}, "reference has 3 numbers; there are 2 objectives"),
+        ({"ideal": [1.0] * 3, "nadir": [0.0] * 3}, "ideal has 3 numbers"),
+        ({"reference": [0.0] * 3}, "reference has 3 numbers"),
         ({"start": [2.0] * 6}, "must lie within the bounds"),
-        ({"start": "centre"}, "start is 'centre'; it must be middle, sample, or a point"),
+        ({"start": "centre"}, "start is 'centre'"),
         ({"evaluations": 0}, "evaluations is 0"),
         ({"initial": [[0.5] * 5]}, r"initial has shape \(1, 5\)"),
         ({"initial": [[2.0] * 6, [0.5] * 6]}, "outside the bounds"),
         ({"initial": [[0.5] * 6]}, "ideal must be larger on all axes"),
-        ({"start": [0.5]}, r"start has shape \(1,\); it must have \(6,\)"),
+        ({"start": [0.5]}, r"start has shape \(1,\)"),
     ],
 )
 def test_impossible_arguments_are_named(options, words):
@@ -397,14 +397,14 @@ def test_an_unknown_method_is_named():
 @pytest.mark.parametrize(
     ("evaluate", "words"),
     [
-        (lambda x: np.zeros(len(x)), r"shape \(12,\); for 12 points they must have \(12, 2 or more\)"),
+        (lambda x: np.zeros(len(x)), r"shape \(12,\)"),
         (lambda x: np.zeros((3, 2)), r"shape \(3, 2\)"),
         (lambda x: np.zeros((len(x), 1)), r"shape \(12, 1\)"),
         (lambda x: [["a", "b"]] * len(x), "no number"),
         (lambda x: None, "shape"),
         (lambda x: np.where(np.arange(24).reshape(12, 2) == 7, np.nan, 1.0), "objective 1 of point 3 is nan"),
         (lambda x: (spheres(x), np.full(12, np.inf)), "violation of point 0 is inf"),
-        (lambda x: (spheres(x), np.zeros((12, 1))), r"violations have shape \(12, 1\); they must have \(12,\)"),
+        (lambda x: (spheres(x), np.zeros((12, 1))), r"violations have shape \(12, 1\)"),
     ],
 )
 def test_impossible_results_are_named(evaluate, words):
@@ -421,7 +421,7 @@ def test_results_that_do_not_fit_each_other_are_named():
 
 @pytest.mark.parametrize(
     ("points", "words"),
-    [([[0.5] * 5], r"parameters has shape \(1, 5\); it must have \(any, 6\)"), ([[1.5] * 6], "outside the bounds")],
+    [([[0.5] * 5], r"parameters has shape \(1, 5\)"), ([[1.5] * 6], "outside the bounds")],
 )
 def test_points_from_elsewhere_must_fit(points, words):
     search = Search(UNIT, population=12)

@@ -10,8 +10,8 @@ from pcs_racing_agents.agents import Driver, make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.tournament.fitting import (
+    RunOptions,
     TrainingRaces,
-    Work,
     evaluate,
     fit_best_fixed,
     fit_best_lead_plan,
@@ -38,7 +38,7 @@ def test_all_plans_are_tried_on_the_same_races(training, short):
         build("best-schedule", short, moves=[short.moves[i] for i in sequence])
         for sequence in product(range(5), repeat=2)
     ]
-    values = evaluate(training, plans, Work(), "test")
+    values = evaluate(training, plans, RunOptions(), "test")
     selected = [plan.facts["plan"] for plan in plans].index(", ".join(fit.choice))
     assert values[selected] == values.max()
     assert fit.training["candidates"] == 25
@@ -51,7 +51,7 @@ def test_all_plans_are_tried_on_the_same_races(training, short):
 def test_the_best_target_is_found(training, short):
     fit = fit_best_fixed(training)
     walkers = [build("best-fixed", short, target=target) for target in range(12)]
-    values = evaluate(training, walkers, Work(), "test")
+    values = evaluate(training, walkers, RunOptions(), "test")
     assert values[fit.choice] == values.max()
     assert fit_best_fixed(training, targets=[3, 5]).choice in (3, 5)
     assert build("best-fixed", short, fit=fit).facts["target"].startswith(f"policy {fit.choice} ")
@@ -63,7 +63,7 @@ def test_the_best_lead_plan_is_found(training, short):
     fit, fixed = fit_best_lead_plan(training, targets=targets), fit_best_fixed(training, targets=targets)
     assert fit.training["reached"] >= fixed.training["reached"]
     plans = [{"behind": behind, "ahead": ahead} for behind, ahead in product(targets, repeat=2)]
-    values = evaluate(training, [build("best-lead-plan", short, targets=plan) for plan in plans], Work(), "test")
+    values = evaluate(training, [build("best-lead-plan", short, targets=plan) for plan in plans], RunOptions(), "test")
     reached = values[plans.index(fit.choice)]
     assert fit.training["reached"] == pytest.approx(reached, abs=1e-4)
     near = [plan["behind"] == fit.choice["behind"] or plan["ahead"] == fit.choice["ahead"] for plan in plans]
@@ -98,7 +98,7 @@ def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(oval, short):
     assert (meta.weights @ meta.payoffs).min() >= -1e-6  # nobody beats the mixture on these races
     again = fit_psro(training, members, known=fit_psro(training, members[:3]))
     np.testing.assert_array_equal(again.payoffs, meta.payoffs)
-    with pytest.raises(InputError, match="payoffs of 4 agents are known"):
+    with pytest.raises(InputError, match="4 agents"):
         fit_psro(training, members[:2], known=meta)
 
 
@@ -110,7 +110,7 @@ def test_bad_input(training, oval, short):
         fit_best_schedule(replace(training, setting=long), method="all")
     with pytest.raises(InputError, match="objective is 'lead'"):
         TrainingRaces((oval,), (build("never-switch", short),), short, objective="lead")
-    with pytest.raises(InputError, match="at least one track and one opponent"):
+    with pytest.raises(InputError, match="one track"):
         TrainingRaces((oval,), (), short)
-    with pytest.raises(InputError, match="psro needs at least two"):
+    with pytest.raises(InputError, match="psro needs"):
         fit_psro(training, [build("never-switch", short)])

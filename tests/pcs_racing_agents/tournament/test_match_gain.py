@@ -89,7 +89,7 @@ def test_a_gain_is_what_was_put_in():
     scores[ARMS.index("remember"), :2, ::2, 1] = 1.0
     gain = TrackGain("nowhere", True, scores)
     assert gain.gain("remember").mean == pytest.approx(1.0 / 6.0)
-    assert gain.gain("remember").low < 0.0 < gain.gain("told").mean + 0.1
+    assert gain.gain("remember").low < 0.0 < gain.gain("known").mean + 0.1
     np.testing.assert_allclose(gain.gain_by_race("remember"), [0.0, 1.0 / 3.0])
     assert "+0.167" in gain_text([gain])
     assert gain_text([gain, gain]).count("+0.167") == 3  # two circuits and their mean

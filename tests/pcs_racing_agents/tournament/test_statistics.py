@@ -268,11 +268,11 @@ def test_units_are_matched_by_what_they_are():
     a = [("x", 1), ("x", 2), ("y", 1)]
     b = [("y", 1), ("x", 1), ("x", 2)]
     assert [b[i] for i in match_units(a, b)] == a
-    with pytest.raises(InputError, match=r"arm b did not race unit \('y', 1\) \(1 missing\)"):
+    with pytest.raises(InputError, match=r"arm b .*\('y', 1\)"):
         match_units(a, b[1:])
-    with pytest.raises(InputError, match=r"arm a did not race unit \('z', 1\)"):
+    with pytest.raises(InputError, match=r"arm a .*\('z', 1\)"):
         match_units(a, [*b, ("z", 1)])
-    with pytest.raises(InputError, match=r"arm b raced unit \('x', 1\) more than once"):
+    with pytest.raises(InputError, match=r"arm b .*\('x', 1\)"):
         match_units(a, [*b, ("x", 1)])
 
 
@@ -295,19 +295,19 @@ ONES = [1.0, 0.0, 1.0, 1.0]
     [
         (lambda: compare(ONES, ONES[1:], TWO, TWO), "a has 4 scores and b 3"),
         (lambda: compare([1, 0, np.nan, 0], ONES, TWO, TWO), r"a\[2\] is nan"),
-        (lambda: compare(ONES, ONES, [0, 0, 0, 0], TWO), "there is 1 ego variant, 0"),
+        (lambda: compare(ONES, ONES, [0, 0, 0, 0], TWO), "1 ego variant, 0"),
         (lambda: compare(ONES, ONES, TWO[1:], TWO), r"ego labels have shape \(3,\)"),
-        (lambda: compare(ONES, ONES, TWO, TWO, start=[0, 0, 0, np.nan]), "start labels must be text or finite"),
-        (lambda: compare(ONES, ONES, [None, 1, 2, 3], TWO), "ego labels must be text or finite numbers, not object"),
-        (lambda: compare(ONES, ONES, [[1], 1, 2, 3], TWO), "ego labels must be text or numbers"),
+        (lambda: compare(ONES, ONES, TWO, TWO, start=[0, 0, 0, np.nan]), "start labels must"),
+        (lambda: compare(ONES, ONES, [None, 1, 2, 3], TWO), r"ego labels .*object"),
+        (lambda: compare(ONES, ONES, [[1], 1, 2, 3], TWO), "ego labels must"),
         (lambda: compare(ONES, ONES, TWO, TWO, level=95), "level is 95"),
         (lambda: compare([], [], [], []), r"a has shape \(0,\)"),
         (lambda: compare(["win"] * 4, ONES, TWO, TWO), "a must be numbers"),
-        (lambda: clustered_mean(ONES), "there are no cluster labels"),
-        (lambda: clustered_mean(ONES, TWO, same_pool=True), "same_pool is about the labels of ego and opponent"),
+        (lambda: clustered_mean(ONES), "cluster labels"),
+        (lambda: clustered_mean(ONES, TWO, same_pool=True), r"^same_pool"),
         (lambda: compare(ONES, ONES, TWO, list("ooxx"), same_pool=True), "one pool has one kind"),
         (lambda: holm([0.1, 1.1]), r"p_values\[1\] is 1.1"),
-        (lambda: score([True], [True]), "race 0 is won and tied"),
+        (lambda: score([True], [True]), "race 0"),
         (lambda: score([True], [True, False]), r"won has shape \(1,\)"),
     ],
 )

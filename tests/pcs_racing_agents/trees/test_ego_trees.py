@@ -108,7 +108,7 @@ def test_rows_hold_each_situation_once(noisy, trees):
 
 def test_trees_without_a_decision_give_no_rows(trees):
     dead = replace(trees, over=tuple(np.ones_like(level) for level in trees.over))
-    with pytest.raises(InputError, match="every race is over before the first move"):
+    with pytest.raises(InputError, match="every race is over"):
         ego_rows(dead)
 
 
@@ -127,24 +127,24 @@ def test_a_folder_of_ego_trees_resumes_whatever_the_executor(noisy, tmp_path):
     arrays = read_chunk(chunk)
     arrays["payoffs"][0, 0] = np.inf
     write_chunk(chunk, arrays, "0" * 64)
-    with pytest.raises(InputError, match=r"ego-00001.npz: payoffs holds NaN or infinity"):
+    with pytest.raises(InputError, match=r"ego-00001\.npz: payoffs"):
         load_ego_trees(tmp_path / "b")
     del arrays["own_0"]
     write_chunk(chunk, arrays, "0" * 64)
-    with pytest.raises(InputError, match=r"ego-00001.npz holds no ego trees: 'own_0' is missing"):
+    with pytest.raises(InputError, match=r"ego-00001\.npz .*'own_0'"):
         load_ego_trees(tmp_path / "b")
 
 
 @pytest.mark.parametrize(
     ("settings", "kind", "message"),
     [
-        ({"roots": 0}, InputError, "roots is 0; it must be a whole number from 1 to 1000000"),
-        ({"seed": -1}, InputError, "seed is -1; it must be a whole number from 0"),
-        ({"opponent": "lazy"}, UnknownNameError, "opponent 'lazy' is unknown; there are random, static"),
-        ({"opponent": [[0, 9]] * 2}, InputError, "the opponent's moves: 9 is impossible; they must lie in -1 to 4"),
-        ({"opponent": [0.5, 1.0]}, InputError, r"the opponent's moves have shape \(2,\) and type float64"),
-        ({"policies": [[0, 9]] * 2}, InputError, "policies: 9 is impossible; they must lie in 0 to 8"),
-        ({"policies": [0, 1, 2]}, InputError, r"policies have shape \(3,\)"),
+        ({"roots": 0}, InputError, "roots is 0"),
+        ({"seed": -1}, InputError, "seed is -1"),
+        ({"opponent": "lazy"}, UnknownNameError, "opponent 'lazy' is unknown"),
+        ({"opponent": [[0, 9]] * 2}, InputError, "the opponent's moves holds 9"),
+        ({"opponent": [0.5, 1.0]}, InputError, r"the opponent's moves has shape \(2,\) and type float64"),
+        ({"policies": [[0, 9]] * 2}, InputError, "policies holds 9"),
+        ({"policies": [0, 1, 2]}, InputError, r"policies has shape \(3,\)"),
     ],
 )
 def test_impossible_settings_are_refused(noisy, settings, kind, message):
@@ -155,14 +155,14 @@ def test_impossible_settings_are_refused(noisy, settings, kind, message):
 @pytest.mark.parametrize(
     ("continuation", "message"),
     [
-        ("worst", "continuation is 'worst'; it must be \"best\" or a function"),
-        (lambda seen: np.ones((len(seen), 4)) / 4, r"returned shape \(30, 4\) for 30 observations"),
-        (lambda seen: np.full((len(seen), 5), np.nan), "must return finite probabilities of 5 moves"),
-        (lambda seen: np.ones((len(seen), 5)), "must be 0 or above and sum up to 1"),
+        ("worst", "continuation is 'worst'"),
+        (lambda seen: np.ones((len(seen), 4)) / 4, r"shape \(30, 4\)"),
+        (lambda seen: np.full((len(seen), 5), np.nan), "probabilities of 5 moves"),
+        (lambda seen: np.ones((len(seen), 5)), "sum up to 1"),
     ],
 )
 def test_impossible_continuations_are_refused(trees, continuation, message):
     with pytest.raises(InputError, match=message):
         ego_values(trees, continuation)
-    with pytest.raises(InputError, match="move 2 is none of the trees'"):
+    with pytest.raises(InputError, match="move 2 "):
         trees.observations(2)

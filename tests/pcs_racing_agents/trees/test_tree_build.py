@@ -146,16 +146,16 @@ def test_the_solvers_get_the_mean_over_the_seeds(noisy):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"policies": (3, 9)}, "game 0, car 1: policy 9 is not in archive 'tiny'; it must lie in 0 to 8"),
-        ({"policies": (3, -1)}, r"policies are \(3, -1\); give two policies of archive 'tiny'"),
-        ({"policies": (3,)}, r"policies are \(3,\); give two policies"),
-        ({"start": (-1.0, 0)}, r"the start line -1.0 m is not on track 'Tarnfjord'"),
-        ({"start": (20.0, 2)}, "start sides must be 0 or 1; found 2"),
-        ({"start": Starts(np.array([20.0, 21.0]), np.array([0, 0]))}, "there are 2 starts; a tree has one"),
-        ({"seeds": [1, 2]}, "there are 2 seeds, but no steering noise: every seed drives the same; give one"),
-        ({"seeds": [1, 1]}, r"seeds are \[1, 1\]; give one or more different whole numbers"),
-        ({"seeds": []}, r"seeds are \[\]; give one or more different"),
-        ({"seeds": [-1]}, r"seeds are .*-1.*; they must be whole numbers from 0"),
+        ({"policies": (3, 9)}, "game 0, car 1: policy 9"),
+        ({"policies": (3, -1)}, r"policies are \(3, -1\)"),
+        ({"policies": (3,)}, r"policies are \(3,\)"),
+        ({"start": (-1.0, 0)}, r"start line -1.0 m"),
+        ({"start": (20.0, 2)}, r"start sides .* 2"),
+        ({"start": Starts(np.array([20.0, 21.0]), np.array([0, 0]))}, "there are 2 starts"),
+        ({"seeds": [1, 2]}, "2 seeds, but no steering noise"),
+        ({"seeds": [1, 1]}, r"seeds are \[1, 1\]"),
+        ({"seeds": []}, r"seeds are \[\]"),
+        ({"seeds": [-1]}, r"seeds are .*-1.*"),
     ],
 )
 def test_impossible_roots_are_refused(paper, change, message):
@@ -164,10 +164,10 @@ def test_impossible_roots_are_refused(paper, change, message):
 
 
 def test_games_without_a_tree_are_refused(track, paper):
-    with pytest.raises(InputError, match="4 moves with 9 choices for each player"):
+    with pytest.raises(InputError, match="4 moves with 9 choices"):
         build_tree(make_game(track, paper.archive, epsilon=(0.2, 0.4), stay=True), (2, 7), (20.0, 0))
     outside = replace(paper, opponent_planner="pure-pursuit")
-    with pytest.raises(InputError, match="car 1 is driven by planner 'pure-pursuit'"):
+    with pytest.raises(InputError, match=r"car 1 .*'pure-pursuit'"):
         build_tree(outside, (2, 7), (20.0, 0))
-    with pytest.raises(InputError, match="move 2 is none of the tree's"):
+    with pytest.raises(InputError, match="move 2 "):
         build_tree(paper, (2, 7), (20.0, 0)).observations(2)

@@ -40,5 +40,5 @@ def test_joint_histories_stand_in_row_major_order():
 
 def test_a_tree_beyond_all_bounds_is_refused():
     check_size(5, 4)
-    with pytest.raises(InputError, match=r"4 moves with 9 choices for each player has 4.3e\+07 leaves"):
+    with pytest.raises(InputError, match=r"4 moves with 9 choices .*4\.3e\+07"):
         check_size(9, 4)

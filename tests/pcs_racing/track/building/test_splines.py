@@ -51,5 +51,5 @@ def test_samples_are_evenly_spaced_whatever_the_points():
 def test_repeated_points_do_no_harm():
     square = [[0, 0], [1, 0], [1, 0], [1, 1], [0, 1], [0, 0]]
     assert clean_closed(square).tolist() == [[0, 0], [1, 0], [1, 1], [0, 1]]
-    with pytest.raises(ValueError, match="4 distinct points, got 3"):
+    with pytest.raises(ValueError, match="points, got 3"):
         sample_closed([[0, 0], [1, 0], [1, 0], [1, 1], [0, 0]], 0.1)

@@ -12,7 +12,7 @@ from numba import njit
 from pcs_racing.track import frenet
 from pcs_racing.track.building.walls import simplify, trace_outlines
 from pcs_racing.track.frenet import LEFT, RIGHT
-from pcs_racing.track.track import load_track
+from pcs_racing.track.loading import load_track
 
 grids = hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))).map(lambda grid: np.pad(grid, 1))
 

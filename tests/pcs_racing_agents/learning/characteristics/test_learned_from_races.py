@@ -36,7 +36,7 @@ def own_registry(monkeypatch):
 
 def test_every_piece_of_every_race_is_measured():
     seen = measure_behaviour(POLICIES[:2], POLICIES[2:], TRACKS, CONFIG, ["speed"], starts=2, segment_seconds=1.0)
-    assert seen.shape == (2, 2, 2 * 2 * 2 * 4, 1)  # circuits, policies, opponents x starts x sides x pieces
+    assert seen.shape == (2, 2, 2 * 2 * 2 * 4, 1)  # circuits, policies, opponents x starts x sides x segments
     means = np.nanmean(seen[..., 0], axis=2)
     assert (means[:, 1] > means[:, 0]).all()
 

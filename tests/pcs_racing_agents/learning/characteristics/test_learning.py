@@ -38,7 +38,7 @@ class World:
         self.traits = traits * np.sign(rng.normal())
         self.rating = 0.05 * (self.traits[:, 0] + self.traits[:, 1])
         self.payoffs = payoffs_of(self.rating, 0.2 * self.traits)
-        # What is seen: traits in other units, with noise in every piece.
+        # What is seen: traits in other units, with noise in every segment.
         self.behaviour = [5.0, 2.0] + [0.5, 0.1] * (
             self.traits[None, :, None] + noise * rng.normal(size=(TRACKS, POLICIES, PIECES, 2))
         )
@@ -47,7 +47,7 @@ class World:
 def test_weights_of_a_linear_world_are_recovered():
     learning = fit_characteristics(World(0).payoffs, World(0).behaviour, SETTINGS)
     rating, first, second = learning.characteristics.axes
-    # Inputs have variance 1 + .25 in units of the traits, of which a mean over 4 pieces keeps 1 + .25 / 4.
+    # Inputs have variance 1 + .25 in units of the traits, of which a mean over 4 segments keeps 1 + .25 / 4.
     kept = np.sqrt(1.25) / (1.0 + 0.25 / 4.0)
     np.testing.assert_allclose(dict(first.weights)["speed"], kept, rtol=0.05)
     np.testing.assert_allclose(dict(first.weights)["restraint"], 0.0, atol=0.05)
@@ -136,7 +136,7 @@ def test_rows_are_means_of_pieces_that_were_driven():
     rows = draw_rows(values, 4, 0)
     assert rows.shape == (1, 1, DRAWS, 1)
     np.testing.assert_allclose(rows, 2.5)
-    with pytest.raises(InputError, match="4 pieces"):
+    with pytest.raises(InputError, match="4 segments"):
         draw_rows(values, 5, 0)
 
 
@@ -160,7 +160,7 @@ def test_every_interval_gives_its_best_and_empty_ones_the_best_that_is_left():
         {"opponents": 1, "starts": 1},
         {"degree": 4},
         {"inputs": ()},
-        {"pieces": 0},
+        {"segments": 0},
         {"name": "../x"},
     ],
 )

@@ -85,7 +85,7 @@ def test_what_settings_name_must_exist(duel_settings, changes, message):
 def test_rules_of_one_name_are_refused(drive_settings, tmp_path):
     file = tmp_path / "other.yaml"
     file.write_text("name: short\n")
-    with pytest.raises(InputError, match="two of these rules have the same name"):
+    with pytest.raises(InputError, match="the same name"):
         make_task(replace(drive_settings, races=(*drive_settings.races, str(file))))
     with pytest.raises(UnknownNameError, match="planner 'tortoise' is unknown"):
         make_task(replace(drive_settings, opponents={"tortoise": 1}))

@@ -92,7 +92,7 @@ def test_a_damaged_checkpoint_is_made_again(settings, trained, tmp_path, caplog)
 
 
 def test_a_folder_belongs_to_its_settings(settings, trained):
-    with pytest.raises(InputError, match=r"holds another run: its learning_rate is 0\.001, not 0\.002"):
+    with pytest.raises(InputError, match=r"learning_rate is 0\.001, not 0\.002"):
         train_ppo(settings["duel"], trained["duel"].folder.parent, learning_rate=0.002)
 
 
@@ -102,7 +102,7 @@ def test_a_folder_belongs_to_its_archive(settings, tmp_path):
     few = {"archive": str(own), "opponents": {"random-moves": 1}, "steps": 16}
     train_ppo(settings["duel"], tmp_path / "out", **few)
     save_archive(load_archive("contest"), own)
-    with pytest.raises(InputError, match="holds another run: its archive_sha256 is"):
+    with pytest.raises(InputError, match="archive_sha256 is"):
         train_ppo(settings["duel"], tmp_path / "out", **few)
 
 
@@ -173,7 +173,7 @@ def test_weights_that_run_away_are_told(settings, trained):
         learn_once(learner)
         with torch.no_grad():
             learner.model.policy.action_net.bias[0] = float("nan")
-        with pytest.raises(InputError, match=r"a weight is no longer a number after 160 steps"):
+        with pytest.raises(InputError, match=r"weight .*160 steps"):
             learn_once(learner)
 
 

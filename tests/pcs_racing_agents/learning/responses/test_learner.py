@@ -46,9 +46,9 @@ def test_the_same_network_from_threads_and_after_a_stop(game, setting, tmp_path)
 def test_games_must_be_alike(game, setting, tmp_path):
     other = make_game("Tarnfjord", setting.archive, load_game_config(setting.config, moves=3))
     with open_job(tmp_path / "c", "response", {}) as job:
-        with pytest.raises(InputError, match="give at least one of each"):
+        with pytest.raises(InputError, match="one of each"):
             learn_response([game], [], setting, SMALL, job)
-        with pytest.raises(InputError, match="made for games of 2 moves"):
+        with pytest.raises(InputError, match="games of 2 moves"):
             learn_response([game, other], [never_switch(setting)], setting, SMALL, job)
 
 

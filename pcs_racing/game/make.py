@@ -1,0 +1,53 @@
+"""A game from names: of a circuit, an archive and rules."""
+
+from pathlib import Path
+from typing import Any
+
+from pcs_racing.car.vehicle import F1TENTH, VehicleParams
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
+from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.planners.planner import Planner
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.track.loading import as_track
+from pcs_racing.track.track import Track
+
+__all__ = ["make_game"]
+
+
+def make_game(
+    track: Track | str | Path,
+    archive: PolicyArchive | str | Path = "default",
+    race: GameConfig | RaceConfig | str | Path = "paper",
+    *,
+    opponent_planner: Planner | str | None = None,
+    threads: int | None = None,
+    ego_planner: Planner | str | None = None,
+    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH),
+    most_delay: float = 0.0,
+    **settings: Any,
+) -> RaceGame:
+    """Make a game from names.
+
+    Parameters
+    ----------
+    track : Track, str or path
+        The circuit, its name or its folder.
+    archive : PolicyArchive, str or path
+        The archive, its name or its folder.
+    race : GameConfig, RaceConfig, str or path
+        Rules of the game; or of the race alone: a configuration, a preset's name or a YAML file.
+    opponent_planner, threads, ego_planner, vehicles, most_delay
+        See :class:`RaceGame`.
+    **settings
+        Fields of :class:`GameConfig` to change.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value impossible.
+    """
+    rules = load_game_config(race, **settings)
+    planners = opponent_planner, threads, ego_planner
+    return RaceGame(as_track(track), load_archive(archive), rules, *planners, vehicles, most_delay)

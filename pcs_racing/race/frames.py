@@ -1,0 +1,130 @@
+"""Frames of a recorded race, one after the other, and animated GIFs of them."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from pcs_racing.base.checks import check_number
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.race.rendering import Renderer
+from pcs_racing.race.replay import Replay
+
+__all__ = ["replay_frames", "write_gif"]
+
+_TRAIL = 2.0  # s
+
+
+def replay_frames(
+    replay: Replay, renderer: Renderer | None = None, *, fps: float = 20.0, speed: float = 1.0, candidates: bool = False
+) -> Iterator[np.ndarray]:
+    """Frames of a recorded race, one after the other, for any video writer.
+
+    Parameters
+    ----------
+    replay : Replay
+    renderer : Renderer, optional
+        In mode ``"rgb_array"``; one of the whole track if left out.
+    fps : float
+        Frames per second of the video.
+    speed : float
+        Race seconds per video second.
+    candidates : bool
+        Whether to draw the paths considered, where they were kept.
+
+    Yields
+    ------
+    ndarray of uint8, shape (height, width, 3)
+
+    Raises
+    ------
+    InputError
+        If ``fps`` or ``speed`` is not positive, or the renderer shows a window.
+    """
+    check_number("fps", fps, most=1000.0, above=0.0)
+    check_number("speed", speed, most=1000.0, above=0.0)
+    renderer = renderer or Renderer(replay)
+    if renderer.mode != "rgb_array":
+        raise InputError("frames of a replay need a renderer in mode 'rgb_array'")
+    return _frames(replay, renderer, speed / fps, candidates)
+
+
+def _frames(replay: Replay, renderer: Renderer, step: float, candidates: bool) -> Iterator[np.ndarray]:
+    lead = replay.lead
+    for k in range(int(replay.duration / step + 1e-9) + 1):
+        time = k * step
+        i = min(round(time / replay.frame_dt), len(replay.cars) - 1)
+        since = max(0, i - round(_TRAIL / replay.frame_dt))
+        leader = 0 if lead[i] >= 0.0 else 1
+        shown: dict[str, Any] = {}
+        plan = int(time / replay.plan_dt + 1e-6)
+        if replay.paths is not None and len(replay.paths):
+            shown["plans"] = replay.paths[min(plan, len(replay.paths) - 1)]
+        if candidates and replay.candidates is not None and replay.costs is not None:
+            row = int(np.searchsorted(np.asarray(replay.candidate_steps), plan, side="right")) - 1
+            if row >= 0:
+                shown |= {"candidates": replay.candidates[row], "costs": replay.costs[row]}
+        frame = renderer.render(
+            replay.cars[i],
+            trails=replay.cars[since : i + 1, :, :2],
+            names=replay.car_names,
+            text=f"{time:.1f} s    {replay.car_names[leader]:.60} leads by {abs(lead[i]):.1f} m",
+            **shown,
+        )
+        if frame is not None:
+            yield frame
+
+
+def write_gif(
+    replay: Replay,
+    path: str | os.PathLike[str],
+    *,
+    renderer: Renderer | None = None,
+    fps: float = 10.0,
+    speed: float = 2.0,
+    candidates: bool = False,
+) -> Path:
+    """Write a recorded race as an animated GIF.
+
+    Parameters
+    ----------
+    replay : Replay
+    path : path
+        Ends in ``.gif``; an existing file is replaced in one step.
+    renderer : Renderer, optional
+        One of the whole track, 640 x 420 pixels, if left out.
+    fps : float
+        Frames per second, up to 50 (a GIF counts in hundredths of a second).
+    speed : float
+        Race seconds per second.
+    candidates : bool
+        Whether to draw the paths considered.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If an argument is impossible or the folder does not exist.
+    """
+    path = Path(path)
+    if path.suffix != ".gif":
+        raise InputError(f"write_gif writes .gif files, got {path.name!r}")
+    check_number("fps", fps, most=50.0, above=0.0)
+    frames = replay_frames(replay, renderer or Renderer(replay, 640, 420), fps=fps, speed=speed, candidates=candidates)
+    first = Image.fromarray(next(frames)).quantize(128)
+    # One palette for all frames: smaller, faster, and nothing flickers.
+    rest = (Image.fromarray(frame).quantize(palette=first, dither=Image.Dither.NONE) for frame in frames)
+    write_atomically(
+        path,
+        lambda file: first.save(
+            file, "GIF", save_all=True, append_images=rest, duration=round(100 / fps) * 10, loop=0, optimize=False
+        ),
+    )
+    return path

@@ -1,0 +1,215 @@
+"""Files of recorded races: JSON, and the one self-contained HTML page that plays a race.
+
+The page (``replay.html`` beside this file) needs no network and no server. The race is the JSON inside it, so the page
+is also the file that `read_replay` reads back.
+"""
+
+import html
+import json
+import os
+import re
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.packing import (
+    COARSE,
+    FINE,
+    pack,
+    pack_costs,
+    pack_paths,
+    pack_segments,
+    unpack,
+    unpack_costs,
+    unpack_paths,
+    unpack_segments,
+)
+from pcs_racing.base.reading import read_limited
+from pcs_racing.race.replay import Replay, ReplayEvent
+
+__all__ = ["plain_parts", "read_replay", "replay_page", "safe_json", "save_replay", "write_html"]
+
+FORMAT = "pcs-racing replay 1"
+
+LONGEST_ITTC = 60.0
+"""Times to collision are stored up to this one, s."""
+
+_LARGEST_FILE = 100_000_000
+_DATA = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.DOTALL)
+
+
+def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
+    """Write a race as a page (``.html``) or as bare JSON (``.json``); `read_replay` reads both.
+
+    Numbers are rounded: to 1 mm, 1 mm/s, 1 mrad and 1 ms for cars, plans and line, to 1 cm for candidates and walls.
+
+    Parameters
+    ----------
+    replay : Replay
+    path : path
+        Where to write; an existing file is replaced in one step.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If the name ends differently or its folder does not exist.
+    """
+    path = Path(path)
+    if path.suffix == ".html":
+        return write_html(replay, path)
+    if path.suffix != ".json":
+        raise InputError(f"a replay is saved as .html or .json, got {path.name!r}")
+    write_atomically(path, lambda file: file.write(safe_json(_to_values(replay)).encode()))
+    return path
+
+
+def write_html(replay: Replay, path: str | os.PathLike[str]) -> Path:
+    """Write the page that plays a race: one file, no network, opens from a disk.
+
+    A link may name a moment: ``race.html#t=12.5&follow=1&candidates=1`` (``follow``: ``0``, ``1``, ``both`` or
+    ``track``; also ``play=1``, ``speed=0.5``, ``plans=0``, ``zoom=2``, ``theme=dark``).
+
+    Parameters
+    ----------
+    replay : Replay
+    path : path
+        Where to write; an existing file is replaced in one step.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist.
+    """
+    path = Path(path)
+    page = replay_page(replay)
+    write_atomically(path, lambda file: file.write(page.encode()))
+    return path
+
+
+def replay_page(replay: Replay) -> str:
+    """Return the page that :func:`write_html` writes, to be put into another one."""
+    template = files("pcs_racing.race").joinpath("replay.html").read_text(encoding="utf-8")
+    parts = {"<!--title-->": html.escape(replay.title), "<!--replay-->": safe_json(_to_values(replay))}
+    # In one pass: a title that spells a placeholder is not one.
+    return re.sub("|".join(parts), lambda match: parts[match.group()], template)
+
+
+def read_replay(path: str | os.PathLike[str]) -> Replay:
+    """Read a race back from a page or from JSON. Nothing in the file is run, and all of it is checked.
+
+    Parameters
+    ----------
+    path : path
+        A file that `save_replay` wrote.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it does not hold a race.
+    """
+    path = Path(path)
+    try:
+        text = read_limited(path, _LARGEST_FILE, "a replay").decode("utf-8")
+    except OSError as error:
+        raise InputError(f"can't read the replay {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not a replay: it is not UTF-8 text") from None
+    if path.suffix != ".json":
+        found = _DATA.search(text)
+        if found is None:
+            raise InputError(f"{path} holds no replay: a page written by save_replay was expected")
+        text = found.group(1)
+    try:
+        return _from_values(json.loads(text))
+    except InputError as error:
+        raise InputError(f"{path} is not a replay: {error}") from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{path} is not a replay: its JSON is broken") from None
+
+
+# Writing and reading JSON
+
+
+def safe_json(values: Any) -> str:
+    """Return JSON that may stand in a script element: without ``<``, ``>`` and ``&``, all ASCII."""
+    text = json.dumps(values, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def plain_parts(replay: Replay) -> dict[str, Any]:
+    """Return what a replay holds besides its arrays, as plain values."""
+    return {
+        "format": FORMAT,
+        "title": replay.title,
+        "track_name": replay.track_name,
+        "car_names": list(replay.car_names),
+        "outcome": replay.outcome,
+        "frame_dt": replay.frame_dt,
+        "plan_dt": replay.plan_dt,
+        "half_sizes": np.asarray(replay.half_sizes).tolist(),
+        "events": [[round(event.time, 3), event.car, event.kind, event.text] for event in replay.events],
+    }
+
+
+def _to_values(replay: Replay) -> dict[str, Any]:
+    """Plain values; optional parts that are absent are left out."""
+    values: dict[str, Any] = {
+        **plain_parts(replay),
+        "walls": pack_segments(replay.walls),
+        "line": pack(replay.line, FINE, [0, 0]),
+        "cars": pack(replay.cars, FINE, [0, 0]),
+        "progress": pack(replay.progress, FINE, [0, 0]),
+    }
+    if replay.line_speed is not None:
+        values["line_speed"] = pack(replay.line_speed, COARSE, [0])
+    if replay.ittc is not None:
+        values["ittc"] = pack(np.minimum(replay.ittc, LONGEST_ITTC), COARSE, [0])
+    if replay.paths is not None:
+        values["paths"] = pack_paths(replay.paths, FINE)
+    if replay.candidates is not None and replay.costs is not None and replay.candidate_steps is not None:
+        values["candidate_steps"] = pack(replay.candidate_steps, 1, [0])
+        values["candidates"] = pack_paths(replay.candidates, COARSE)
+        values["costs"] = pack_costs(replay.costs)
+    return values
+
+
+def _from_values(values: object) -> Replay:
+    """The reverse of `_to_values`, for values of any origin."""
+    if not isinstance(values, dict) or values.get("format") != FORMAT:
+        raise InputError(f"it must say format {FORMAT!r}")
+    needed = {"format", "title", "track_name", "car_names", "outcome", "frame_dt", "plan_dt", "half_sizes", "events"}
+    needed |= {"walls", "line", "cars", "progress"}
+    optional = {"line_speed", "ittc", "paths", "candidate_steps", "candidates", "costs"}
+    if not needed <= values.keys() <= needed | optional:
+        missing, unknown = sorted(needed - values.keys()), sorted(values.keys() - needed - optional)
+        raise InputError(f"missing parts {missing}, unknown parts {unknown!r:.100}")
+    if not isinstance(values["events"], list) or not all(isinstance(e, list) and len(e) == 4 for e in values["events"]):
+        raise InputError("events must be a list of [time, car, kind, text]")
+    plain = ("title", "track_name", "car_names", "outcome", "frame_dt", "plan_dt", "half_sizes")
+    arrays = ("line", "cars", "progress", "line_speed", "ittc")
+    fields: dict[str, Any] = {name: values[name] for name in plain}
+    fields |= {name: unpack(values[name], name) for name in arrays if name in values}
+    fields |= {name: unpack_paths(values[name], name) for name in ("paths", "candidates") if name in values}
+    if "candidate_steps" in values:
+        fields["candidate_steps"] = unpack(values["candidate_steps"], "candidate_steps").astype(np.int64)
+    if "costs" in values:
+        fields["costs"] = unpack_costs(values["costs"], "costs")
+    fields["walls"] = unpack_segments(values["walls"], "walls")
+    fields["events"] = tuple(ReplayEvent(*event) for event in values["events"])
+    return Replay(**fields)

@@ -1,0 +1,245 @@
+import html
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from PIL import Image
+from recorded_races import race_on_a_circle
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.race.replay import ReplayEvent
+from pcs_racing.race.replay_files import read_replay, save_replay, write_html
+
+GOOD = race_on_a_circle(candidates=3)
+NASTY = '</script><b>bold</b><script>document.title="owned"</script><!--replay--><!--title-->&amp;"\'\u2028'
+
+
+@pytest.mark.parametrize("suffix", [".html", ".json"])
+def test_a_race_comes_back_rounded(tmp_path, suffix):
+    replay = race_on_a_circle(candidates=7, every=3, car_names=("Ωmega, ü", NASTY), title=NASTY)
+    path = save_replay(replay, tmp_path / f"a race{suffix}")
+    back = read_replay(path)
+    assert (back.title, back.car_names, back.events) == (replay.title, replay.car_names, replay.events)
+    assert np.array_equal(back.candidate_steps, replay.candidate_steps)
+    for name, within in [("cars", 0.0005), ("progress", 0.0005), ("line", 0.0005), ("paths", 0.0005)]:
+        assert np.abs(getattr(back, name) - getattr(replay, name)).max() <= within + 1e-9, name
+    for name, within in [("candidates", 0.005), ("walls", 0.005), ("line_speed", 0.005), ("ittc", 0.005)]:
+        assert np.abs(getattr(back, name) - getattr(replay, name)).max() <= within + 1e-9, name
+    assert np.array_equal(np.isinf(back.costs), np.isinf(replay.costs))
+    again = save_replay(back, tmp_path / f"again{suffix}")
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_optional_parts_may_be_absent(tmp_path):
+    bare = race_on_a_circle(paths=None, ittc=None, line_speed=None, events=(), walls=np.zeros((0, 4)))
+    back = read_replay(save_replay(bare, tmp_path / "bare.html"))
+    assert back.paths is None
+    assert back.candidates is None
+    assert back.ittc is None
+    assert len(back.walls) == 0
+
+
+def test_infinite_time_to_collision_is_stored_as_a_minute(tmp_path):
+    replay = race_on_a_circle(ittc=np.full((81, 2), np.inf))
+    assert np.all(read_replay(save_replay(replay, tmp_path / "a.json")).ittc == 60.0)
+
+
+def test_the_page_is_one_file_that_loads_nothing(tmp_path):
+    page = write_html(race_on_a_circle(candidates=3), tmp_path / "race.html").read_text()
+    assert "default-src 'none'" in page
+    assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", page)
+    assert not re.search(r"<(link|img|iframe)|\bsrc=|@import|url\(|fetch\(|XMLHttpRequest|innerHTML|eval\(", page)
+
+
+def test_names_can_not_break_out_of_their_place(tmp_path):
+    calm = write_html(race_on_a_circle(), tmp_path / "calm.html").read_text()
+    events = (ReplayEvent(1.0, 0, NASTY, NASTY),)
+    nasty = race_on_a_circle(title=NASTY, track_name=NASTY, car_names=(NASTY, NASTY), outcome=NASTY, events=events)
+    page = write_html(nasty, tmp_path / "nasty.html").read_text()
+    for tag in ("<script", "</script", "<b>", "<!--"):
+        assert page.count(tag) == calm.count(tag), tag
+
+
+def test_the_same_race_gives_the_same_bytes(tmp_path):
+    first = write_html(race_on_a_circle(candidates=3), tmp_path / "a.html").read_bytes()
+    assert write_html(race_on_a_circle(candidates=3), tmp_path / "b.html").read_bytes() == first
+
+
+def test_a_race_of_40_s_is_small(tmp_path):
+    page = write_html(race_on_a_circle(40.0), tmp_path / "a.html").stat().st_size
+    assert page < 150_000
+    page = write_html(race_on_a_circle(40.0, candidates=54), tmp_path / "b.html").stat().st_size
+    assert page < 1_500_000
+
+
+def test_files_are_replaced_whole_or_not_at_all(tmp_path):
+    path = write_html(race_on_a_circle(1.0), tmp_path / "a.html")
+    before = path.read_bytes()
+    huge = race_on_a_circle(1.0, costs=None, candidates=0)
+    object.__setattr__(huge, "progress", np.full((21, 2), 1e300))
+    with pytest.raises(InputError):
+        write_html(huge, path)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["a.html"]
+
+
+def test_impossible_places_are_refused(tmp_path):
+    replay = race_on_a_circle(1.0)
+    (tmp_path / "folder.html").mkdir()
+    for path in (tmp_path / "none" / "a.html", tmp_path / "a.pdf", tmp_path / "folder.html"):
+        with pytest.raises(InputError, match=path.name):
+            save_replay(replay, path)
+    with pytest.raises(InputError, match=r"missing\.html"):
+        read_replay(tmp_path / "missing.html")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "<html></html>",
+        "[]",
+        "{}",
+        "null",
+        "[" * 100_000,
+        '{"format": "pcs-racing replay 2"}',
+        "NaN",
+        "1" * 5000,
+        b"\xff\xfe".decode("latin-1"),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".html", ".json"])
+def test_other_files_are_no_replays(tmp_path, text, suffix):
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match="replay"):
+        read_replay(path)
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        ("title", ["x"]),
+        ("frame_dt", 10**400),
+        ("half_sizes", [[10**400, 1], [1, 1]]),
+        ("events", [[1.0, 0, "crash"]]),
+        ("events", [["soon", 0, "crash", ""]]),
+        ("events", [[float("nan"), 0, "crash", ""]]),
+        ("events", {}),
+        ("cars", {"shape": [1]}),
+        ("cars", [[0.0]]),
+        ("walls", {"points": 1, "counts": 2}),
+        ("paths", "none"),
+        ("costs", {"offset": 0.0, "per_unit": 0.0, "steps": {}}),
+        ("line", None),
+        ("surprise", 1),
+    ],
+)
+def test_every_part_of_a_file_is_checked(tmp_path, part, value):
+    path = save_replay(GOOD, tmp_path / "a.json")
+    path.write_text(json.dumps(json.loads(path.read_text()) | {part: value}))
+    with pytest.raises(InputError, match="is not a replay"):
+        read_replay(path)
+
+
+# In a browser
+
+# A clock in the test's hands: a headless browser draws frames when it likes.
+CLOCK = """<head><script>
+let next = null, now = 0;
+window.requestAnimationFrame = (callback) => { next = callback; return 1; };
+const frames = (n) => { while (n--) { const callback = next; now += 50; callback(now); } };
+</script>"""
+
+# What a viewer might do, and what the page says afterwards.
+VISIT = """<script>
+const seen = {};
+const press = (key) => window.dispatchEvent(new KeyboardEvent("keydown", { key, cancelable: true }));
+frames(3);
+seen.title = document.title;
+seen.bold = document.querySelectorAll("b").length;
+seen.start = [state.t, state.follow, state.candidates];
+seen.lead = leadAt(duration);
+seen.pose = [pose(1, 2.0).x, pose(1, 2.0).y];
+press("2"); press("ArrowRight"); press("c");
+seen.pressed = [state.t, state.follow, state.candidates];
+press("ArrowUp"); press(" ");
+frames(12);
+seen.played = [state.t, state.speed, state.playing, [...document.querySelectorAll("#log li span")].length];
+press(" ");
+frames(60);
+const before = camera.scale;
+view.dispatchEvent(new WheelEvent("wheel", { deltaY: -300, cancelable: true }));
+frames(1);
+seen.zoomed = camera.scale / before;
+const box = chartCanvas.getBoundingClientRect();
+chartCanvas.setPointerCapture = () => {};
+chartCanvas.dispatchEvent(new PointerEvent("pointerdown", { clientX: box.left + timeToX(3), clientY: box.top + 20 }));
+frames(1);
+seen.clicked = state.t;
+seen.drawn = Number(document.documentElement.dataset.drawn);
+document.body.dataset.seen = JSON.stringify(seen);
+</script>
+</body>"""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """Opens a page without a display; gives what it printed (its DOM) and what it complained about."""
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no chromium on PATH to open the page with")
+
+    def visit(path, moment, *arguments):
+        quiet = "--disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-component-update"
+        command = [program, "--headless", "--no-sandbox", *quiet.split(), "--disable-sync", "--enable-logging=stderr"]
+        command += [f"--user-data-dir={tmp_path_factory.mktemp('profile')}", "--window-size=1200,800"]
+        command += ["--virtual-time-budget=4000", *arguments, f"{path.as_uri()}#{moment}"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+    return visit
+
+
+def test_the_page_answers_to_its_viewer(tmp_path, browser):
+    replay = race_on_a_circle(8.0, candidates=5, title=NASTY, car_names=(NASTY, "outer"))
+    path = write_html(replay, tmp_path / "a race.html")
+    path.write_text(path.read_text().replace("<head>", CLOCK).replace("</body>", VISIT))
+    dom, complaints = browser(path, "t=2.5&follow=0&candidates=1", "--dump-dom")
+    assert complaints == []
+    seen = json.loads(html.unescape(re.search(r'data-seen="([^"]*)"', dom).group(1)))
+    assert seen["title"] == NASTY
+    assert seen["bold"] == 1  # the clock's
+    assert seen["start"] == [2.5, "0", True]
+    assert seen["lead"] == pytest.approx(replay.lead[-1], abs=0.002)
+    assert seen["pose"] == pytest.approx(list(replay.cars[40, 1, :2]), abs=0.001)
+    assert seen["pressed"] == [3.5, "1", False]
+    assert seen["played"] == [pytest.approx(3.5 + 12 * 0.05 * 2), 2, True, 1]  # the move came at 4 s
+    assert seen["zoomed"] == pytest.approx(np.exp(0.48), rel=0.01)
+    assert seen["clicked"] == pytest.approx(3.0, abs=0.05)
+    assert seen["drawn"] == pytest.approx(seen["clicked"], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "moment", ["t=2&follow=both&theme=light", "t=4&theme=dark&candidates=1", "t=nonsense&follow=7"]
+)
+def test_the_page_draws_both_cars(tmp_path, browser, moment):
+    path = write_html(race_on_a_circle(4.0, candidates=5, every=2), tmp_path / "race.html")
+    _, complaints = browser(path, moment, f"--screenshot={tmp_path / 'shot.png'}")
+    assert complaints == []
+    stage = np.array(Image.open(tmp_path / "shot.png").convert("RGB"))[120:430].astype(int)
+    colours = [(88, 166, 255), (255, 176, 59)] if "dark" in moment else [(27, 111, 216), (224, 135, 0)]
+    for colour in colours:
+        assert np.count_nonzero(np.abs(stage - colour).sum(axis=-1) < 12) > 40
+
+
+def test_a_bare_race_draws_too(tmp_path, browser):
+    bare = race_on_a_circle(0.0, paths=None, ittc=None, line_speed=None, events=(), walls=np.zeros((0, 4)))
+    path = write_html(bare, tmp_path / "bare.html")
+    path.write_text(path.read_text().replace("<head>", CLOCK).replace("</body>", "<script>frames(3)</script></body>"))
+    dom, complaints = browser(path, "follow=1&play=1", "--dump-dom")
+    assert complaints == []
+    assert 'data-drawn="0.00"' in dom

@@ -1,0 +1,216 @@
+"""Tracks loaded from map folders with the help of two caches."""
+
+import dataclasses
+import logging
+import shutil
+
+import numba
+import numpy as np
+import pytest
+from oval_values import oval_values, write_oval
+
+from pcs_racing.base.errors import MapError, UnknownNameError
+from pcs_racing.track import loading
+from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Calibration, build_track
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    """A cache on disk of its own for every test, and none in memory."""
+    monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(loading, "_loaded", {})
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def folder(oval, tmp_path):
+    return write_oval(oval, tmp_path)
+
+
+def test_a_folder_gives_the_same_track_as_its_values(folder, oval):
+    loaded = load_track(folder)
+    assert loaded.name == "Big Oval"
+    assert loaded.calibration == {"contest": Calibration((0.9, 1.1), 0.45, {"front": ((1.0, 5.5),)})}
+    assert loaded.folder == folder
+    np.testing.assert_allclose(loaded.line[:, :2], oval.line[:, :2], atol=1e-3)
+    np.testing.assert_array_equal(loaded.arrays.distance, oval.arrays.distance)
+
+
+def test_loading_again_gives_the_same_object(folder):
+    one = load_track(folder)
+    assert load_track(str(folder)) is one
+    assert load_track(folder / "Big Oval_map.yaml") is one
+
+
+def test_the_cache_on_disk_gives_the_same_track(folder, cache, monkeypatch):
+    one = load_track(folder)
+    assert len(list(cache.iterdir())) == 1
+    loading._loaded.clear()
+    monkeypatch.setattr(loading, "build_track", None)  # it must not be called
+    two = load_track(folder)
+    assert two is not one
+    for field in dataclasses.fields(one):
+        if field.name not in ("arrays", "centerline"):
+            assert getattr(one, field.name) == getattr(two, field.name)
+    for first, second in zip((*one.arrays, one.centerline), (*two.arrays, two.centerline), strict=True):
+        np.testing.assert_array_equal(first, second)
+        assert type(first) is type(second)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "empty", "other"])
+def test_a_damaged_cache_file_is_made_anew(folder, cache, damage):
+    one = load_track(folder)
+    (file,) = cache.iterdir()
+    whole = file.read_bytes()
+    middle = len(whole) // 2
+    other = cache / "other.npz"
+    np.savez(other, line=np.zeros(3))
+    file.write_bytes(
+        {
+            "cut": whole[:middle],
+            "flip": whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :],
+            "empty": b"",
+            "other": other.read_bytes(),
+        }[damage]
+    )
+    other.unlink()
+    loading._loaded.clear()
+    assert load_track(folder).content_hash == one.content_hash
+    assert file.read_bytes() == whole
+
+
+def test_a_cache_that_can_not_be_written_is_no_error(folder, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path / "file"))
+    assert load_track(folder).name == "Big Oval"
+
+
+def test_a_full_disk_leaves_no_half_a_cache_and_is_no_error(folder, cache, monkeypatch):
+    def half_written(file, **arrays):
+        file.write(b"PK")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", half_written)
+    assert load_track(folder).name == "Big Oval"
+    assert list(cache.iterdir()) == []
+
+
+def test_without_a_home_nothing_is_kept(folder, monkeypatch):
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("PCS_RACING_CACHE")
+    monkeypatch.setattr("pcs_racing.track.cache.Path.home", homeless)
+    assert load_track(folder).name == "Big Oval"
+
+
+def test_a_changed_file_is_noticed(folder):
+    one = load_track(folder)
+    info = folder / "Big Oval_track.yaml"
+    own = "{speed_range: [0.5, 0.6], start_spacing: 0.5, start_places: {front: [[2, 3]]}, left_share: 0.5}"
+    info.write_text(f"calibration: {{contest: {own}}}")
+    assert load_track(folder).calibration == {"contest": Calibration((0.5, 0.6), 0.5, {"front": ((2.0, 3.0),)})}
+    info.unlink()
+    assert load_track(folder).calibration == {}
+    assert load_track(folder).content_hash == one.content_hash
+
+
+def test_missing_lines_are_made_from_the_picture(folder, oval, caplog):
+    for kind in ("centerline", "raceline"):
+        (folder / f"Big Oval_{kind}.csv").unlink()
+    with caplog.at_level(logging.WARNING, logger="pcs_racing"):
+        made = load_track(folder)
+        load_track(folder)
+    assert [record.getMessage() for record in caplog.records] == [
+        "track Big Oval: it has no race line and it has no centre line; it was made from the picture"
+    ]
+    distance = np.abs(oval.to_frenet(made.centerline[:, :2])[:, 1])
+    assert distance.max() < 0.1
+    assert made.wall_distance(made.line[:, :2]).min() > 0.29
+    assert made.length < oval.length
+
+
+def test_a_race_line_without_air_to_the_walls_is_replaced(folder, oval, caplog):
+    file = folder / "Big Oval_raceline.csv"
+    s = np.linspace(0.0, oval.length, 300)
+    rows = np.zeros((300, 7))
+    rows[:, 1:3] = oval.to_cartesian(np.column_stack([s, np.full_like(s, 0.9)]))[:, :2]
+    np.savetxt(file, rows, delimiter=";")
+    with caplog.at_level(logging.WARNING, logger="pcs_racing"):
+        track = load_track(folder)
+    assert "comes within 0.1" in caplog.text
+    assert track.wall_distance(track.line[:, :2]).min() > 0.29
+    loading._loaded.clear()
+    caplog.clear()
+    with caplog.at_level(logging.WARNING, logger="pcs_racing"):
+        load_track(folder)  # from the cache on disk, which remembers it
+    assert "comes within 0.1" in caplog.text
+    rows[:, 1:3] *= 0.8
+    np.savetxt(file, rows, delimiter=";")
+    with pytest.raises(MapError, match=r"Oval_raceline\.csv leads"):
+        load_track(folder)
+
+
+def test_without_the_mapping_tools_complete_maps_load_and_others_say_what_to_install(folder, monkeypatch):
+    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None)
+    load_track(folder)
+    (folder / "Big Oval_raceline.csv").unlink()
+    with pytest.raises(ModuleNotFoundError, match=r"race line; .*pcs-racing\[mapping\]"):
+        load_track(folder)
+
+
+def test_errors_name_the_file(folder):
+    file = folder / "Big Oval_map.yaml"
+    file.write_text(file.read_text().replace("resolution: 0.05", "resolution: 0.06"))
+    with pytest.raises(MapError, match=r"Big Oval_(map\.yaml|raceline\.csv)"):
+        load_track(folder)
+    file.write_text(file.read_text().replace("resolution: 0.06", "resolution: 0.05"))
+    line = folder / "Big Oval_raceline.csv"
+    rows = line.read_text().splitlines()
+    line.write_text("\n".join(rows[: len(rows) // 2]))
+    with pytest.raises(MapError, match=r"Big Oval_raceline\.csv is open"):
+        load_track(folder)
+
+
+def test_names_that_stand_for_nothing_are_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UnknownNameError, match="unknown track 'Nowhere'"):
+        load_track("Nowhere")
+    with pytest.raises(MapError, match=r"map folder .*nowhere"):
+        load_track(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MapError, match=r"holds no map: .*empty_map\.yaml"):
+        load_track("empty")
+
+
+@pytest.mark.parametrize("name", ["Spielberg", "Catalunya", "Oschersleben"])
+def test_real_circuits_can_be_raced_on(real_maps, name):
+    track = load_track(real_maps / name)
+    assert track.wall_distance(track.line[:, :2]).min() >= 0.28
+    assert np.abs(track.line[:, KAPPA]).max() < 1.3
+    assert (track.line[:, [RIGHT, LEFT]] > 0.28).all()
+    on_track = track.wall_distance(track.centerline[:, :2])
+    assert on_track.min() > 0.4
+    jumps = np.abs(np.diff(track.to_frenet(track.centerline[:, :2])[:, 0]))
+    assert np.minimum(jumps, track.length - jumps).max() < 1.5
+
+
+def test_a_real_map_with_nothing_but_yaml_and_picture(real_maps, tmp_path):
+    folder = tmp_path / "with space"
+    folder.mkdir()
+    for kind in ("map.yaml", "map.png"):
+        shutil.copy(real_maps / "Oschersleben" / f"Oschersleben_{kind}", folder)
+    track = load_track(folder)
+    assert track.name == "Oschersleben"
+    assert track.wall_distance(track.line[:, :2]).min() >= 0.28
+    assert abs(track.length - 251.0) < 5.0
+
+
+def test_all_tracks_have_one_compiled_type(oval, folder):
+    load_track(folder)
+    loading._loaded.clear()
+    restored = load_track(folder)
+    types = {numba.typeof(track.arrays) for track in (oval, build_track("again", **oval_values(oval)), restored)}
+    assert len(types) == 1
