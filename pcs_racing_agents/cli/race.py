@@ -4,11 +4,14 @@ import argparse
 import shlex
 from pathlib import Path
 
+from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.recording import LAST_INDEX, record_race
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.replay_files import save_replay
 from pcs_racing.track.loading import load_track
+from pcs_racing_agents.agents import zoo
 from pcs_racing_agents.cli.options import (
     POLICY_HELP,
     Commands,
@@ -61,7 +64,7 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Simulate the race and print what happened."""
     config = rules(arguments)
-    ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
+    ego, opponent = _policy("--ego", arguments.ego), _policy("--opponent", arguments.opponent)
     target = output_file(arguments.replay, ".html", ".json") if arguments.replay else None
     track = load_track(arguments.track)
     about = f"preset {config.name}, seed {arguments.seed}, race {arguments.index}"
@@ -74,6 +77,20 @@ def run(arguments: argparse.Namespace) -> None:
         print(f"to watch it: {_command(arguments)} --replay race.html")
     else:
         print(f"replay: {save_replay(replay, target)}")
+
+
+def _policy(option: str, text: str) -> Policy:
+    """Read a policy; an agent, which is none, is told where it can race."""
+    try:
+        return parse_policy(text)
+    except UnknownNameError:
+        name = text.partition(":")[0].strip()
+        if name not in zoo.entries() and not name.startswith(zoo.ALWAYS):
+            raise
+    raise InputError(
+        f"{option} is {text!r}, an agent, which moves between the policies of an archive; this command takes policies "
+        f"(pcs-racing policies). For agents: pcs-racing tournament --agents {shlex.quote(text)} never-switch"
+    )
 
 
 def _command(arguments: argparse.Namespace) -> str:

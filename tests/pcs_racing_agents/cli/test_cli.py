@@ -258,6 +258,8 @@ def test_policies_lists_every_planner_and_parameter(run):
         (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice"], "more than one lattice"),
         (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice:pace=1", "--races", "5"], "even"),
         (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
+        (["race", "--ego", "cfr-argmax"], "pcs-racing tournament --agents cfr-argmax"),
+        (["race", "--opponent", "always-speed+"], "--opponent is 'always-speed+'"),
         (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
         (["policies", "latice"], "did you mean 'lattice'?"),
         (["agents", "cfr"], "agent 'cfr' is unknown"),
