@@ -26,10 +26,6 @@ BLOCKS = python_blocks(PAGE)
 AGAIN = "run: python benchmarks/zoo.py --write"
 WRITE = "run: python tools/zoo_page.py"
 
-made_under_v0 = pytest.mark.xfail(
-    reason="shipped archives, networks and figures were made under -v0; they are made again once all races have changed"
-)
-
 
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_the_code_runs(number, tmp_path, monkeypatch):
@@ -75,7 +71,6 @@ def test_pages_of_agents_that_are_gone_are_deleted(monkeypatch, tmp_path):
     assert [file.name for file in (tmp_path / "zoo").iterdir()] == ["new.md"]
 
 
-@made_under_v0
 @pytest.mark.parametrize(("archive", "race"), zoo_page.SETTINGS)
 def test_every_agent_was_measured_as_it_is_now(archive, race):
     known = {name: one.sha256 for (*where, name), one in measurements().items() if where == [archive, race]}
