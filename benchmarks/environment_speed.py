@@ -1,6 +1,7 @@
 """Steps per second of the environments: batches against scalar environments, with and without a lidar, on one core.
 
     python benchmarks/environment_speed.py [--track NAME_OR_FOLDER] [--envs 256] [--seconds 1.0]
+    python benchmarks/environment_speed.py --against PATH    # scalar environments beside those of another checkout
 
 Everything is measured in one run, the variants in turn for several rounds, and the best round of each counts. Times
 are the thread's own, so other work on the machine disturbs little. All on one thread. A step of a match is a whole
@@ -12,14 +13,41 @@ steered, and steps are counted for each car: what a learner gets. SuperSuit's pa
 import argparse
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+from race_speed import side_by_side
 
 from pcs_racing import Lidar
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
+
+# Steps of one scalar environment for each line that it reads, by what other checkouts have, too.
+SCALAR = """
+import sys, time
+import numpy as np
+import pcs_racing
+from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.envs.duel import DuelEnv
+name, track = sys.argv[1:]
+drive = name == "drive"
+env = DriveEnv(track, opponent="pure-pursuit", time_step=0.02) if drive else DuelEnv(track)
+steps, hold = 1000 if drive else 60, np.array([0.0, -0.75], np.float32)
+def run():
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    start = time.process_time()
+    for _ in range(steps):
+        if env.step(hold if drive else int(rng.integers(4)))[2]:
+            env.reset()
+    return 1e6 * (time.process_time() - start) / steps
+run()
+print(pcs_racing.__file__, flush=True)
+for _ in sys.stdin:
+    print(run(), flush=True)
+"""
 
 ROUNDS = 5
 STEPS = 100  # between two looks at the clock
@@ -160,7 +188,13 @@ def main() -> None:
     parser.add_argument("--track", default="Tarnfjord")
     parser.add_argument("--envs", type=int, default=256, help="environments in a batch")
     parser.add_argument("--seconds", type=float, default=1.0, help="for each variant in each round")
+    parser.add_argument("--against", type=Path, metavar="PATH", help="only compare with the checkout in this folder")
     given = parser.parse_args()
+    if given.against is not None:
+        for name in ("drive", "duel"):
+            new, old = side_by_side(SCALAR, [name, given.track], given.against)
+            print(f"{name}, scalar: {new:.1f} us a step here, {old:.1f} there: {old / new:.2f} times as fast")
+        return
     track, envs = given.track, given.envs
     variants = {
         "drive, batch, pure pursuit": drive_batch(track, envs, opponent="pure-pursuit"),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pcs_racing import PAPER, Policy, RaceSetup, Starts, Track, load_track
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import OPP_PSI, OPP_X, OPP_Y, OWN_BETA, OWN_PSI, OWN_X, OWN_Y, VIEW_SIZE
+from pcs_racing.planners.view import OPP_PSI, OPP_X, OPP_Y, OWN_BETA, OWN_PSI, OWN_X, OWN_Y, VIEW_SIZE
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import start_races
 

@@ -26,18 +26,14 @@ from pcs_racing.car.lanes import LANES, LANES_SIZE, load_car, step_lanes
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners import lattice
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE, follow_path
+from pcs_racing.planners.pursuit import follow_path
+from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE
 from pcs_racing.race.config import load_race_config
-from pcs_racing.race.kernel import (
-    CONTROL_EVERY,
-    ITTC_EVERY,
-    PLAN_EVERY,
-    collide,
-    fill_view,
-    measure_ittc,
-    update_progress,
-)
+from pcs_racing.race.contacts import collide
+from pcs_racing.race.kernel import fill_view, measure_ittc
+from pcs_racing.race.progress import update_progress
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
+from pcs_racing.race.rates import CONTROL_EVERY, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.state import RaceState, take
 from pcs_racing.track.loading import load_track
 
@@ -122,11 +118,11 @@ for _ in sys.stdin:
 """
 
 
-def side_by_side(track: str, races: int, other: Path) -> tuple[float, float]:
-    """Least milliseconds per 40 s race of this package and of the one in another checkout, which take turns."""
+def side_by_side(code: str, arguments: list[str], other: Path) -> tuple[float, float]:
+    """Least value that a program prints with this package and with the one in another checkout, which take turns."""
     workers = [
         subprocess.Popen(
-            [sys.executable, "-c", RACES, track, str(races)],
+            [sys.executable, "-c", code, *arguments],
             env={**os.environ, "PYTHONPATH": str(folder)},
             cwd=folder,
             stdin=subprocess.PIPE,
@@ -158,7 +154,7 @@ def main() -> None:
     parser.add_argument("--against", type=Path, metavar="PATH", help="only compare with the checkout in this folder")
     arguments = parser.parse_args()
     if arguments.against is not None:
-        new, old = side_by_side(arguments.track, arguments.races, arguments.against)
+        new, old = side_by_side(RACES, [arguments.track, str(arguments.races)], arguments.against)
         print(f"{new:.2f} ms per 40 s race and core here, {old:.2f} ms there: {old / new:.2f} times as fast")
         return
     track = load_track(arguments.track)

@@ -14,8 +14,8 @@ import numpy as np
 
 from pcs_racing import Parameter, Planner, get_planner, load_race_config, load_track, register_planner, run_races
 from pcs_racing.base.compilation import compiled
-from pcs_racing.planners import planner as view_of  # the names of the numbers in `view`
-from pcs_racing.planners.planner import PATH_KAPPA, PATH_POINTS, PATH_SPEED, PATH_X, PATH_Y
+from pcs_racing.planners import view as view_of  # the names of the numbers in `view`
+from pcs_racing.planners.view import PATH_KAPPA, PATH_POINTS, PATH_SPEED, PATH_X, PATH_Y
 from pcs_racing.race.state import ITTC, ITTC_SAMPLES
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, to_cartesian
 from pcs_racing_agents.tournament import play_tournament, tournament_text

@@ -21,22 +21,26 @@ except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--steps", type=int, default=10_000, help="moves to learn from, both cars' counted")
-parser.add_argument("--track", default="Tarnfjord", help="name of a shipped circuit or a map folder")
-parser.add_argument("--games", type=int, default=200, help="games against each opponent afterwards")
+parser.add_argument("--steps", type=int, default=60_000, help="moves to learn from, both cars' counted")
+parser.add_argument("--track", default="Brackwater", help="name of a shipped circuit or a map folder")
+parser.add_argument("--archive", default="contest", help="archive of policies that both cars drive with")
+parser.add_argument("--race", default="contest", help="rules of the race: paper, contest or a YAML file")
+parser.add_argument("--games", type=int, default=500, help="games against each opponent afterwards")
 parser.add_argument("--seed", type=int, default=0, help="root of everything random")
 arguments = parser.parse_args()
 
-envs = make_sb3_vec_env("self-play", 64, track=arguments.track)
+game = {"track": arguments.track, "archive": arguments.archive, "race": arguments.race}
+envs = make_sb3_vec_env("self-play", 64, **game)
 model = PPO(
     "MlpPolicy",
     envs,
     seed=arguments.seed,
-    n_steps=32,
-    batch_size=512,
+    n_steps=16,
+    batch_size=256,
+    n_epochs=8,
     gamma=1.0,
-    ent_coef=0.05,  # against a copy of itself a player that is easy to read loses
-    learning_rate=1e-3,
+    ent_coef=0.02,  # against a copy of itself a player that is easy to read loses
+    learning_rate=lambda left: 1e-3 * left,  # falling to 0
     device="cpu",
 )
 model.learn(arguments.steps)
@@ -44,7 +48,7 @@ model.learn(arguments.steps)
 print(f"{'opponent':28} {'utility':>8} {'+-':>6} {'won':>6}")
 names = [f"always-{move}" for move in envs.get_attr("game")[0].move_names]
 for opponent in ("random-moves", "never-switch", *names):
-    duels = DuelVectorEnv(arguments.games, track=arguments.track, opponent=opponent)
+    duels = DuelVectorEnv(arguments.games, opponent=opponent, **game)
     seen, _ = duels.reset(seed=1_000_000 + arguments.seed)
     returns = np.full(arguments.games, np.nan)
     while np.isnan(returns).any():

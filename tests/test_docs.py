@@ -38,7 +38,7 @@ RUN_HERE = (
     "docs/write_a_characteristic.md",
     "docs/write_an_agent.md",
 )
-SHORTER = {".learn(100_000)": "", "learn(1_000)": "learn(512)"}  # PPO of SB3 drives at least 2048 moves of each of 64
+SHORTER = {".learn(100_000)": "", "learn(60_000)": "learn(1)"}  # PPO of SB3 drives at least a rollout
 
 
 BLOCKS = [(page, number) for page in RUN_HERE for number in range(len(python_blocks(TEXTS.get(page, ""))))]

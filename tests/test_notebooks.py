@@ -9,10 +9,8 @@ from repository import REPOSITORY
 
 NOTEBOOKS = sorted((REPOSITORY / "docs" / "notebooks").glob("*.md"))
 SHORTER = {
-    ".learn(8_192)": ".learn(64)",
-    '"n_steps": 16, "batch_size": 256': '"n_steps": 4, "batch_size": 64',
-    '"duel", 64': '"duel", 16',
-    "races_per_pair=40": "races_per_pair=2",
+    ".learn(60_000)": ".learn(1)",
+    "races_per_pair=100": "races_per_pair=2",
     "[fast] * 100": "[fast] * 10",
 }
 

@@ -68,7 +68,7 @@ MODULES = {
         "kernels",
         "pcs_racing/planners",
         """
-        planner: planner /pcs_racing/race/race_state; /pcs_racing/race/race_kernel
+        planner pursuit: planner /pcs_racing/race/race_state; /pcs_racing/race/race_kernel
         spiral: spiral
         pure_pursuit: ; pure_pursuit
         gap_follower: ; gap_follower
@@ -76,7 +76,7 @@ MODULES = {
         lane_switcher: ; lane_switcher
         """,
     ),
-    **_modules("kernels", "pcs_racing/race", "kernel: race_kernel; race"),
+    **_modules("kernels", "pcs_racing/race", "kernel contacts progress steering: race_kernel; race"),
     **_modules(
         "rules",
         "pcs_racing/race",
@@ -102,7 +102,7 @@ MODULES = {
         "pcs_racing/envs",
         """
         drive_kernel: drive_kernel; drive
-        drive_batch: drive_kernel; drive
+        drive_batch drive_courses: drive_kernel; drive
         drive moving_opponents: ; drive
         game_batch circuit_games opponents: game_batch; duel
         duel: ; duel

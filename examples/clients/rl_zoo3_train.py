@@ -1,11 +1,11 @@
 # /// script
 # dependencies = ["rl_zoo3==2.9.2"]
 # ///
-"""rl_zoo3: its ``train.py`` trains PPO on the duel with the settings of ``rl_zoo3_ppo.yml``.
+"""rl_zoo3: its ``train.py`` trains PPO on the match with the tuned settings of the package (docs/tuned_ppo.md).
 
 python examples/clients/rl_zoo3_train.py
 python -m rl_zoo3.train --algo ppo --env pcs_racing/Drive-v1 --gym-packages pcs_racing \
-        --conf-file examples/clients/rl_zoo3_ppo.yml
+        --conf-file pcs_racing_agents/configs/sb3_ppo.yaml
 """
 
 import subprocess
@@ -13,13 +13,13 @@ import sys
 import tempfile
 from pathlib import Path
 
-SETTINGS = Path(__file__).with_name("rl_zoo3_ppo.yml")
+from pcs_racing_agents.learning.ppo.tuned import TUNED_FILE
 
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        command = "--algo ppo --env pcs_racing/Duel-v1 --gym-packages pcs_racing -n 512 --eval-freq -1 --device cpu"
-        files = ["--conf-file", str(SETTINGS), "--log-folder", folder]
+        command = "--algo ppo --env pcs_racing/Match-v0 --gym-packages pcs_racing -n 800 --eval-freq -1 --device cpu"
+        files = ["--conf-file", str(TUNED_FILE), "--log-folder", folder]
         subprocess.run([sys.executable, "-m", "rl_zoo3.train", *command.split(), *files], check=True)
         print("saved:", *sorted(path.name for path in Path(folder).rglob("*.zip")))
 

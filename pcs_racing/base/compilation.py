@@ -1,5 +1,6 @@
 """Compilation with numba: decorators for compiled functions, and a message when compilation takes a while."""
 
+import gc
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -7,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
+from numba.core.registry import CPUDispatcher
 
 from pcs_racing.base.code_cache import forget_stale_code
 
-__all__ = ["compiled", "first_call", "inner_kernel", "kernel"]
+__all__ = ["compiled", "compiled_for", "first_call", "inner_kernel", "kernel"]
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -31,6 +33,8 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     options.setdefault("_nrt", True)
 
     def decorate(function: Callable[..., Any]) -> Any:
+        # Nobody calls these functions from C: the wrappers for that would be a tenth of the compilation.
+        options.setdefault("no_cfunc_wrapper", True)
         dispatcher = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
         source = Path(function.__code__.co_filename)
         if source not in _sources and hasattr(dispatcher, "stats"):  # without compilation it is the function itself
@@ -58,11 +62,18 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return compiled(function, _nrt=False, **options)
 
 
-def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a private function as :func:`kernel` does, for other kernels of its module alone.
+class _Inner(CPUDispatcher):
+    """A compiled function that only compiled functions can call."""
 
-    It is left without the wrapper through which Python would call it, half the time of compiling a small one. A call
-    from Python would crash the process, so that its name must begin with an underscore.
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        raise TypeError(f"{self.py_func.__qualname__} is an inner kernel: only compiled functions can call it")
+
+
+def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function as :func:`kernel` does, for other compiled functions alone.
+
+    It is left without the wrapper through which Python would call it, half the time of compiling a small one. Python
+    gets a TypeError.
 
     Parameters
     ----------
@@ -73,10 +84,23 @@ def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> 
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        assert function.__name__.startswith("_"), f"{function.__name__} is public: Python may call it"
-        return kernel(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
+        dispatcher = kernel(function, no_cpython_wrapper=True, **options)
+        if isinstance(dispatcher, CPUDispatcher):  # without compilation it is the function itself
+            dispatcher.__class__ = _Inner
+        return dispatcher
 
     return decorate if function is None else decorate(function)
+
+
+def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., None]:
+    """Return the machine code of a compiled function for arguments of these types.
+
+    Calling it spares looking up the types of all arguments, which takes longer than a step of one race.
+    All later arguments must have exactly these types. Without compilation (``NUMBA_DISABLE_JIT``) it is the function.
+    """
+    if not hasattr(function, "typeof_pyval"):
+        return function
+    return function.compile(tuple(function.typeof_pyval(argument) for argument in arguments))
 
 
 _sources: set[Path] = set()
@@ -119,7 +143,20 @@ def first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
             _wait_for_turn(turn, dispatcher, what)
         if not _on_disk(dispatcher):
             _say(f"compiling {what} (about {seconds} s, once; it is cached on disk)")
+        turn.enter_context(_without_collector())
         yield True
+
+
+@contextmanager
+def _without_collector() -> Iterator[None]:
+    """Let Python's collector rest: it would spend a fifteenth of the compilation on objects that all stay in use."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def _wait_for_turn(turn: ExitStack, dispatcher: Any, what: str) -> None:

@@ -9,7 +9,7 @@ beam, so that nothing has to be tested for being visible.
 
 import numpy as np
 
-from pcs_racing.base.compilation import kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.frenet import wrap_s
 
@@ -71,7 +71,7 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
     return best
 
 
-@kernel
+@inner_kernel
 def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
     """Return the smaller of ``best`` and the minimum time to collision with the walls visible from a stretch."""
     speed = np.sqrt(vx * vx + vy * vy)
@@ -89,7 +89,7 @@ def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy,
     return best
 
 
-@kernel
+@inner_kernel
 def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: ignore[no-untyped-def]
     """Return the smaller of ``best`` and the minimum time to collision with a rectangle at (x, y) from the lidar."""
     speed = np.sqrt(vx * vx + vy * vy)

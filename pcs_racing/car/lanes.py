@@ -5,7 +5,7 @@ compiled, loops over the lanes use vector instructions; a lane that holds no car
 what :func:`pcs_racing.car.vehicle.step` does, to the bit.
 """
 
-from pcs_racing.base.compilation import kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import Handling, handling, runge_kutta, step_to_target, target_inputs
 
@@ -31,21 +31,21 @@ def load_car(lanes, lane, state, p):  # type: ignore[no-untyped-def]
         lanes[_HANDLING + LANES * k + lane] = car[k]
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def store_car(lanes, lane, state):  # type: ignore[no-untyped-def]
     """Read the state of the car in a lane."""
     for k in range(_vehicle.STATE_SIZE):
         state[k] = lanes[_STATE + LANES * k + lane]
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def set_target(lanes, lane, steer, speed):  # type: ignore[no-untyped-def]
     """Give the car in a lane a target steering angle (rad) and speed (m/s)."""
     lanes[_STEER + lane] = steer
     lanes[_SPEED + lane] = speed
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def step_slow_car(lanes, lane, state, p, dt):  # type: ignore[no-untyped-def]
     """Advance ``state`` alone if the car in the lane is too slow for `step_lanes`; returns whether it was."""
     if lanes[LANES * _vehicle.V + lane] >= _vehicle.KINEMATIC_BELOW + p[_vehicle.A_MAX] * dt:
@@ -55,7 +55,7 @@ def step_slow_car(lanes, lane, state, p, dt):  # type: ignore[no-untyped-def]
     return True
 
 
-@kernel
+@inner_kernel
 def step_lanes(lanes, dt):  # type: ignore[no-untyped-def]
     """Advance the cars in all lanes by one step of ``dt`` seconds towards their targets.
 

@@ -14,6 +14,7 @@ References
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -104,9 +105,8 @@ class VehicleParams(Settings):
 
     def as_row(self) -> NDArray[np.float64]:
         """Return the parameters as the row of numbers that compiled code reads, shape (18,)."""
-        row = [getattr(self, field.name) for field in fields(self)[:STEER_DELAY]]
         noise = RULES_NOISE if self.steer_noise is None else self.steer_noise
-        return np.array([*row, round(self.steer_delay / COMMAND_PERIOD), noise], dtype=np.float64)
+        return np.array([*_physical(self), round(self.steer_delay / COMMAND_PERIOD), noise], dtype=np.float64)
 
 
 F1TENTH = VehicleParams()
@@ -158,6 +158,8 @@ STEER_NOISE = 17  # rad; below 0 where the race's rules say it
 PARAMS_SIZE = 18
 RULES_NOISE = -1.0
 
+_physical = attrgetter(*(field.name for field in fields(VehicleParams)[:STEER_DELAY]))
+
 
 class Handling(NamedTuple):
     """What the equations of motion need of a car's parameters.
@@ -182,7 +184,7 @@ class Handling(NamedTuple):
     slip_gain: float
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def handling(p):  # type: ignore[no-untyped-def]
     """Work out :class:`Handling` from a row of parameters."""
     slip_gain = p[MU] / (p[LF] + p[LR])
@@ -331,7 +333,7 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def target_inputs(delta, v, steer, speed, car, dt):  # type: ignore[no-untyped-def]
     """Inputs that lead to a target steering angle and speed without chatter or overshoot.
 
@@ -344,7 +346,7 @@ def target_inputs(delta, v, steer, speed, car, dt):  # type: ignore[no-untyped-d
     return rate, _limited_acceleration(v, 10.0 * (speed - v), car)
 
 
-@kernel
+@inner_kernel
 def step_to_target(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
     """Advance one vehicle in place by one step towards a target steering angle (rad) and speed (m/s)."""
     rate, acceleration = target_inputs(state[DELTA], state[V], steer, speed, handling(p), dt)

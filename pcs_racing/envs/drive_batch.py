@@ -1,22 +1,21 @@
 """Many races at the level of steering and speed, advanced together: the batch behind the Drive environments."""
 
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.compilation import first_call
+from pcs_racing.base.compilation import compiled_for, first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import WORK_SHAPE, Beams, Lidar
 from pcs_racing.envs.batch import BatchStep, check_batch_size
+from pcs_racing.envs.drive_courses import Courses
 from pcs_racing.envs.drive_kernel import Sight, observe_races, restart, set_commands, step_races
 from pcs_racing.envs.drive_options import SEE_OPPONENT, DriveOptions, drive_elements
-from pcs_racing.envs.infos import Crash, Result, codes
+from pcs_racing.envs.infos import Crash, Result, codes, race_info, race_infos
 from pcs_racing.envs.moving_opponents import MovingOpponents
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent, drive_opponents, shared_planner
@@ -25,16 +24,16 @@ from pcs_racing.envs.variety import Variety
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.planner import COMMAND_SLOTS, Planner, hold_command, leave_path
+from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command, leave_path
 from pcs_racing.race.conditions import runs_of
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.driving import default_threads
-from pcs_racing.race.kernel import DT, WORK_SIZE, KernelSettings
-from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
+from pcs_racing.race.kernel import WORK_SIZE
+from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.rendering import Renderer, half_sizes
-from pcs_racing.race.start_grid import Starts, settle
-from pcs_racing.race.state import BEST_LAP, LAP_TIME, MOST_CROSSINGS, NO_LAP, WALL_CRASH, RaceState, take
-from pcs_racing.track.frenet import TrackArrays
+from pcs_racing.race.start_grid import settle
+from pcs_racing.race.state import WALL_CRASH, RaceState, take
 from pcs_racing.track.track import Track
 
 __all__ = ["EXTERNAL", "DriveBatch"]
@@ -43,35 +42,7 @@ EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND
 """The planner of a car that is driven from outside: its memory holds the target steering angle and speed."""
 
 RACES_PER_THREAD = 16  # fewer are not worth handing over
-KEPT_COURSES = 64  # circuits that no race is on
 MOST_NUMBERS = 250_000_000  # of all observations together: 1 GB
-
-
-def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., None]:
-    """Return the machine code of a compiled function for arguments of these types.
-
-    Calling it spares looking up the types of all arguments, which takes 40 us where function pointers are among them.
-    All later arguments must have exactly these types. Without compilation (``NUMBA_DISABLE_JIT``) it is the function.
-    """
-    if not hasattr(function, "typeof_pyval"):
-        return function
-    return function.compile(tuple(function.typeof_pyval(argument) for argument in arguments))
-
-
-class _Scene(NamedTuple):
-    """What the kernel is handed for a run of races: the circuit, the rules, and what the players observe."""
-
-    arrays: TrackArrays
-    settings: KernelSettings
-    sight: Sight
-
-
-class _Course(NamedTuple):
-    """What all races on a circuit share."""
-
-    setup: RaceSetup
-    grid: RaceState
-    scene: _Scene
 
 
 class DriveBatch:
@@ -123,7 +94,8 @@ class DriveBatch:
             planner = shared_planner(self.opponents, self._moving.game if self._moving else None)
         delay = self.variety.randomization.most_delay
         self.setup = RaceSetup(self.variety.circuits.track(0), config, (EXTERNAL, planner), self.variety.cars, delay)
-        self.horizon = -(-self.setup.config.ticks // options.ticks)
+        self._ticks = options.ticks
+        self.horizon = -(-self.setup.config.ticks // self._ticks)
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
             "crash": codes(Crash),
@@ -159,7 +131,7 @@ class DriveBatch:
     @property
     def grid(self) -> RaceState:
         """Races at all places of the first circuit that episodes begin at."""
-        return self._on(0).grid
+        return self._courses.on(0).grid
 
     def _prepare_observations(self, options: DriveOptions) -> None:
         low = np.array([element.low for element in self.elements])
@@ -177,38 +149,24 @@ class DriveBatch:
             self._beams = Beams(0.0, 1.0, float(options.max_range), nothing, nothing)
         self._noise = self.variety.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
 
-    def _on(self, circuit: int) -> "_Course":
-        """What the races on a circuit share."""
-        known = self._courses.get(circuit)
-        if known is None:
-            options, setup = self.options, replace(self.setup, track=self.variety.circuits.track(circuit))
-            line, ds = setup.track.arrays.line, setup.track.arrays.ds
-            sight = Sight(
-                self.players,
-                self.alone,
-                options.own_state,
-                np.array([round(distance / ds) % len(line) for distance in options.look_ahead], np.int64),
-                SEE_OPPONENT.index(options.see_opponent),
-                options.time_left,
-                setup.config.ticks,
-                self._beams,
-                self._noise,
-            )
-            lines = start_lines(setup.track, setup.config, 0, split="train")
-            places = Starts(np.repeat(lines, 2), np.tile(np.array([0, 1]), len(lines)))
-            grid = start_races(setup, places, np.zeros(len(places), np.uint64))
-            # Time to collision is measured only for opponents that observe characteristics: it costs time.
-            settings = setup.settings if self._moving else setup.settings._replace(ittc_horizon=0.0)
-            known = self._courses[circuit] = _Course(setup, grid, _Scene(setup.track.arrays, settings, sight))
-            if len(self._courses) > KEPT_COURSES + self.episodes:
-                self._courses.popitem(last=False)
-        self._courses.move_to_end(circuit)
-        return known
-
     def _prepare_races(self, threads: int | None) -> None:
-        setup, races = self.setup, self.episodes
-        self._courses: OrderedDict[int, _Course] = OrderedDict()
-        course = self._on(0)
+        setup, races, options = self.setup, self.episodes, self.options
+        sight = Sight(
+            self.players,
+            self.alone,
+            options.own_state,
+            np.empty(0, np.int64),
+            SEE_OPPONENT.index(options.see_opponent),
+            options.time_left,
+            setup.config.ticks,
+            self._beams,
+            self._noise,
+        )
+        # Time to collision is measured only for opponents that observe characteristics.
+        self._courses = Courses(
+            self.variety.circuits, setup, sight, options.look_ahead, ittc=self._moving is not None, races=races
+        )
+        course = self._courses.on(0)
         self._scenes = [course.scene] * races  # of each race: what it is driven on, and what its players observe
         self.state = take(course.grid, np.zeros(races, np.intp))
         self.drawn = np.zeros(races, np.int64)
@@ -217,10 +175,10 @@ class DriveBatch:
         self.theta = np.zeros((races, 2, setup.theta_size))
         self.vehicles = self.variety.vehicles
         turn = max(vehicle.steer_max for vehicle in setup.vehicles[: self.players])
-        self._limits = (turn, float(self.options.top_speed))
+        self._limits = (turn, float(options.top_speed))
         worth = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
         self._weights = (
-            *(float(getattr(self.options, name)) for name in worth),
+            *(float(getattr(options, name)) for name in worth),
             setup.config.crash_rule == "fault-loses",
         )
         self._rows = np.arange(races)
@@ -234,7 +192,7 @@ class DriveBatch:
             (np.empty(size), np.empty(WORK_SIZE), np.empty(len(self.elements)), np.empty(WORK_SHAPE))
             for _ in range(workers)
         ]
-        self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
+        self._pool = ThreadPoolExecutor(max(1, workers - 1))  # begins threads when there is work for them
         self._compiled: Callable[..., None] | None = None
         with first_call(step_races, "the control-level environment", 20) as compiling:
             self._pointers = (*setup.planners[0].pointers(), *setup.planners[1].pointers())
@@ -259,7 +217,7 @@ class DriveBatch:
             raise InputError("reset options 'start' and 'poses' were both given; give one of the two")
         boxes = obstacles_option(options, len(rows))
         self.variety.draw(rows, generators)
-        groups = [(self._on(circuit), some) for circuit, some in self.variety.groups(rows)]
+        groups = [(self._courses.on(circuit), some) for circuit, some in self.variety.groups(rows)]
         places, seeds, at = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.uint64), np.zeros((len(rows), 2))
         grids: list[RaceState] = []
         for course, some in groups:
@@ -362,23 +320,22 @@ class DriveBatch:
 
     def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
         """Drive every race one step on."""
-        races, ticks = self.episodes, self.options.ticks
+        races, ticks = self.episodes, self._ticks
         results = self._results()
         if self._in_python:
             set_commands(actions, *self._limits, self.state.memory, 0, races)
             self._advance_in_python(ticks)
             ticks = 0
-        if self._pool is None:
-            self._step_part(actions, ticks, 0, races, 0, results)
-        else:
-            workers = len(self._buffers)
-            edges = [races * k // workers for k in range(workers + 1)]
-            parts = [
-                self._pool.submit(self._step_part, actions, ticks, edges[k], edges[k + 1], k, results)
-                for k in range(workers)
-            ]
-            for part in parts:
-                part.result()
+        workers = len(self._buffers)
+        edges = [races * k // workers for k in range(workers + 1)]
+        # This thread does the first part itself: to wake another one takes as long as some races' step.
+        parts = [
+            self._pool.submit(self._step_part, actions, ticks, edges[k], edges[k + 1], k, results)
+            for k in range(1, workers)
+        ]
+        self._step_part(actions, ticks, 0, edges[1], 0, results)
+        for part in parts:
+            part.result()
         if self._moving is not None:
             self._moving.move(self.state, self.theta, self.opponents, self.drawn, generators)
         _, reward, terminated, truncated, out = results
@@ -426,7 +383,9 @@ class DriveBatch:
         for first, last in runs_of(circuits.tolist()):
             part = RaceState._make(array[first:last] for array in self.state)
             conditions = self.variety.conditions(np.arange(first, last))
-            advance(self._on(int(circuits[first])).setup, part, self.theta[first:last], ticks, conditions=conditions)
+            advance(
+                self._courses.on(int(circuits[first])).setup, part, self.theta[first:last], ticks, conditions=conditions
+            )
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
@@ -436,22 +395,15 @@ class DriveBatch:
         return {name: np.stack([one[name] for one in of_cars], axis=1).reshape(-1) for name in of_cars[0]}
 
     def _infos_of(self, car: int) -> dict[str, NDArray[Any]]:
-        state, other = self.state, 1 - car
-        return {
-            "time": state.tick * DT,
-            "progress": state.progress[:, car].copy(),
-            "lead": np.zeros(self.episodes) if self.alone else state.lead if car == 0 else -state.lead,
-            "crash": state.crash[:, car].astype(np.int64),
-            "opponent_crash": state.crash[:, other].astype(np.int64),
-            "fault": state.fault[:, car].astype(np.int64),
-            "overtakes": state.overtakes[:, car].copy(),
+        infos = {
+            **race_infos(self.state, car),
             "result": self._outcomes(car),
             "opponent": self.drawn.copy() if self.opponents else np.full(self.episodes, -1),
-            "laps": state.lap_count[:, car],
-            "lap_time": state.lap_time[:, car],
-            "best_lap": state.best_lap[:, car],
             **self.variety.infos(),
         }
+        if self.alone:
+            infos["lead"] = np.zeros(self.episodes)
+        return infos
 
     def _outcomes(self, car: int) -> NDArray[np.int64]:
         """How each race has ended for a car; alone it races nobody, and the result stays open."""
@@ -470,26 +422,15 @@ class DriveBatch:
     def info(self, environment: int) -> dict[str, Any]:
         """Info of one player as plain numbers; faster than taking it from arrays of one."""
         race, car = divmod(environment, self.players)
-        state, other = self.state, 1 - car
-        progress, tick = float(state.progress[race, car]), state.tick.item(race)
-        crash, opponent_crash = int(state.crash[race, car]), int(state.crash[race, other])
-        laps = max(int(state.laps[race, car, MOST_CROSSINGS]) - 1, 0)
-        over = crash or opponent_crash or tick >= self.setup.config.ticks
-        return {
-            "time": tick * DT,
-            "progress": progress,
-            "lead": 0.0 if self.alone else progress - float(state.progress[race, other]),
-            "crash": crash,
-            "opponent_crash": opponent_crash,
-            "fault": int(state.fault[race, car]),
-            "overtakes": int(state.overtakes[race, car]),
-            "result": int(self._outcomes(car)[race]) if over else int(Result.RUNNING),
-            "opponent": int(self.drawn[race]) if self.opponents else -1,
-            "laps": laps,
-            "lap_time": float(state.laps[race, car, LAP_TIME]) if laps else NO_LAP,
-            "best_lap": float(state.laps[race, car, BEST_LAP]) if laps else NO_LAP,
-            **(self.variety.info(race) if self._varied else {}),
-        }
+        info = race_info(self.state, race, car)
+        over = info["crash"] or info["opponent_crash"] or self.state.tick.item(race) >= self.setup.config.ticks
+        info["result"] = int(self._outcomes(car)[race]) if over else int(Result.RUNNING)
+        info["opponent"] = self.drawn.item(race) if self.opponents else -1
+        if self.alone:
+            info["lead"] = 0.0
+        if self._varied:
+            info.update(self.variety.info(race))
+        return info
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw a race as it stands."""
@@ -529,7 +470,7 @@ class DriveBatch:
             raise InputError(f"the state's opponents {drawn!r} are not among the {len(self.opponents)} that there are")
         self.variety.set_state(variety)
         for row in range(self.episodes):
-            scene = self._on(int(self.variety.circuits.number[row])).scene
+            scene = self._courses.on(int(self.variety.circuits.number[row])).scene
             arrays = self.variety.track(row).arrays
             self._scenes[row] = scene if arrays is scene.arrays else scene._replace(arrays=arrays)
             self._uniform &= self._scenes[row] is self._scenes[0]
@@ -542,6 +483,5 @@ class DriveBatch:
     def close(self) -> None:
         """Free the threads."""
         self.variety.circuits.close()
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        self._pool.shutdown()
+        del self._buffers[1:]  # a step is still possible, on one thread

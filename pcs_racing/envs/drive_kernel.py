@@ -16,15 +16,10 @@ from pcs_racing.car.collision import car_hits_wall
 from pcs_racing.car.lidar_kernel import Beams, scan_into
 from pcs_racing.game.reward import step_reward, win_sign
 from pcs_racing.race import state as _state
-from pcs_racing.race.kernel import (
-    CONTROL_EVERY,
-    DT,
-    advance_races,
-    count_crossing,
-    delayed,
-    steering_noise,
-    steering_sd,
-)
+from pcs_racing.race.kernel import advance_races
+from pcs_racing.race.progress import count_crossing
+from pcs_racing.race.rates import CONTROL_EVERY, DT
+from pcs_racing.race.steering import delayed, steering_noise, steering_sd
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
 from pcs_racing.track.grid import cast
 
@@ -144,7 +139,7 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
                     state.fault[race, 0] = 1
 
 
-@kernel
+@inner_kernel
 def _see_own(line, ds, cars, frenet, memory, race, car, row, k):  # type: ignore[no-untyped-def]
     """Write the numbers about the own car from ``row[k]`` on; single arrays, for speed."""
     s = frenet[race, car, 0]
@@ -160,7 +155,7 @@ def _see_own(line, ds, cars, frenet, memory, race, car, row, k):  # type: ignore
     row[k + 7] = angle_between(cars[race, car, _vehicle.PSI], heading)
 
 
-@kernel
+@inner_kernel
 def _see_line(line, ds, s, ahead, row, k):  # type: ignore[no-untyped-def]
     """Write the numbers about the race line from ``row[k]`` on."""
     n = line.shape[0]
@@ -176,7 +171,7 @@ def _see_line(line, ds, s, ahead, row, k):  # type: ignore[no-untyped-def]
         k += STRETCH_ELEMENTS
 
 
-@kernel
+@inner_kernel
 def _see_opponent(length, cars, frenet, progress, race, car, row, k):  # type: ignore[no-untyped-def]
     """Write the numbers about the opponent from ``row[k]`` on."""
     other = 1 - car
@@ -204,7 +199,7 @@ def _see_opponent(length, cars, frenet, progress, race, car, row, k):  # type: i
     row[k + 8] = progress[race, car] - progress[race, other]
 
 
-@kernel
+@inner_kernel
 def _in_sight(track, cars, race, car, reach):  # type: ignore[no-untyped-def]
     """Whether no wall stands between the centres of the cars, and they are ``reach`` m apart at most."""
     x = cars[race, car, _vehicle.X]
@@ -266,14 +261,14 @@ def _observe(track, state, vehicles, sight, race, car, row, work):  # type: igno
         _noisy(scan, state.seed[race], car, state.tick[race], sight.noise[race], sight.beams.max_range)
 
 
-@kernel
+@inner_kernel
 def _write(row, low, high, gain, shift, out, player):  # type: ignore[no-untyped-def]
     """Clip an observation to its bounds, scale it if asked, and round it to float32."""
     for k in range(row.shape[0]):
         out[player, k] = np.float32(min(max(row[k], low[k]), high[k]) * gain[k] + shift[k])
 
 
-@kernel
+@inner_kernel
 def _noisy(scan, seed, car, tick, noise, most):  # type: ignore[no-untyped-def]
     """Add to each range noise that depends on the race's seed, the car, the time and the beam alone."""
     beams = scan.shape[0]
@@ -345,7 +340,7 @@ def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
         state.laps[race] = 0.0
 
 
-@kernel
+@inner_kernel
 def _end_step(  # type: ignore[no-untyped-def]
     progress, crash, fault, tick, end_tick, weights, players, alone, before, reward, terminated, truncated, first, last
 ):

@@ -17,7 +17,7 @@ from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.kernel import CONTROL_EVERY, DT
+from pcs_racing.race.rates import CONTROL_EVERY, DT
 
 __all__ = ["SEE_OPPONENT", "DriveOptions", "Element", "drive_elements"]
 

@@ -13,7 +13,7 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.circuit_games import CircuitGames
-from pcs_racing.envs.infos import Crash, Result, codes
+from pcs_racing.envs.infos import Crash, Result, codes, race_info, race_infos
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent
 from pcs_racing.envs.reset_options import start_option
@@ -29,8 +29,8 @@ from pcs_racing.game.starting import check_policies
 from pcs_racing.game.state import GameState, empty_game, put_games, take_games
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.kernel import DT
 from pcs_racing.race.races import advance
+from pcs_racing.race.rates import DT
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, take
@@ -311,39 +311,41 @@ class GameBatch:
         }
 
     def info(self, environment: int) -> dict[str, Any]:
-        """Info of one player: plain numbers, and the mask as an array."""
-        return {
-            name: values[environment] if values.ndim > 1 else values[environment].item()
-            for name, values in self.infos().items()
-        }
+        """Info of one player: plain numbers, and the mask as an array; faster than taking it from arrays of one."""
+        state, (row, car) = self.started(), divmod(environment, self.players)
+        info = race_info(state.race, row, car)
+        over = bool(self.game.done(state)[row])
+        info["result"] = int(self._results(car)[row]) if over else int(Result.RUNNING)
+        info["opponent"] = self.drawn.item(row) if self.opponents else -1
+        for name, each in (("move", car), ("opponent_move", 1 - car)):
+            info[name] = NO_MOVE if state.policy.item(row, each) == OUTSIDE else self.moves.item(row, each)
+        info["policy"] = state.policy.item(row, car)
+        info["action_mask"] = self.game.action_mask(state)[row, car].astype(np.int8)
+        info.update(self.variety.info(row))
+        return info
 
     def _infos_of(self, car: int) -> dict[str, NDArray[Any]]:
         state = self.started()
-        race, other = state.race, 1 - car
-        winner = self.game.winner(state)
-        result = np.where(winner == car, Result.WIN, np.where(winner == other, Result.LOSS, Result.TIE))
-        result = np.where((winner < 0) & race.crashed, Result.CRASH, result)
         # A driver makes no moves, whatever stands in the array of moves.
         moves = np.where(state.policy == OUTSIDE, NO_MOVE, self.moves)
         return {
-            "time": race.tick * DT,
-            "progress": race.progress[:, car].copy(),
-            "lead": race.lead if car == 0 else -race.lead,
-            "crash": race.crash[:, car].astype(np.int64),
-            "opponent_crash": race.crash[:, other].astype(np.int64),
-            "fault": self.game.fault(state)[:, car].astype(np.int64),
-            "overtakes": race.overtakes[:, car].copy(),
-            "result": np.where(self.game.done(state), result, Result.RUNNING).astype(np.int64),
+            **race_infos(state.race, car),
+            "result": self._results(car),
             "opponent": self.drawn.copy() if self.opponents else np.full(self.episodes, -1),
             "move": moves[:, car],
-            "opponent_move": moves[:, other],
+            "opponent_move": moves[:, 1 - car],
             "policy": state.policy[:, car].copy(),
             "action_mask": self.game.action_mask(state)[:, car].astype(np.int8),
-            "laps": race.lap_count[:, car],
-            "lap_time": race.lap_time[:, car],
-            "best_lap": race.best_lap[:, car],
             **self.variety.infos(),
         }
+
+    def _results(self, car: int) -> NDArray[np.int64]:
+        """How each game stands for a car: :class:`pcs_racing.envs.infos.Result`."""
+        state = self.started()
+        winner = self.game.winner(state)
+        result = np.where(winner == car, Result.WIN, np.where(winner == 1 - car, Result.LOSS, Result.TIE))
+        result = np.where((winner < 0) & state.race.crashed, Result.CRASH, result)
+        return np.where(self.game.done(state), result, Result.RUNNING).astype(np.int64)
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw a game as it stands."""

@@ -29,8 +29,12 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["Crash", "Result", "codes", "words"]
+from pcs_racing.race.rates import DT
+from pcs_racing.race.state import BEST_LAP, LAP_TIME, MOST_CROSSINGS, NO_LAP, RaceState
+
+__all__ = ["Crash", "Result", "codes", "one_info", "race_info", "race_infos", "words"]
 
 
 class Crash(IntEnum):
@@ -56,6 +60,49 @@ class Result(IntEnum):
 def codes(kind: type[IntEnum]) -> dict[int, str]:
     """Words of an enumeration by number."""
     return {member.value: member.name.lower() for member in kind}
+
+
+def race_infos(races: RaceState, car: int) -> dict[str, NDArray[Any]]:
+    """What is told of a car in all races of a batch, apart from its result."""
+    other = 1 - car
+    return {
+        "time": races.tick * DT,
+        "progress": races.progress[:, car].copy(),
+        "lead": races.lead if car == 0 else -races.lead,
+        "crash": races.crash[:, car].astype(np.int64),
+        "opponent_crash": races.crash[:, other].astype(np.int64),
+        "fault": races.fault[:, car].astype(np.int64),
+        "overtakes": races.overtakes[:, car].copy(),
+        "laps": races.lap_count[:, car],
+        "lap_time": races.lap_time[:, car],
+        "best_lap": races.best_lap[:, car],
+    }
+
+
+def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
+    """Return the same of a car in one race, as plain numbers: in a tenth of the time that arrays of one take."""
+    other = 1 - car
+    progress = races.progress.item(race, car)
+    laps = max(int(races.laps.item(race, car, MOST_CROSSINGS)) - 1, 0)
+    return {
+        "time": races.tick.item(race) * DT,
+        "progress": progress,
+        "lead": progress - races.progress.item(race, other),
+        "crash": races.crash.item(race, car),
+        "opponent_crash": races.crash.item(race, other),
+        "fault": races.fault.item(race, car),
+        "overtakes": races.overtakes.item(race, car),
+        "laps": laps,
+        "lap_time": races.laps.item(race, car, LAP_TIME) if laps else NO_LAP,
+        "best_lap": races.laps.item(race, car, BEST_LAP) if laps else NO_LAP,
+    }
+
+
+def one_info(infos: Mapping[str, NDArray[Any]], environment: int) -> dict[str, Any]:
+    """Return the info of one environment, out of those of all: plain numbers, and masks as arrays."""
+    return {
+        name: values[environment] if values.ndim > 1 else values[environment].item() for name, values in infos.items()
+    }
 
 
 def words(info: Mapping[str, Any], names: Mapping[str, Mapping[int, str]]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.game_batch import GameBatch
-from pcs_racing.envs.infos import Result, codes
+from pcs_racing.envs.infos import Result, codes, one_info
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent
 from pcs_racing.envs.reset_options import start_option
@@ -249,6 +249,10 @@ class MatchBatch(GameBatch):
             "opponent_score": other,
             "action_mask": self._masks()[:, car].astype(np.int8),
         }
+
+    def info(self, environment: int) -> dict[str, Any]:
+        """Info of one player: plain numbers, and the mask as an array."""
+        return one_info(self.infos(), environment)
 
     # The batch as a value
 

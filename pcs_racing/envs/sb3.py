@@ -35,6 +35,8 @@ KINDS: dict[str, type[Any]] = {
     "pcs_racing/Duel-v1": DuelVectorEnv,
     "pcs_racing/Drive-v1": DriveVectorEnv,
     "pcs_racing/Match-v0": MatchVectorEnv,
+    "pcs_racing/head_to_head-v1": SelfPlayVectorEnv,
+    "pcs_racing/drive_head_to_head-v0": DriveHeadToHeadVectorEnv,
 }
 """What can be made, by name."""
 
@@ -45,9 +47,10 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
     Parameters
     ----------
     kind : str
-        "duel" or "pcs_racing/Duel-v1"; "match" or "pcs_racing/Match-v0"; "drive" or "pcs_racing/Drive-v1"; "self-play":
-        both cars of ``num_envs / 2`` games belong to the learner, whose policy plays against itself; "drive-self-play":
-        the same at the level of steering and speed.
+        "duel" or "pcs_racing/Duel-v1"; "match" or "pcs_racing/Match-v0"; "drive" or "pcs_racing/Drive-v1"; "self-play"
+        or "pcs_racing/head_to_head-v1": both cars of ``num_envs / 2`` games belong to the learner, whose policy plays
+        against itself; "drive-self-play" or "pcs_racing/drive_head_to_head-v0": the same at the level of steering and
+        speed.
     num_envs : int
         Number of environments; even for self-play.
     **arguments

@@ -215,8 +215,8 @@ def ask_moves(
     moves = np.zeros(state.games, np.int64)
     if driver_policies(competitor):
         return moves
-    going = np.flatnonzero(~game.done(state))
-    rows = going if rows is None else rows[np.isin(rows, going)]
+    going = ~game.done(state)
+    rows = np.flatnonzero(going) if rows is None else rows[going[rows]]
     if len(rows) == 0:
         return moves
     answer: Any

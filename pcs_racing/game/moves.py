@@ -177,9 +177,9 @@ def check_moves(
         wanted = f"whole numbers of shape {shape}" if shape else "a whole number"
         found = f"{moves!r:.60}, of shape {given.shape} and type {given.dtype}"
         raise InputError(f"{by}moves are {found}; they must be {wanted}, {known}")
-    wrong = np.argwhere((given < 0) | (given >= len(names)))
-    if len(wrong):
-        at = tuple(int(i) for i in wrong[0])
+    wrong = (given < 0) | (given >= len(names))
+    if wrong.any():
+        at = tuple(int(i) for i in np.argwhere(wrong)[0])
         index = at if rows is None else (int(rows[at[0]]), *at[1:])
         where = ", ".join(f"{axis} {i}" for axis, i in zip(axes, index, strict=False))
         raise InputError(f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}")

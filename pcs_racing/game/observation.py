@@ -98,17 +98,18 @@ def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indi
     ndarray, shape (B, 2, D), float32
     """
     games, steps = leads.shape
-    seen = np.arange(steps) <= step[:, None]
-    lead = np.clip(leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)
-    parts = np.concatenate(
-        [
-            own,
-            estimates[:, ::-1],
-            np.stack([lead, -lead], axis=1)[..., None],
-            np.broadcast_to(seen[:, None, :, None], (games, 2, steps, 1)),
-        ],
-        axis=-1,
-    )
-    parts = np.where(seen[:, None, :, None], parts, 0.0).reshape(games, 2, steps * parts.shape[-1])
-    share = np.broadcast_to((step / (steps - 1))[:, None, None], (games, 2, 1))
-    return np.concatenate([parts, share], axis=-1).astype(np.float32)
+    axes = own.shape[-1]
+    lead = np.minimum(np.maximum(leads / LEAD_SCALE, -LEAD_BOUND), LEAD_BOUND)
+    parts = np.empty((games, 2, steps, 2 * axes + 2), np.float32)
+    parts[..., :axes] = own
+    parts[..., axes:-2] = estimates[:, ::-1]
+    parts[:, 0, :, -2] = lead
+    parts[:, 1, :, -2] = -lead
+    parts[..., -1] = 1.0
+    unseen = np.arange(steps) > step[:, None]
+    parts.transpose(0, 2, 1, 3)[unseen] = 0.0
+    size = steps * parts.shape[-1]
+    observation = np.empty((games, 2, size + 1), np.float32)
+    observation[..., :-1] = parts.reshape(games, 2, size)
+    observation[..., -1] = (step / (steps - 1))[:, None]
+    return observation

@@ -7,7 +7,7 @@ of steering and speed pays in every step (:func:`step_reward`), and for a win if
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.compilation import kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.game.config import GameConfig
 from pcs_racing.race.races import TIE_WITHIN, winners
 from pcs_racing.race.state import RaceState
@@ -43,7 +43,7 @@ def reward(config: GameConfig, races: RaceState, moves: ArrayLike) -> NDArray[np
     return np.asarray(first * np.cumprod(factors)[made], np.float64)
 
 
-@kernel
+@inner_kernel
 def step_reward(own, opponent, fault, weights):  # type: ignore[no-untyped-def]
     """Reward of one step of driving: progress, less a share of the opponent's, less a penalty for a crash by own fault.
 

@@ -398,12 +398,18 @@ class RaceGame:
 
     def winner(self, state: GameState) -> NDArray[np.int8]:
         """The car that won (0 or 1), shape (B,); -1 for a tie, a crash that pays nobody, and while a game goes on."""
-        return np.where(self.done(state), winners(self.config.race, state.race), -1).astype(np.int8)
+        over = self.done(state)
+        if not over.any():
+            return np.full(state.games, -1, np.int8)
+        return np.where(over, winners(self.config.race, state.race), -1).astype(np.int8)
 
     def reward(self, state: GameState) -> Floats:
         """Reward of each car, shape (B, 2): 0 while a game goes on, then :func:`pcs_racing.game.reward.reward`."""
-        first = np.where(self.done(state), reward(self.config, state.race, state.step), 0.0)
-        return np.stack([first, 0.0 - first], axis=1)
+        over, both = self.done(state), np.zeros((state.games, 2))
+        if over.any():
+            both[:, 0] = np.where(over, reward(self.config, state.race, state.step), 0.0)
+            both[:, 1] = 0.0 - both[:, 0]
+        return both
 
     # Observations
 

@@ -17,8 +17,9 @@ import numpy as np
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arcsine, sine_cosine, tangent
 from pcs_racing.car.lidar import WORK_SHAPE, Beams, scan_into
-from pcs_racing.planners import planner as _view
-from pcs_racing.planners.planner import PATH_POINTS, Parameter, Planner
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.view import PATH_POINTS
 
 __all__ = ["BEAMS", "FIELD_OF_VIEW", "GAP_FOLLOWER"]
 

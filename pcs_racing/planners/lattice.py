@@ -5,6 +5,9 @@ the track), joins each to the car by a cubic spiral, and drives each spiral at f
 that leaves the track or meets the predicted opponent is rejected; of the others the one with the smallest weighted sum
 of costs wins. The weights, on a log scale, and a few traits (pace, late braking, side margin) are the parameters of the
 policy. Of two cars side by side the one ahead has the right of way; the other one gives it room.
+
+All steps of a plan stand in this file. They share the rows of the scratch, and are compiled without the wrappers for
+calls from Python that functions of several files would need: half of the time of compiling them.
 """
 
 import numpy as np
@@ -12,10 +15,11 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import rough_sine_cosine, sine_cosine, tangent
-from pcs_racing.planners import planner as _view
 from pcs_racing.planners import spiral
-from pcs_racing.planners.planner import PATH_POINTS, Parameter, Planner
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.spiral import SEGMENTS, sample_spirals, solve_spirals, spiral_curvature
+from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, offset
 

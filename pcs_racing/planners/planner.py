@@ -2,7 +2,7 @@
 
 A :class:`Planner` is two small functions and the names of its parameters. ``plan`` runs ten times a second and writes a
 path; ``control`` runs fifty times a second and turns it into a target steering angle and speed (by default pure
-pursuit). Both are written in the subset of Python that numba compiles and are called through function pointers, so that
+pursuit). Both are written in the subset of Python that numba compiles and are called by their address, so that
 third parties' planners run inside the same compiled, GIL-free loop as ours; a planner in plain Python gives one
 function ``drive`` instead, and is called between steps of that loop. A :class:`Policy` is a planner with one vector of
 parameters: a point that synthesis can move and an archive can keep.
@@ -10,254 +10,16 @@ parameters: a point that synthesis can move and an archive can keep.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import cfunc, types
-from numba.core import config
-from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.compilation import kernel
-from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.track.frenet import TrackArrays
+from pcs_racing.planners.calling import control_address, plan_address
+from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, hold_command, leave_path
 
-__all__ = [
-    "PATH_POINTS",
-    "VIEW",
-    "VIEW_SIZE",
-    "Parameter",
-    "Planner",
-    "Policy",
-    "calm_speed",
-    "follow_path",
-    "hold_command",
-    "leave_path",
-    "pursuit_steering",
-]
-
-VIEW: dict[str, str] = {
-    "TIME": "time since the start of the race, s",
-    "X": "own position, m",
-    "Y": "own position, m",
-    "DELTA": "own steering angle, rad",
-    "V": "own speed, m/s",
-    "PSI": "own heading, rad",
-    "PSI_DOT": "own yaw rate, rad/s",
-    "BETA": "own slip angle, rad; the car moves along PSI + BETA",
-    "S": "own arc length on the race line, m",
-    "D": "own distance from the race line, m, positive to the left",
-    "OPP_X": "opponent's position, m",
-    "OPP_Y": "opponent's position, m",
-    "OPP_V": "opponent's speed, m/s",
-    "OPP_PSI": "opponent's heading, rad",
-    "OPP_BETA": "opponent's slip angle, rad",
-    "OPP_S": "opponent's arc length on the race line, m",
-    "OPP_D": "opponent's distance from the race line, m",
-    "OPP_D_DOT": "how fast that distance grows, m/s",
-    "GAP": "opponent's progress minus own, m; positive when the opponent leads",
-    "LENGTH": "own car's length, m",
-    "WIDTH": "own car's width, m",
-    "WHEELBASE": "own wheelbase, m",
-    "STEER_MAX": "own largest steering angle, rad",
-    "UNDERSTEER": "extra steering that the own car needs per lateral acceleration, rad s^2/m",
-    "UNDERSTEER_GAIN": "how that grows with the longitudinal acceleration, rad s^4/m^2",
-    "OPP_LENGTH": "opponent's length, m",
-    "OPP_WIDTH": "opponent's width, m",
-    "SPEED_LOW": "speed scale that stands for pace 0 in this race",
-    "SPEED_HIGH": "speed scale that stands for pace 1 in this race",
-}
-"""Every element of the view that a planner gets, by name, with its meaning and unit; their order is their index."""
-
-VIEW_SIZE = len(VIEW)
-(
-    TIME,
-    OWN_X,
-    OWN_Y,
-    OWN_DELTA,
-    OWN_V,
-    OWN_PSI,
-    OWN_PSI_DOT,
-    OWN_BETA,
-    OWN_S,
-    OWN_D,
-    OPP_X,
-    OPP_Y,
-    OPP_V,
-    OPP_PSI,
-    OPP_BETA,
-    OPP_S,
-    OPP_D,
-    OPP_D_DOT,
-    GAP,
-    OWN_LENGTH,
-    OWN_WIDTH,
-    WHEELBASE,
-    STEER_MAX,
-    UNDERSTEER,
-    UNDERSTEER_GAIN,
-    OPP_LENGTH,
-    OPP_WIDTH,
-    SPEED_LOW,
-    SPEED_HIGH,
-) = range(VIEW_SIZE)
-
-PATH_POINTS = 12
-"""Points of a planned path: rows of x, y (m), speed (m/s) and curvature (1/m)."""
-
-COMMAND_SLOTS = 2  # memory that :func:`hold_command` reads: steering angle and speed
-
-BRAKING = 5.5
-"""Braking that :func:`follow_path` asks for at most, m/s^2."""
-
-PATH_X, PATH_Y, PATH_SPEED, PATH_KAPPA = range(4)
-PATH_COLUMNS = 4
-
-_VECTOR = types.Array(types.float64, 1, "C")
-_MATRIX = types.Array(types.float64, 2, "C")
-_TRACK = types.NamedTuple(
-    (
-        types.float64,  # length
-        types.float64,  # ds
-        _MATRIX,  # line
-        types.Array(types.float32, 2, "C"),  # distance
-        types.float64,  # origin_x
-        types.float64,  # origin_y
-        types.float64,  # cell
-        _MATRIX,  # walls
-        types.Array(types.int32, 1, "C"),  # seen_start
-        types.Array(types.int32, 1, "C"),  # seen
-        types.Array(types.float32, 1, "C"),  # seen_distance
-        _MATRIX,  # seen_middle
-        types.float64,  # seen_stretch
-        types.Array(types.int32, 2, "C"),  # lookup
-        types.float64,  # lookup_cell
-    ),
-    TrackArrays,
-)
-# (track, theta, view, memory, scratch, path) and the same with the command to write
-_PLAN_SIGNATURE = types.void(_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX)
-_CONTROL_SIGNATURE = types.void(_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _VECTOR)
-
-
-@cache
-def _pointer(function: Callable[..., None], signature: types.Type) -> Any:
-    """Compile a planner's function behind the one signature that the race kernel calls."""
-    python = getattr(function, "py_func", function)
-    if getattr(config, "DISABLE_JIT", 0):  # then the kernel that calls it is an ordinary function, too
-        return python
-    compile_pointer: Any = cfunc
-    options: dict[str, Any] = {"cache": True, "error_model": "numpy"}
-    try:  # without reference counts where the function allocates nothing: see pcs_racing.base.compilation.kernel
-        return compile_pointer(signature, **options, _nrt=False)(python)
-    except (RuntimeError, NumbaError):
-        return compile_pointer(signature, **options)(python)
-
-
-@kernel
-def leave_path(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Plan nothing: for drivers that decide everything in ``control``."""
-
-
-@kernel
-def hold_command(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
-    """Drive as the first two numbers of the memory say: how commands from outside reach a car."""
-    command[0] = memory[0]
-    command[1] = memory[1]
-
-
-@kernel(forceinline=True)
-def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untyped-def]
-    """Steering angle of pure pursuit towards a point.
-
-    The arc starts along the car's velocity (heading plus slip). The car's understeer makes up for the slip of the tyres
-    in steady cornering; under braking the load shifts to the front and it turns into oversteer.
-
-    Parameters
-    ----------
-    view : ndarray
-        The driver's view.
-    x, y : float
-        Point to drive through, m.
-    kappa : float
-        Curvature of the path there, 1/m.
-    acceleration : float
-        Longitudinal acceleration that the driver is about to ask for, m/s^2.
-    """
-    course = view[OWN_PSI] + view[OWN_BETA]
-    dx = x - view[OWN_X]
-    dy = y - view[OWN_Y]
-    sine, cosine = sine_cosine(course)
-    across = -dx * sine + dy * cosine
-    arc = 2.0 * across / max(dx * dx + dy * dy, 1e-6)
-    understeer = view[UNDERSTEER] + view[UNDERSTEER_GAIN] * acceleration
-    steer = arctangent(view[WHEELBASE] * arc) + understeer * view[OWN_V] * view[OWN_V] * kappa
-    return min(max(steer, -view[STEER_MAX]), view[STEER_MAX])
-
-
-@kernel(forceinline=True)
-def calm_speed(v, speed):  # type: ignore[no-untyped-def]
-    """Target speed that asks for no more braking than the car stays stable under, and the acceleration it stands for.
-
-    The controller brakes by 10 times the speed error; beyond about 6 m/s^2 the unloaded rear axle lets go.
-    """
-    speed = max(speed, v - 0.1 * BRAKING)
-    return speed, min(10.0 * (speed - v), 9.5)
-
-
-@kernel(forceinline=True)
-def _share_of_gap(before, after, distance):  # type: ignore[no-untyped-def]
-    """How far between two points a distance from the car is reached, in [0, 1], from the squares of their distances."""
-    before = np.sqrt(before)
-    return min(max((distance - before) / max(np.sqrt(after) - before, 1e-9), 0.0), 1.0)
-
-
-@kernel
-def follow_path(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
-    """Follow the planned path by pure pursuit (the default ``control``).
-
-    The look-ahead grows from 0.3 m by 0.1 m per m/s; the speed is the path's at the point reached in a tenth of a
-    second.
-    """
-    x = view[OWN_X]
-    y = view[OWN_Y]
-    v = view[OWN_V]
-    last = path.shape[0] - 1
-    # The path starts where the car was when it planned; skip what lies behind by now.
-    i = 0
-    near = (path[0, PATH_X] - x) ** 2 + (path[0, PATH_Y] - y) ** 2
-    while i < last:
-        there = (path[i + 1, PATH_X] - x) ** 2 + (path[i + 1, PATH_Y] - y) ** 2
-        if there > near:
-            break
-        near = there
-        i += 1
-    reach = 0.3 + 0.1 * v
-    preview = 0.1 * v
-    goal_x = path[last, PATH_X]
-    goal_y = path[last, PATH_Y]
-    kappa = path[last, PATH_KAPPA]
-    speed = path[last, PATH_SPEED]
-    speed_found = False
-    before = near
-    for j in range(i, last):
-        after = (path[j + 1, PATH_X] - x) ** 2 + (path[j + 1, PATH_Y] - y) ** 2
-        if not speed_found and after >= preview * preview:
-            w = _share_of_gap(before, after, preview)
-            speed = path[j, PATH_SPEED] + w * (path[j + 1, PATH_SPEED] - path[j, PATH_SPEED])
-            speed_found = True
-        if after >= reach * reach:
-            w = _share_of_gap(before, after, reach)
-            goal_x = path[j, PATH_X] + w * (path[j + 1, PATH_X] - path[j, PATH_X])
-            goal_y = path[j, PATH_Y] + w * (path[j + 1, PATH_Y] - path[j, PATH_Y])
-            kappa = path[j, PATH_KAPPA]
-            break
-        before = after
-    speed, acceleration = calm_speed(v, speed)
-    command[0] = pursuit_steering(view, goal_x, goal_y, kappa, acceleration)
-    command[1] = speed
+__all__ = ["Parameter", "Planner", "Policy"]
 
 
 @dataclass(frozen=True)
@@ -324,9 +86,10 @@ class Planner:
 
     Notes
     -----
-    ``track`` is a :class:`pcs_racing.track.frenet.TrackArrays`; ``view`` holds the numbers of :data:`VIEW`. All other
-    arguments are float64 arrays. The functions must not raise, and must depend on nothing but their arguments: that is
-    what makes a race a value that can be saved and restored.
+    ``track`` is a :class:`pcs_racing.track.frenet.TrackArrays`; ``view`` holds the numbers of
+    :data:`pcs_racing.planners.view.VIEW`. All other arguments are float64 arrays. The functions must return nothing,
+    should not raise (what one raises ends all races of the batch), and must depend on nothing but their arguments: that
+    is what makes a race a value that can be saved and restored.
     """
 
     name: str
@@ -371,10 +134,9 @@ class Planner:
         return np.array([p.default for p in self.parameters], dtype=np.float64)
 
     def pointers(self) -> tuple[Any, Any]:
-        """Return the compiled ``plan`` and ``control`` behind the race kernel's two signatures."""
-        if self.drive is not None:
-            return _pointer(leave_path, _PLAN_SIGNATURE), _pointer(hold_command, _CONTROL_SIGNATURE)
-        return _pointer(self.plan, _PLAN_SIGNATURE), _pointer(self.control, _CONTROL_SIGNATURE)
+        """Return the addresses of the compiled ``plan`` and ``control``, which the race kernel calls."""
+        plan, control = (self.plan, self.control) if self.drive is None else (leave_path, hold_command)
+        return plan_address(plan), control_address(control)
 
     def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Where parameters stand in ``theta``, by name.

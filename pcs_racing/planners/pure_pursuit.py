@@ -14,8 +14,9 @@ import numpy as np
 
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import tangent
-from pcs_racing.planners import planner as _view
-from pcs_racing.planners.planner import PATH_POINTS, Parameter, Planner
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, to_cartesian, wrap_s
 

@@ -76,5 +76,7 @@ def runs_of(values: Sequence[object]) -> list[tuple[int, int]]:
 
 def vehicle_rows(vehicles: tuple[VehicleParams, VehicleParams], races: int) -> NDArray[np.float64]:
     """Parameters of both cars for every race, shape (races, 2, 18)."""
-    rows = np.stack([vehicle.as_row() for vehicle in vehicles])
-    return np.tile(rows, (races, 1, 1))  # writeable, or one race would compile the kernels a second time
+    rows = np.empty((races, 2, PARAMS_SIZE))  # writeable, or one race would compile the kernels a second time
+    for car, vehicle in enumerate(vehicles):
+        rows[:, car] = vehicle.as_row()
+    return rows

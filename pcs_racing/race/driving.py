@@ -3,7 +3,6 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +11,13 @@ from pcs_racing.base.compilation import first_call
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import VehicleParams
-from pcs_racing.planners.planner import COMMAND_SLOTS, VIEW_SIZE, Planner, Policy
+from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.pursuit import COMMAND_SLOTS
+from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.conditions import RaceConditions
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.kernel import CONTROL_EVERY, DT, WORK_SIZE, KernelSettings, advance_races, fill_view
+from pcs_racing.race.kernel import GROUP, WORK_SIZE, KernelSettings, advance_races, fill_view
+from pcs_racing.race.rates import CONTROL_EVERY, DT
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
@@ -23,6 +25,12 @@ from pcs_racing.track.track import Track
 Run = tuple[Track, int, int]  # a track, the first of the races on it, and the one after the last
 
 __all__ = ["default_threads", "drive", "kernel_settings", "pad_parameters"]
+
+# Counted in steps of 0.01 s of one race, of about 1 us each.
+PIECE = 3000  # that a thread drives at a time
+WORTH_A_THREAD = 500  # that are worth handing over
+
+FEW_ROUNDS = 4
 
 AS_THE_SETUP = RaceConditions()
 """The same cars and the same track in every race."""
@@ -146,19 +154,31 @@ def _drive_compiled(
         plan1, control1 = planners[1].pointers()
         if compiling and runs:
             part(runs[0][0].arrays, 0, 0)
-    workers = min(threads or default_threads(), races)
+    workers = min(threads or default_threads(), races, races * ticks // WORTH_A_THREAD)
     if workers <= 1:
         for track, first, last in runs:
             part(track.arrays, first, last)
         return
     part(runs[0][0].arrays, 0, 0)  # other types of arguments compile here, before several threads would
-    parts = []
-    for track, first, last in runs:
-        pieces = min(last - first, -(-4 * workers * (last - first) // races))
-        edges = np.linspace(first, last, pieces + 1).astype(int)
-        parts += [(track.arrays, low, high) for low, high in pairwise(edges)]
+    pieces = _pieces(runs, races, ticks, workers)
     with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(part, *zip(*parts, strict=True)))
+        list(pool.map(part, *zip(*pieces, strict=True)))
+
+
+def _pieces(runs: list[Run], races: int, ticks: int, workers: int) -> list[tuple[TrackArrays, int, int]]:
+    """Cut runs into pieces for threads, each of which takes the next piece when it is done with one.
+
+    Many pieces are of whole groups. A few are of equal size instead, so that no thread waits for the last one.
+    """
+    size = GROUP * max(1, PIECE // (GROUP * ticks))
+    rounds = max(1, round(races / (workers * size)))
+    if rounds < FEW_ROUNDS:
+        size = -(-races // (workers * rounds))
+    pieces = [
+        (track.arrays, at, min(at + size, last)) for track, first, last in runs for at in range(first, last, size)
+    ]
+    # Neighbours are not driven at the same time: their states share cache lines.
+    return pieces[::2] + pieces[1::2]
 
 
 def _ask_python_drivers(

@@ -10,40 +10,23 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.collision import contact_fault, hits_wall, rectangles_overlap
 from pcs_racing.car.ittc import rectangle_ittc, walls_ittc
 from pcs_racing.car.lanes import LANES, LANES_SIZE, load_car, set_target, step_lanes, step_slow_car, store_car
-from pcs_racing.planners import planner as _planner
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.calling import call_control, call_plan
 from pcs_racing.race import state as _state
-from pcs_racing.track.frenet import COS, SIN, SPEED, foot, locate
+from pcs_racing.race.contacts import collide
+from pcs_racing.race.progress import update_progress
+from pcs_racing.race.rates import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
+from pcs_racing.race.steering import delayed, steering_noise, steering_sd
+from pcs_racing.track.frenet import COS, SIN, SPEED
 
-__all__ = [
-    "CONTROL_EVERY",
-    "DT",
-    "ITTC_EVERY",
-    "PLAN_EVERY",
-    "WORK_SIZE",
-    "KernelSettings",
-    "advance_races",
-    "collide",
-    "count_crossing",
-    "delayed",
-    "fill_view",
-    "measure_ittc",
-    "place_cars",
-    "steering_noise",
-    "steering_sd",
-    "update_progress",
-]
-
-DT = 0.01  # s, one simulation step
-PLAN_EVERY = 10  # steps: 10 Hz
-CONTROL_EVERY = 2  # 50 Hz, as are progress and collisions
-ITTC_EVERY = 5  # 20 Hz
+__all__ = ["GROUP", "WORK_SIZE", "KernelSettings", "advance_races", "fill_view", "measure_ittc"]
 
 BLOCKING_REACH = 3.0  # m
 
-GROUP = LANES // 2  # races that are driven in lockstep
+GROUP = LANES // 2
+"""Races that are driven in lockstep."""
 
 # What the loop scribbles on: the cars in their lanes; whether each is slow, and its steering angle before a control
 # period; the steps that each race has left; and the view of each car.
@@ -51,7 +34,7 @@ _SLOW = LANES_SIZE
 _STEERING_BEFORE = _SLOW + LANES
 _LEFT = _STEERING_BEFORE + LANES
 _VIEWS = _LEFT + GROUP
-WORK_SIZE = _VIEWS + LANES * _planner.VIEW_SIZE
+WORK_SIZE = _VIEWS + LANES * _view.VIEW_SIZE
 
 
 class KernelSettings(NamedTuple):
@@ -68,148 +51,58 @@ class KernelSettings(NamedTuple):
     ittc_horizon: float
 
 
-@inner_kernel(forceinline=True)
-def _mix(key):  # type: ignore[no-untyped-def]
-    """Scramble 64 bits (the finaliser of splitmix64, Steele et al. 2014)."""
-    key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return key ^ (key >> np.uint64(31))
-
-
-@kernel
-def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
-    """One draw of nearly normal noise, mean 0 and variance 1, as a pure function of its arguments.
-
-    The sum of four 16-bit uniform numbers: bounded by 3.5 standard deviations, excess kurtosis -0.3.
-    """
-    key = _mix(seed + np.uint64(0x9E3779B97F4A7C15) * np.uint64(2 * tick + car + 1))
-    key = _mix(key + np.uint64(0xD1B54A32D192ED03))
-    mask = np.uint64(0xFFFF)
-    total = (
-        float(key & mask)
-        + float((key >> np.uint64(16)) & mask)
-        + float((key >> np.uint64(32)) & mask)
-        + float((key >> np.uint64(48)) & mask)
-    )
-    return (total / 65535.0 - 2.0) * 1.7320508075688772
-
-
 @inner_kernel
 def _fill_fixed(own, opponent, settings, view):  # type: ignore[no-untyped-def]
     """Write what stays the same during a race into a view: the two cars' parameters and the range of speeds."""
-    view[_planner.OWN_LENGTH] = own[_vehicle.LENGTH]
-    view[_planner.OWN_WIDTH] = own[_vehicle.WIDTH]
-    view[_planner.WHEELBASE] = own[_vehicle.LF] + own[_vehicle.LR]
-    view[_planner.STEER_MAX] = own[_vehicle.STEER_MAX]
+    view[_view.OWN_LENGTH] = own[_vehicle.LENGTH]
+    view[_view.OWN_WIDTH] = own[_vehicle.WIDTH]
+    view[_view.WHEELBASE] = own[_vehicle.LF] + own[_vehicle.LR]
+    view[_view.STEER_MAX] = own[_vehicle.STEER_MAX]
     grip = own[_vehicle.MU] * _vehicle.GRAVITY
-    view[_planner.UNDERSTEER] = (1.0 / own[_vehicle.C_SF] - 1.0 / own[_vehicle.C_SR]) / grip
-    view[_planner.UNDERSTEER_GAIN] = (
+    view[_view.UNDERSTEER] = (1.0 / own[_vehicle.C_SF] - 1.0 / own[_vehicle.C_SR]) / grip
+    view[_view.UNDERSTEER_GAIN] = (
         own[_vehicle.H]
         / (grip * _vehicle.GRAVITY)
         * (1.0 / (own[_vehicle.C_SF] * own[_vehicle.LR]) + 1.0 / (own[_vehicle.C_SR] * own[_vehicle.LF]))
     )
-    view[_planner.OPP_LENGTH] = opponent[_vehicle.LENGTH]
-    view[_planner.OPP_WIDTH] = opponent[_vehicle.WIDTH]
-    view[_planner.SPEED_LOW] = settings.speed_low
-    view[_planner.SPEED_HIGH] = settings.speed_high
+    view[_view.OPP_LENGTH] = opponent[_vehicle.LENGTH]
+    view[_view.OPP_WIDTH] = opponent[_vehicle.WIDTH]
+    view[_view.SPEED_LOW] = settings.speed_low
+    view[_view.SPEED_HIGH] = settings.speed_high
 
 
 @inner_kernel
 def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view):  # type: ignore[no-untyped-def]
     """Write what changes from step to step into a view."""
     other = 1 - car
-    view[_planner.TIME] = tick * DT
-    view[_planner.OWN_X] = cars[race, car, _vehicle.X]
-    view[_planner.OWN_Y] = cars[race, car, _vehicle.Y]
-    view[_planner.OWN_DELTA] = cars[race, car, _vehicle.DELTA]
-    view[_planner.OWN_V] = cars[race, car, _vehicle.V]
-    view[_planner.OWN_PSI] = cars[race, car, _vehicle.PSI]
-    view[_planner.OWN_PSI_DOT] = cars[race, car, _vehicle.PSI_DOT]
-    view[_planner.OWN_BETA] = cars[race, car, _vehicle.BETA]
-    view[_planner.OWN_S] = frenet[race, car, 0]
-    view[_planner.OWN_D] = frenet[race, car, 1]
-    view[_planner.OPP_X] = cars[race, other, _vehicle.X]
-    view[_planner.OPP_Y] = cars[race, other, _vehicle.Y]
-    view[_planner.OPP_V] = cars[race, other, _vehicle.V]
-    view[_planner.OPP_PSI] = cars[race, other, _vehicle.PSI]
-    view[_planner.OPP_BETA] = cars[race, other, _vehicle.BETA]
-    view[_planner.OPP_S] = frenet[race, other, 0]
-    view[_planner.OPP_D] = frenet[race, other, 1]
+    view[_view.TIME] = tick * DT
+    view[_view.OWN_X] = cars[race, car, _vehicle.X]
+    view[_view.OWN_Y] = cars[race, car, _vehicle.Y]
+    view[_view.OWN_DELTA] = cars[race, car, _vehicle.DELTA]
+    view[_view.OWN_V] = cars[race, car, _vehicle.V]
+    view[_view.OWN_PSI] = cars[race, car, _vehicle.PSI]
+    view[_view.OWN_PSI_DOT] = cars[race, car, _vehicle.PSI_DOT]
+    view[_view.OWN_BETA] = cars[race, car, _vehicle.BETA]
+    view[_view.OWN_S] = frenet[race, car, 0]
+    view[_view.OWN_D] = frenet[race, car, 1]
+    view[_view.OPP_X] = cars[race, other, _vehicle.X]
+    view[_view.OPP_Y] = cars[race, other, _vehicle.Y]
+    view[_view.OPP_V] = cars[race, other, _vehicle.V]
+    view[_view.OPP_PSI] = cars[race, other, _vehicle.PSI]
+    view[_view.OPP_BETA] = cars[race, other, _vehicle.BETA]
+    view[_view.OPP_S] = frenet[race, other, 0]
+    view[_view.OPP_D] = frenet[race, other, 1]
     i = int(frenet[race, other, 0] / ds) % line.shape[0]
     sine, cosine = sine_cosine(cars[race, other, _vehicle.PSI] + cars[race, other, _vehicle.BETA])
-    view[_planner.OPP_D_DOT] = cars[race, other, _vehicle.V] * (sine * line[i, COS] - cosine * line[i, SIN])
-    view[_planner.GAP] = progress[race, other] - progress[race, car]
+    view[_view.OPP_D_DOT] = cars[race, other, _vehicle.V] * (sine * line[i, COS] - cosine * line[i, SIN])
+    view[_view.GAP] = progress[race, other] - progress[race, car]
 
 
 @kernel
 def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignore[no-untyped-def]
-    """Write what the driver of ``car`` sees (:data:`pcs_racing.planners.planner.VIEW`) into ``view``."""
+    """Write what the driver of ``car`` sees (:data:`pcs_racing.planners.view.VIEW`) into ``view``."""
     _fill_fixed(vehicles[car], vehicles[1 - car], settings, view)
     _fill_moving(track.line, track.ds, state.tick[race], state.cars, state.frenet, state.progress, race, car, view)
-
-
-@inner_kernel
-def _cross_line(laps, race, car, time):  # type: ignore[no-untyped-def]
-    """Count a forward crossing of s = 0; a lap ends, unless the car has only come back after rolling backwards."""
-    laps[race, car, _state.CROSSINGS] += 1.0
-    if laps[race, car, _state.CROSSINGS] <= laps[race, car, _state.MOST_CROSSINGS]:
-        return
-    laps[race, car, _state.MOST_CROSSINGS] = laps[race, car, _state.CROSSINGS]
-    if laps[race, car, _state.MOST_CROSSINGS] > 1.0:
-        lap = time - laps[race, car, _state.CROSSED_AT]
-        best = laps[race, car, _state.BEST_LAP]
-        laps[race, car, _state.LAP_TIME] = lap
-        laps[race, car, _state.BEST_LAP] = lap if best == 0.0 else min(best, lap)
-    laps[race, car, _state.CROSSED_AT] = time
-
-
-@kernel
-def count_crossing(length, before, driven, tick, laps, race, car):  # type: ignore[no-untyped-def]
-    """Account for a control period in which a car crossed s = 0, forward or backward."""
-    if driven > 0.0:
-        share = (length - before) / driven
-        _cross_line(laps, race, car, (tick - CONTROL_EVERY * (1.0 - share)) * DT)
-    else:
-        laps[race, car, _state.CROSSINGS] -= 1.0
-
-
-@kernel(forceinline=True)
-def steering_sd(settings, vehicle):  # type: ignore[no-untyped-def]
-    """Standard deviation of the steering disturbance of a car: its own, else that of the rules."""
-    own = vehicle[_vehicle.STEER_NOISE]
-    return settings.noise_sd if own < 0.0 else own
-
-
-@kernel
-def delayed(memory, delay, tick, steering):  # type: ignore[no-untyped-def]
-    """Put a steering command in the queue at the end of a driver's memory; returns the one whose time has come."""
-    length = int(delay)
-    place = memory.shape[0] - length + (tick // CONTROL_EVERY) % length
-    due = memory[place]
-    memory[place] = steering
-    return due
-
-
-@kernel
-def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race):  # type: ignore[no-untyped-def]
-    """Project both cars onto the race line and add what they drove; crossing s = 0 only counts for the laps.
-
-    Takes single arrays: handing whole named tuples to small functions costs more than their work, in reference counts.
-    """
-    half = 0.5 * length
-    for car in range(2):
-        before = frenet[race, car, 0]
-        s, d = foot(line, ds, length, cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y], before)
-        driven = s - before
-        if driven > half:
-            driven -= length
-            count_crossing(length, before, driven, tick, laps, race, car)
-        elif driven < -half:
-            driven += length
-            count_crossing(length, before, driven, tick, laps, race, car)
-        progress[race, car] += driven
-        frenet[race, car, 0] = s
-        frenet[race, car, 1] = d
 
 
 @inner_kernel
@@ -221,95 +114,6 @@ def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore
         if leader[race] == 1 - ahead:
             overtakes[race, ahead] += 1
         leader[race] = ahead
-
-
-@inner_kernel
-def _latch(cars, crash, fault, race, vehicles, wall0, wall1):  # type: ignore[no-untyped-def]
-    """Keep a crash and who is to blame for it."""
-    if wall0 or wall1:
-        if wall0:
-            crash[race, 0] = _state.WALL_CRASH
-            fault[race, 0] = 1
-        if wall1:
-            crash[race, 1] = _state.WALL_CRASH
-            fault[race, 1] = 1
-        return
-    fault0, fault1 = contact_fault(
-        cars[race, 0],
-        cars[race, 1],
-        0.5 * vehicles[0, _vehicle.LENGTH],
-        0.5 * vehicles[0, _vehicle.WIDTH],
-        0.5 * vehicles[1, _vehicle.LENGTH],
-        0.5 * vehicles[1, _vehicle.WIDTH],
-    )
-    crash[race, 0] = _state.CAR_CRASH
-    crash[race, 1] = _state.CAR_CRASH
-    fault[race, 0] = 1 if fault0 else 0
-    fault[race, 1] = 1 if fault1 else 0
-
-
-@inner_kernel
-def _touch(cars, race, vehicles):  # type: ignore[no-untyped-def]
-    """Whether the two cars of a race overlap."""
-    return rectangles_overlap(
-        cars[race, 0, _vehicle.X],
-        cars[race, 0, _vehicle.Y],
-        cars[race, 0, _vehicle.PSI],
-        cars[race, 1, _vehicle.X],
-        cars[race, 1, _vehicle.Y],
-        cars[race, 1, _vehicle.PSI],
-        0.5 * vehicles[0, _vehicle.LENGTH],
-        0.5 * vehicles[0, _vehicle.WIDTH],
-        0.5 * vehicles[1, _vehicle.LENGTH],
-        0.5 * vehicles[1, _vehicle.WIDTH],
-    )
-
-
-@kernel
-def collide(  # type: ignore[no-untyped-def]
-    distance,
-    origin_x,
-    origin_y,
-    cell,
-    walls,
-    seen_start,
-    seen,
-    seen_distance,
-    seen_middle,
-    seen_stretch,
-    cars,
-    frenet,
-    crash,
-    fault,
-    race,
-    vehicles,
-):
-    """Latch crashes and their faults; returns whether there is one."""
-    wall0 = wall1 = crash[race, 0] != 0  # False, but no constant, for which numba would compile _latch once more
-    for car in range(2):
-        hit = hits_wall(
-            distance,
-            origin_x,
-            origin_y,
-            cell,
-            walls,
-            seen_start,
-            seen,
-            seen_distance,
-            seen_middle,
-            frenet[race, car, 0] / seen_stretch,
-            cars[race, car, _vehicle.X],
-            cars[race, car, _vehicle.Y],
-            cars[race, car, _vehicle.PSI],
-            0.5 * vehicles[car, _vehicle.LENGTH],
-            0.5 * vehicles[car, _vehicle.WIDTH],
-        )
-        wall0 = hit if car == 0 else wall0
-        wall1 = hit if car == 1 else wall1
-    crashed = wall0 or wall1 or _touch(cars, race, vehicles)
-    if crashed:
-        _latch(cars, crash, fault, race, vehicles, wall0, wall1)
-    return crashed
 
 
 @kernel
@@ -389,8 +193,8 @@ def advance_races(  # type: ignore[no-untyped-def]
         Parameters of the two policies of each race.
     vehicles : ndarray, shape (B, 2, 18)
         Parameter rows of the two cars of each race.
-    plan0, control0, plan1, control1 : function pointers
-        The planners of car 0 and car 1 (:meth:`pcs_racing.planners.planner.Planner.pointers`).
+    plan0, control0, plan1, control1 : int
+        Addresses of the planners of car 0 and car 1 (:meth:`pcs_racing.planners.planner.Planner.pointers`).
     settings : KernelSettings
     ticks : int
         Steps to drive.
@@ -418,7 +222,7 @@ def advance_races(  # type: ignore[no-untyped-def]
             for car in range(2):
                 lane = 2 * (race - start) + car
                 load_car(work, lane, cars[race, car], vehicles[race, car])
-                view = work[_VIEWS + lane * _planner.VIEW_SIZE : _VIEWS + (lane + 1) * _planner.VIEW_SIZE]
+                view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
                 _fill_fixed(vehicles[race, car], vehicles[race, 1 - car], settings, view)
         driving = True
         while driving:
@@ -431,17 +235,17 @@ def advance_races(  # type: ignore[no-untyped-def]
                 if tick % CONTROL_EVERY == 0:
                     for car in range(2):
                         lane = 2 * (race - start) + car
-                        view = work[_VIEWS + lane * _planner.VIEW_SIZE : _VIEWS + (lane + 1) * _planner.VIEW_SIZE]
+                        view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
                         path, memory, command = paths[race, car], memories[race, car], commands[race, car]
                         _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view)
                         if car == 0:
                             if tick % PLAN_EVERY == 0:
-                                plan0(track, theta[race, 0], view, memory, scratch, path)
-                            control0(track, theta[race, 0], view, memory, scratch, path, command)
+                                call_plan(plan0, track, theta[race, 0], view, memory, scratch, path)
+                            call_control(control0, track, theta[race, 0], view, memory, scratch, path, command)
                         else:
                             if tick % PLAN_EVERY == 0:
-                                plan1(track, theta[race, 1], view, memory, scratch, path)
-                            control1(track, theta[race, 1], view, memory, scratch, path, command)
+                                call_plan(plan1, track, theta[race, 1], view, memory, scratch, path)
+                            call_control(control1, track, theta[race, 1], view, memory, scratch, path, command)
                         noise_sd = steering_sd(settings, vehicles[race, car])
                         if noise_sd > 0.0:
                             draw = noise_sd * noise_share * steering_noise(state.seed[race], car, tick)
@@ -511,33 +315,3 @@ def advance_races(  # type: ignore[no-untyped-def]
                         params,
                         settings.ittc_horizon,
                     )
-
-
-@kernel
-def place_cars(track, state, vehicles):  # type: ignore[no-untyped-def]
-    """Set the Frenet coordinates of freshly placed cars; marks as crashed those that stand in a wall or in each
-    other.
-    """
-    for race in range(state.tick.shape[0]):
-        for car in range(2):
-            s, d = locate(track, state.cars[race, car, _vehicle.X], state.cars[race, car, _vehicle.Y])
-            state.frenet[race, car, 0] = s
-            state.frenet[race, car, 1] = d
-        collide(
-            track.distance,
-            track.origin_x,
-            track.origin_y,
-            track.cell,
-            track.walls,
-            track.seen_start,
-            track.seen,
-            track.seen_distance,
-            track.seen_middle,
-            track.seen_stretch,
-            state.cars,
-            state.frenet,
-            state.crash,
-            state.fault,
-            race,
-            vehicles[race],
-        )

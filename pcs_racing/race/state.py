@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited, unpack_arrays
-from pcs_racing.planners.planner import PATH_COLUMNS, PATH_POINTS
+from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS
 
 __all__ = ["SUMS", "RaceState", "concatenate", "empty_state", "load_state", "save_state", "take"]
 
@@ -108,7 +108,7 @@ class RaceState(NamedTuple):
     @property
     def crashed(self) -> NDArray[np.bool_]:
         """Whether a race ended in a crash, shape (B,)."""
-        return (self.crash != NO_CRASH).any(axis=1)
+        return (self.crash[:, 0] != NO_CRASH) | (self.crash[:, 1] != NO_CRASH)
 
     @property
     def lap_count(self) -> NDArray[np.int64]:

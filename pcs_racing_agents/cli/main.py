@@ -5,39 +5,42 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.cli import (
-    agents,
-    benchmark,
-    best_reply,
-    characteristics,
-    compilation,
-    explain,
-    export,
-    headroom,
-    learn,
-    match,
-    play,
-    policies,
-    ppo,
-    race,
-    robust_curve,
-    solve,
-    study,
-    synthesize,
-    tournament,
-    track,
-    train,
-    tree,
-    view,
-)
-from pcs_racing_agents.jobs.executors import is_lost
 
 __all__ = ["main"]
 
 FAILED = 2
+
+FILES = {
+    "race": "race",
+    "tournament": "tournament",
+    "track": "track",
+    "agents": "agents",
+    "policies": "policies",
+    "synthesize": "synthesize",
+    "headroom": "headroom",
+    "characteristics": "characteristics",
+    "benchmark": "benchmark",
+    "leaderboard": "benchmark",
+    "match": "match",
+    "play": "play",
+    "tree": "tree",
+    "solve": "solve",
+    "export": "export",
+    "train": "train",
+    "learn": "learn",
+    "best-reply": "best_reply",
+    "robust-curve": "robust_curve",
+    "ppo": "ppo",
+    "study": "study",
+    "explain": "explain",
+    "view": "view",
+    "compile": "compilation",
+}
+"""The file of each command in this folder, in the order of the help. Only what a call needs is imported."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,7 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0, or 2 after an error that the user can correct, which is printed as one line on stderr.
     """
     logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
-    parsed = _parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    parsed = _parser(words[0] if words else None).parse_args(words)
     try:
         parsed.run(parsed)
         sys.stdout.flush()
@@ -72,6 +76,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("pcs-racing: interrupted", file=sys.stderr)
         return 130
     except Exception as error:
+        from pcs_racing_agents.jobs.executors import is_lost  # takes as long to import as a race to drive
+
         if not is_lost(error):
             raise
         return _fail(InputError(f"a worker died or the cluster is gone ({error}); mend that and start the same again"))
@@ -83,7 +89,8 @@ def _fail(error: Exception) -> int:
     return FAILED
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(command: str | None = None) -> argparse.ArgumentParser:
+    """Return the parser of one command, or of all where there is no such command (for help and errors)."""
     parser = argparse.ArgumentParser(
         prog="pcs-racing",
         description="Simulate head-to-head races of two cars; search, train and compare policies and agents for them.",
@@ -92,32 +99,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for group in (
-        race,
-        tournament,
-        track,
-        agents,
-        policies,
-        synthesize,
-        headroom,
-        characteristics,
-        benchmark,
-        match,
-        play,
-        tree,
-        solve,
-        export,
-        train,
-        learn,
-        best_reply,
-        robust_curve,
-        ppo,
-        study,
-        explain,
-        view,
-        compilation,
-    ):
-        group.add(commands)
+    wanted = [FILES[command]] if command in FILES else FILES.values()
+    for file in dict.fromkeys(wanted):
+        import_module(f"pcs_racing_agents.cli.{file}").add(commands)
     return parser
 
 

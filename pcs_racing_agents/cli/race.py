@@ -67,11 +67,10 @@ def run(arguments: argparse.Namespace) -> None:
     ego, opponent = _policy("--ego", arguments.ego), _policy("--opponent", arguments.opponent)
     target = output_file(arguments.replay, ".html", ".json") if arguments.replay else None
     track = load_track(arguments.track)
+    about = f"preset {config.name}, seed {arguments.seed}, race {arguments.index}"
+    print(f"{track.name}, {track.length:.1f} m a lap, {about}", flush=True)  # before the race, which may be compiled
     replay = record_race(
         track, ego, opponent, config, seed=arguments.seed, index=arguments.index, candidates=target is not None
-    )
-    print(
-        f"{track.name}, {track.length:.1f} m a lap, preset {config.name}, seed {arguments.seed}, race {arguments.index}"
     )
     print(_story(replay))
     if target is None:

@@ -14,7 +14,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import ask_moves, check_competitor, competitor_name
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
-from pcs_racing.race.kernel import DT
+from pcs_racing.race.rates import DT
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 

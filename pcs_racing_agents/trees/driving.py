@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.race.kernel import PLAN_EVERY
 from pcs_racing.race.races import advance
+from pcs_racing.race.rates import PLAN_EVERY
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 
 __all__ = ["RaceEnds", "drive_children", "drive_to_the_end"]

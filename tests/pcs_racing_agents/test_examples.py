@@ -66,3 +66,14 @@ def test_what_the_readme_shows(tmp_path, number):
     code = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)[number]
     (tmp_path / "snippet.py").write_text(code)
     run(tmp_path, "snippet.py")
+
+
+@pytest.mark.parametrize("script", ["train_ppo.py", "self_play_ppo.py"])
+def test_training_by_ppo(tmp_path, script):
+    pytest.importorskip("stable_baselines3")
+    pytest.importorskip("matplotlib")
+    out = run(tmp_path, REPOSITORY / "examples" / script, "--steps", 1, "--games", 4)
+    assert "random" in out
+    if script == "train_ppo.py":
+        assert "PPO over random moves: " in out
+        assert {path.name for path in (tmp_path / "out" / "train_ppo").iterdir()} == {"learning_curve.png", "model.zip"}

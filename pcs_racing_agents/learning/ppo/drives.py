@@ -23,9 +23,10 @@ from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.planners.network import INPUTS, TOP_SPEED, WEIGHT_LIMIT, network_inputs, network_planner
-from pcs_racing.planners.planner import VIEW_SIZE, Planner, Policy
+from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.planners.trained import save_driver
+from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceSetup, run_races

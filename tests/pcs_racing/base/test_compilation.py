@@ -11,7 +11,7 @@ from numba.core.caching import IndexDataCacheFile
 from repository import REPOSITORY
 
 from pcs_racing.base import code_cache
-from pcs_racing.base.compilation import compiled, first_call
+from pcs_racing.base.compilation import compiled, first_call, inner_kernel, kernel
 
 
 @compiled
@@ -22,6 +22,22 @@ def divide(a, b):
 def test_compiled_code_divides_as_ieee_says():
     assert divide(1.0, 0.0) == float("inf")
     assert divide(-1.0, 0.0) == float("-inf")
+
+
+@inner_kernel
+def half(a):
+    return 0.5 * a
+
+
+@kernel
+def quarter(a):
+    return half(half(a))
+
+
+def test_inner_kernels_are_for_compiled_functions_alone():
+    assert quarter(2.0) == 0.5
+    with pytest.raises(TypeError, match="half"):
+        half(2.0)
 
 
 def dispatcher(cache: Path, signatures: tuple = ()) -> SimpleNamespace:

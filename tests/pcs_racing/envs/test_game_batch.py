@@ -66,6 +66,11 @@ def test_the_info_says_how_each_game_ended_for_either_car(coarse_oval, archive):
     assert (said["move"], said["opponent_move"], said["opponent"]) == (MOVES[1], MOVES[2], "none")
     assert own["action_mask"].shape == (6, 5)
     assert (own["action_mask"] == 1).all()
+    for environment in range(12):
+        one = batch.info(environment)
+        mask = one.pop("action_mask")
+        assert one == {name: infos[name][environment] for name in infos if name != "action_mask"}
+        np.testing.assert_array_equal(mask, infos["action_mask"][environment])
 
 
 def test_a_step_moves_both_cars_and_pays_them(coarse_oval, archive):

@@ -7,7 +7,7 @@ import pytest
 
 from pcs_racing import Policy, RaceConfig, RaceResult, RaceSetup, Starts, Track, list_tracks, load_track
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import VIEW_SIZE
+from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import advance, run_races, start_races
 

@@ -13,7 +13,7 @@ from pcs_racing.planners.gap_follower import (
     lean,
     widest_gap,
 )
-from pcs_racing.planners.planner import PATH_POINTS
+from pcs_racing.planners.view import PATH_POINTS
 
 ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 

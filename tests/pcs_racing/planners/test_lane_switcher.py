@@ -16,8 +16,8 @@ from pcs_racing.planners.lane_switcher import (
     lane_offset,
 )
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import PATH_POINTS
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT, WALL_MARGIN
+from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track.frenet import LEFT, RIGHT
 
 STRAIGHT = 3.0  # an arc length on the oval's first straight, with 9 m to go

@@ -12,8 +12,8 @@ from pcs_racing import (
     run_races,
 )
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import GAP, OWN_D, OWN_X, OWN_Y, PATH_POINTS
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
+from pcs_racing.planners.view import GAP, OWN_D, OWN_X, OWN_Y, PATH_POINTS
 
 MEMORY = np.zeros(LATTICE.memory_size)
 RANGE = (0.8, 1.0)

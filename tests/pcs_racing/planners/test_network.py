@@ -6,8 +6,8 @@ import pytest
 from pcs_racing import InputError, RaceConfig, RaceSetup, Starts, advance, load_track
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners.network import INPUTS, TOP_SPEED, driver_weight_count, network_inputs, network_planner
-from pcs_racing.planners.planner import OPP_D, OPP_V, OWN_D, OWN_V, STEER_MAX, VIEW_SIZE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
+from pcs_racing.planners.view import OPP_D, OPP_V, OWN_D, OWN_V, STEER_MAX, VIEW_SIZE
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import start_races
 

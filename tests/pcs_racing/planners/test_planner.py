@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import InputError, Parameter, Planner, Policy, UnknownNameError
-from pcs_racing.planners.planner import (
-    COMMAND_SLOTS,
+from pcs_racing.planners.pursuit import COMMAND_SLOTS, calm_speed, follow_path, pursuit_steering
+from pcs_racing.planners.view import (
     OWN_BETA,
     OWN_PSI,
     OWN_V,
@@ -21,9 +21,6 @@ from pcs_racing.planners.planner import (
     VIEW,
     VIEW_SIZE,
     WHEELBASE,
-    calm_speed,
-    follow_path,
-    pursuit_steering,
 )
 
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")

@@ -4,10 +4,10 @@ import pytest
 from repository import REPOSITORY, python_blocks, run_python
 
 from pcs_racing import get_planner
-from pcs_racing.planners import planner
+from pcs_racing.planners import view
 from pcs_racing.planners.network import INPUTS
-from pcs_racing.planners.planner import VIEW
 from pcs_racing.planners.registry import SHIPPED
+from pcs_racing.planners.view import VIEW
 
 PAGE = (REPOSITORY / "docs" / "planners.md").read_text(encoding="utf-8")
 
@@ -23,7 +23,7 @@ def test_the_table_of_the_view_is_the_view():
     rows = table("The view")
     assert {name: meaning for _, name, meaning in rows} == VIEW
     assert [name for _, name, _ in rows] == list(VIEW)
-    assert [getattr(planner, constant) for constant, _, _ in rows] == list(range(len(VIEW)))
+    assert [getattr(view, constant) for constant, _, _ in rows] == list(range(len(VIEW)))
 
 
 @pytest.mark.parametrize("name", [name for name in SHIPPED if get_planner(name).parameters])

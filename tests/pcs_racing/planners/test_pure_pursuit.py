@@ -3,11 +3,23 @@ import math
 import numpy as np
 import pytest
 
-from pcs_racing import CONTEST, PAPER, Planner, RaceConfig, RaceSetup, Starts, advance, list_tracks, load_track
+from pcs_racing import (
+    CONTEST,
+    PAPER,
+    Parameter,
+    Planner,
+    RaceConfig,
+    RaceSetup,
+    Starts,
+    advance,
+    list_tracks,
+    load_track,
+)
 from pcs_racing.base.compilation import compiled
-from pcs_racing.planners import planner as view_index
-from pcs_racing.planners.planner import OWN_D, PATH_POINTS, TIME, calm_speed, pursuit_steering
+from pcs_racing.planners import view as view_index
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
+from pcs_racing.planners.pursuit import calm_speed, pursuit_steering
+from pcs_racing.planners.view import OWN_D, PATH_POINTS, TIME
 from pcs_racing.race.races import run_races, start_races
 from pcs_racing.track.frenet import KAPPA, SPEED, to_cartesian
 
@@ -141,7 +153,7 @@ def twin_drive(track, theta, view, memory):
     return steer, speed
 
 
-SCALE = (view_index.Parameter("scale", 0.3, 1.0, 0.7, "share of the profile's speed"),)
+SCALE = (Parameter("scale", 0.3, 1.0, 0.7, "share of the profile's speed"),)
 COMPILED_TWIN = Planner("compiled-twin", SCALE, control=twin_control, memory_size=1)
 PYTHON_TWIN = Planner("python-twin", SCALE, drive=twin_drive, memory_size=1)
 

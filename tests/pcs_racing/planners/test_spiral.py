@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from pcs_racing import RaceConfig, Starts, load_track
 from pcs_racing.planners import spiral
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import OWN_DELTA, OWN_PSI_DOT, OWN_V, PATH_POINTS, WHEELBASE
 from pcs_racing.planners.spiral import (
     BLOCK,
     BROKEN,
@@ -27,6 +26,7 @@ from pcs_racing.planners.spiral import (
     solve_spirals,
     spiral_curvature,
 )
+from pcs_racing.planners.view import OWN_DELTA, OWN_PSI_DOT, OWN_V, PATH_POINTS, WHEELBASE
 
 GOAL = st.tuples(st.floats(1.5, 4.5), st.floats(-1.0, 1.0), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 GOALS = st.lists(GOAL, min_size=SPIRALS, max_size=SPIRALS).map(np.array)

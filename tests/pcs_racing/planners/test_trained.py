@@ -10,8 +10,8 @@ from pcs_racing import InputError, UnknownNameError
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners import trained
 from pcs_racing.planners.network import INPUTS, network_planner
-from pcs_racing.planners.planner import TIME, VIEW_SIZE
 from pcs_racing.planners.trained import load_driver, read_driver, save_driver, trained_planner
+from pcs_racing.planners.view import TIME, VIEW_SIZE
 
 
 def layers(*hidden: int, seed=1) -> DenseLayers:

@@ -5,7 +5,8 @@ import pytest
 
 from pcs_racing import RaceSetup, Starts, advance, load_race_config, parse_policy, run_races, start_races
 from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.kernel import DT, count_crossing
+from pcs_racing.race.progress import count_crossing
+from pcs_racing.race.rates import DT
 from pcs_racing.race.state import empty_state
 
 RULES = load_race_config("paper", duration=30.0)

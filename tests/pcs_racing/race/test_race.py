@@ -28,11 +28,11 @@ from pcs_racing import (
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import OWN_D, OWN_PSI, OWN_S
-from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.kernel import steering_noise
+from pcs_racing.planners.view import OWN_D, OWN_PSI, OWN_S
+from pcs_racing.race.driving import _pieces, pad_parameters
 from pcs_racing.race.races import start_lines, starts_of
 from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, NO_CRASH, TIME, WALL_CRASH, empty_state
+from pcs_racing.race.steering import steering_noise
 from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.track import Calibration
 
@@ -99,6 +99,16 @@ def test_a_race_does_not_depend_on_the_number_of_threads(oval):
     egos = [lattice(pace=0.1 * k) for k in range(9)]
     one, three = (run_races(oval, egos, lattice(), NOISY, seed=2, threads=threads) for threads in (1, 3))
     assert_same(three.state, one.state)
+
+
+@pytest.mark.parametrize(("ticks", "size"), [(4000, 4), (100, 28), (2, 100)])
+def test_threads_get_pieces_of_whole_groups_or_of_equal_size(oval, ticks, size):
+    """200 races on two circuits: many pieces of a few milliseconds, or few equal ones; each race is in one piece."""
+    pieces = _pieces([(oval, 0, 100), (oval, 100, 200)], 200, ticks, workers=2)
+    ranges = sorted((first, last) for _, first, last in pieces)
+    assert [race for first, last in ranges for race in range(first, last)] == list(range(200))
+    assert ranges[0] == (0, size)
+    assert max(last - first for first, last in ranges) == size
 
 
 def test_without_the_time_to_collision_a_race_is_the_same(oval):

@@ -10,9 +10,12 @@ from pcs_racing import Parameter, Planner, RaceSetup, Starts, VehicleParams, adv
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.ittc import minimum_ittc
 from pcs_racing.car.vehicle import F1TENTH, simulate
-from pcs_racing.planners.planner import VIEW, VIEW_SIZE
-from pcs_racing.race.kernel import fill_view, measure_ittc, place_cars, steering_noise, update_progress
+from pcs_racing.planners.view import VIEW, VIEW_SIZE
+from pcs_racing.race.contacts import place_cars
+from pcs_racing.race.kernel import fill_view, measure_ittc
+from pcs_racing.race.progress import update_progress
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
+from pcs_racing.race.steering import steering_noise
 from pcs_racing.track.frenet import SPEED
 
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)

@@ -17,9 +17,9 @@ from pcs_racing import (
     start_races,
 )
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import OWN_PSI, OWN_S
+from pcs_racing.planners.view import OWN_PSI, OWN_S
 from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.kernel import PLAN_EVERY
+from pcs_racing.race.rates import PLAN_EVERY
 from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
 from pcs_racing.track.frenet import SPEED
 

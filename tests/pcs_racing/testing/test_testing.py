@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import Parameter, Planner, PolicyArchive, get_planner, load_archive, load_track
-from pcs_racing.planners.planner import OPP_V
+from pcs_racing.planners.view import OPP_V
 from pcs_racing.testing import check_archive, check_planner
 
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")

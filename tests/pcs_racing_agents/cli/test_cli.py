@@ -16,7 +16,7 @@ from pcs_racing import list_tracks, load_track, read_replay
 from pcs_racing.planners.registry import SHIPPED
 from pcs_racing.track.maps import shipped_folder
 from pcs_racing.track.track import calibration_values
-from pcs_racing_agents.cli.main import _parser, main
+from pcs_racing_agents.cli.main import FILES, _parser, main
 
 SHORT = ["--duration", "4"]
 PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]
@@ -322,6 +322,20 @@ def commands(parser: argparse.ArgumentParser, name: str = "pcs-racing"):
 
 
 COMMANDS = dict(commands(_parser()))
+
+
+def test_each_command_is_found_in_its_file():
+    assert [name.split()[1] for name in COMMANDS if name.count(" ") == 1] == list(FILES)
+    for name in FILES:
+        assert f"pcs-racing {name}" in dict(commands(_parser(name)))
+
+
+def test_a_race_begins_without_what_other_commands_need():
+    """The rest of the agents takes longer to import than the race takes."""
+    code = "import sys; from pcs_racing_agents.cli.main import _parser; _parser('race'); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "pcs_racing_agents.cli.race" in loaded
+    assert not {name for name in loaded if name.startswith(("pcs_racing_agents.study", "pcs_racing_agents.learning"))}
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -16,7 +16,7 @@ def test_shipped_settings_are_those_of_the_two_levels():
     assert isinstance(result["drive"], DriveSettings)
     assert isinstance(result["duel-contest"], DuelSettings)
     assert result["duel-contest"].archive == "contest"
-    assert result["duel-paper"].steps >= 1_000_000
+    assert result["duel-paper"].steps >= 400_000
     assert result["drive"].steps >= 2_000_000
 
 

@@ -1,0 +1,318 @@
+"""PPO of Stable-Baselines3 with the tuned settings of every environment: learning curves, time, and what it is worth.
+
+    python benchmarks/tuned_ppo.py --only pcs_racing/Match-v0 --out out/tuned
+    python benchmarks/tuned_ppo.py --out out/tuned
+    python benchmarks/tuned_ppo.py --only --out out/tuned --picture docs/images/tuned_ppo.png     # the picture alone
+
+Each environment is trained once, then measured on starts that no training had, beside random actions and, where
+policies are chosen, beside players that never look at the race: those are chosen on other starts. Intervals at the
+strategy level are clustered by the opponent's policy. A folder holds model and curve of each environment; a training
+that is there is not made again.
+"""
+
+import argparse
+import csv
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecNormalize
+
+from pcs_racing.base.files import write_atomically
+from pcs_racing.envs.drive import DriveVectorEnv
+from pcs_racing.envs.duel import DuelVectorEnv
+from pcs_racing.envs.infos import Result
+from pcs_racing.envs.match import MatchVectorEnv
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.blind import walk_to
+from pcs_racing_agents.agents.zoo import make
+from pcs_racing_agents.learning.ppo.tuned import TunedPPO, tuned_environments, tuned_ppo
+from pcs_racing_agents.results.csv_files import write_csv
+from pcs_racing_agents.results.text_table import markdown
+from pcs_racing_agents.tournament.statistics import clustered_mean
+
+CHOOSING, JUDGING = 50_000_000, 90_000_000  # seeds of the starts; those of trainings are small
+POINTS = 40  # of a learning curve
+Player = Callable[[np.ndarray], np.ndarray]
+
+
+class Curve(BaseCallback):
+    """Mean return of the episodes that ended in each of :data:`POINTS` parts of the training, and the time so far."""
+
+    def __init__(self, steps: int) -> None:
+        super().__init__()
+        self.every, self.returns = steps / POINTS, []
+        self.rows: list[tuple[object, ...]] = [("steps", "episodes", "return", "error", "wall_s", "processor_s")]
+        self.began = time.perf_counter(), time.process_time()
+
+    def _on_step(self) -> bool:
+        self.returns += [info["episode"]["r"] for info in self.locals["infos"] if "episode" in info]
+        if self.num_timesteps >= len(self.rows) * self.every and len(self.returns) > 1:
+            spent = time.perf_counter() - self.began[0], time.process_time() - self.began[1]
+            figures = np.mean(self.returns), np.std(self.returns) / np.sqrt(len(self.returns)), *spent
+            self.rows.append((self.num_timesteps, len(self.returns), *(f"{number:.4f}" for number in figures)))
+            if len(self.rows) % 5 == 1:
+                print(f"  {self.num_timesteps} steps: {figures[0]:+.3f} after {spent[0]:.0f} s", flush=True)
+            self.returns = []
+        return True
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="*", default=tuned_environments(), help="environments")
+    parser.add_argument("--share", type=float, default=1.0, help="share of the tuned number of steps, for a first look")
+    parser.add_argument("--games", type=int, default=1024, help="games (matches, races) that a player is judged in")
+    parser.add_argument("--choices", type=int, default=256, help="games in which each blind player is tried")
+    parser.add_argument("--seed", type=int, default=0, help="of the training")
+    parser.add_argument("--out", type=Path, default=Path("out/tuned"), help="folder for models and curves")
+    parser.add_argument("--picture", type=Path, help="draw the learning curves in the folder into this file")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    judges = {
+        "pcs_racing/Duel-v1": judge_duel,
+        "pcs_racing/Match-v0": judge_match,
+        "pcs_racing/Drive-v1": judge_drive,
+        "pcs_racing/head_to_head-v1": judge_self_play,
+        "pcs_racing/drive_head_to_head-v0": judge_drive_self_play,
+    }
+    for name in given.only:
+        tuned = tuned_ppo(name)
+        print(f"\n{name}: {dict(tuned.arguments)}", flush=True)
+        player = trained(tuned, given)
+        rows = judges[name](tuned, player, given.games, given.choices)
+        print("\n".join(["", *markdown(rows)]), flush=True)
+    if given.picture:
+        draw(given.out, given.picture)
+
+
+def file_name(environment: str) -> str:
+    return environment.partition("/")[2]
+
+
+def trained(tuned: TunedPPO, given: argparse.Namespace) -> Player:
+    """Train, or read what was trained before; return the player that takes the most probable actions."""
+    model_file, scale_file = (given.out / f"{file_name(tuned.environment)}{end}" for end in (".zip", "-scale.npz"))
+    curve_file = given.out / f"{file_name(tuned.environment)}.csv"
+    if not model_file.is_file():
+        model = tuned.make_model(given.seed)
+        steps = max(1, int(tuned.steps * given.share))
+        curve = Curve(steps)
+        model.learn(steps, callback=curve)
+        write_csv(curve.rows, curve_file)
+        envs = model.get_env()
+        if isinstance(envs, VecNormalize):
+            scale = {"mean": envs.obs_rms.mean, "variance": envs.obs_rms.var}
+            write_atomically(scale_file, lambda file: np.savez(file, **scale))
+        model.save(model_file)
+    last = list(csv.DictReader(curve_file.open(encoding="utf-8")))[-1]
+    print(f"trained {last['steps']} steps, {last['wall_s']} s, {last['processor_s']} s of processor time", flush=True)
+    model = PPO.load(model_file, device="cpu")
+    if not scale_file.is_file():
+        return lambda seen: model.predict(seen, deterministic=True)[0]
+    with np.load(scale_file, allow_pickle=False) as arrays:
+        mean, spread = arrays["mean"], np.sqrt(arrays["variance"] + 1e-8)
+
+    def choose(seen: np.ndarray) -> np.ndarray:
+        scaled = np.clip((seen - mean) / spread, -10.0, 10.0).astype(np.float32)
+        return np.asarray(model.predict(scaled, deterministic=True)[0])
+
+    return choose
+
+
+def play(envs: Any, player: Player, seed: int, options: dict[str, Any] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return and result of the first episode of each environment: the same starts and noise for every player."""
+    seen, _ = envs.reset(seed=seed, options=options)
+    returns, results = np.zeros(envs.num_envs), np.zeros(envs.num_envs, np.int64)
+    going = np.ones(envs.num_envs, bool)
+    while going.any():
+        seen, rewards, terminated, truncated, info = envs.step(player(seen))
+        returns[going] += rewards[going]
+        ended = going & (terminated | truncated)
+        if ended.any():
+            results[ended] = info["result"][ended]
+        going &= ~ended
+    return returns, results
+
+
+class Arena:
+    """Games or matches against each policy of the archive in turn, or against another opponent."""
+
+    def __init__(self, kind: Any, arguments: Any, games: int, seed: int) -> None:
+        self.envs, self.seed = kind(games, **arguments), seed
+        self.opponents = np.arange(games) % len(self.envs.game.archive)
+
+    def returns(self, player: Player) -> np.ndarray:
+        """Return of each game, shape (games,)."""
+        policies = np.stack([np.full_like(self.opponents, -1), self.opponents], axis=1)
+        return play(self.envs, player, self.seed, {"policies": policies})[0]
+
+    def row(self, name: str, looks: str, returns: np.ndarray, blind: np.ndarray) -> tuple[str, ...]:
+        """Name, whether it looks, mean return, and gain over the best blind player with its interval."""
+        mean = clustered_mean(returns, self.opponents)
+        gain = clustered_mean(returns - blind, self.opponents)
+        interval = "" if returns is blind else f"{gain.mean:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]"
+        return name, looks, f"{mean.mean:.3f} +- {mean.se:.3f}", interval
+
+
+HEAD = ("player", "looks at", "return", "gain over the best blind player")
+
+
+def always(action: int) -> Player:
+    return lambda seen: np.full(len(seen), action)
+
+
+def by_agent(agent: Any) -> Player:
+    return lambda seen: agent.predict(seen)[0]
+
+
+def at_random(actions: int) -> Player:
+    rng = np.random.default_rng(JUDGING)
+    return lambda seen: rng.integers(actions, size=len(seen))
+
+
+def judge_duel(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
+    """Moves that never change and walks to one policy, chosen on other starts; agents that look; and PPO."""
+    choosing = Arena(DuelVectorEnv, tuned.arguments, choices, CHOOSING)
+    game = choosing.envs.game
+    setting = make_setting(game.archive, game.config)
+    constant = {f"always {move}": always(k) for k, move in enumerate(game.move_names)}
+    walks = [walk_to(setting, k) for k in range(len(game.archive))]
+    fixed = {f"walk to policy {k}": lambda seen, walk=walk: walk(seen).argmax(axis=1) for k, walk in enumerate(walks)}
+    world = {"archive": tuned.arguments["archive"], "race": tuned.arguments["race"]}
+    blind = {
+        **dict([best(choosing, constant)]),
+        **dict([best(choosing, fixed)]),
+        "best-schedule": by_agent(make("best-schedule", **world)),
+    }
+    base = best(choosing, blind)[0]
+    judging = Arena(DuelVectorEnv, tuned.arguments, games, JUDGING)
+    reference = judging.returns(blind[base])
+    rows = [HEAD, judging.row("random moves", "nothing", judging.returns(at_random(len(constant))), reference)]
+    for name, player in blind.items():
+        returns = reference if name == base else judging.returns(player)
+        rows.append(judging.row(name, "nothing", returns, reference))
+    for name, looks in (("best-lead-plan", "who leads"), ("response", "all"), ("robust", "all")):
+        rows.append(judging.row(name, looks, judging.returns(by_agent(make(name, **world))), reference))
+    return [*rows, judging.row("PPO", "all", judging.returns(ppo), reference)]
+
+
+def best(arena: Arena, players: dict[str, Player]) -> tuple[str, Player]:
+    """Name and player with the highest mean return."""
+    means = {name: arena.returns(player).mean() for name, player in players.items()}
+    name = max(means, key=means.__getitem__)
+    return name, players[name]
+
+
+def judge_match(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
+    """One policy in all races, or one for each place on the grid, chosen on other starts; remember; and PPO."""
+    choosing = Arena(MatchVectorEnv, tuned.arguments, choices, CHOOSING)
+    policies = len(choosing.envs.game.archive)
+    scores, fronts = [], []
+    for k in range(policies):
+        won, front = races_of(choosing, always(k))
+        scores.append(won)
+        fronts.append(front)
+    won, front = np.array(scores), np.array(fronts[0], bool)
+    fixed = int(won.mean(axis=(1, 2)).argmax())
+    ahead, behind = (int((won * at).sum(axis=(1, 2)).argmax()) for at in (front, ~front))
+    judging = Arena(MatchVectorEnv, tuned.arguments, games, JUDGING)
+    players = {
+        f"always policy {fixed}": (always(fixed), "nothing"),
+        f"policy {ahead} in front, {behind} behind": (
+            lambda seen: np.where(seen[:, -1] > 0.5, ahead, behind),
+            "place on the grid",
+        ),
+    }
+    world = {"archive": tuned.arguments["archive"], "race": tuned.arguments["race"]}
+    players["remember"] = (make("remember", **world).choose, "the races before")
+    players["PPO"] = (ppo, "the races before")
+    returns = {name: judging.returns(player) for name, (player, _) in players.items()}
+    blind = max(list(returns.values())[:2], key=np.mean)
+    rows = [HEAD, judging.row("random policies", "nothing", judging.returns(at_random(policies)), blind)]
+    return [*rows, *(judging.row(name, looks, returns[name], blind) for name, (_, looks) in players.items())]
+
+
+def races_of(arena: Arena, player: Player) -> tuple[np.ndarray, np.ndarray]:
+    """Score of each race, and whether it was started in front, both of shape (matches, races)."""
+    policies = np.stack([np.full_like(arena.opponents, -1), arena.opponents], axis=1)
+    seen, _ = arena.envs.reset(seed=arena.seed, options={"policies": policies})
+    scores, fronts, over = [], [], False
+    while not over:
+        fronts.append(seen[:, -1] > 0.5)
+        seen, rewards, terminated, *_ = arena.envs.step(player(seen))
+        scores.append(rewards)
+        over = bool(terminated.all())
+    return np.stack(scores, axis=1), np.stack(fronts, axis=1)
+
+
+def judge_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
+    """PPO and others against opponents that it never met."""
+    del choices
+    world = {"archive": tuned.arguments["archive"], "race": tuned.arguments["race"]}
+    rows = [("opponent", "random moves", "best-fixed", "PPO", "PPO over random moves")]
+    for opponent in ("random-moves", "never-switch", "best-fixed", "response"):
+        arena = Arena(DuelVectorEnv, {**tuned.arguments, "opponent": opponent}, games, JUDGING)
+        players = at_random(arena.envs.single_action_space.n), by_agent(make("best-fixed", **world)), ppo
+        found = [arena.returns(player) for player in players]
+        gain = clustered_mean(found[2] - found[0], arena.opponents)
+        means = (f"{returns.mean():+.3f}" for returns in found)
+        rows.append((opponent, *means, f"{gain.mean:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]"))
+    return rows
+
+
+DRIVE_HEAD = ("opponent", "player", "return", "error", "won", "crashed or lost")
+
+
+def judge_drive(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
+    """PPO and random actions in the races of the training."""
+    del choices
+    return drive_rows({str(tuned.arguments["opponent"]): tuned.arguments}, ppo, games)
+
+
+def judge_drive_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
+    """PPO and random actions against planners that it never met."""
+    del choices
+    drivers = ("lattice:pace=0.3", "lattice:pace=0.8", "pure-pursuit")
+    return drive_rows({name: {**tuned.arguments, "opponent": name} for name in drivers}, ppo, games)
+
+
+def drive_rows(tasks: dict[str, Any], ppo: Player, games: int) -> list[tuple[str, ...]]:
+    rng = np.random.default_rng(JUDGING)
+    players = {"random actions": lambda seen: rng.uniform(-1.0, 1.0, (len(seen), 2)), "PPO": ppo}
+    rows = [DRIVE_HEAD]
+    for opponent, arguments in tasks.items():
+        envs = DriveVectorEnv(games, **arguments)
+        for name, player in players.items():
+            returns, results = play(envs, player, JUDGING)
+            shares = np.mean(results == Result.WIN), np.mean((results == Result.LOSS) | (results == Result.CRASH))
+            figures = f"{returns.mean():.1f}", f"{returns.std() / np.sqrt(games):.1f}"
+            rows.append((opponent, name, *figures, *(f"{share:.0%}" for share in shares)))
+    return rows
+
+
+def draw(folder: Path, picture: Path) -> None:
+    """Mean return over steps, a panel for each environment that has a curve in the folder."""
+    from matplotlib.figure import Figure
+
+    names = [name for name in tuned_environments() if (folder / f"{file_name(name)}.csv").is_file()]
+    figure = Figure(figsize=(3.6 * len(names), 3.0), layout="constrained")
+    for panel, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
+        with (folder / f"{file_name(name)}.csv").open(encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        steps, mean, error = (np.array([float(row[key]) for row in rows]) for key in ("steps", "return", "error"))
+        panel.fill_between(steps / 1e3, mean - error, mean + error, alpha=0.25, linewidth=0, color="#1f6fd6")
+        panel.plot(steps / 1e3, mean, color="#1f6fd6", linewidth=1.3)
+        panel.set_title(file_name(name), fontsize=10, loc="left")
+        panel.set(xlabel="thousand steps", ylabel="return in training")
+        panel.grid(color="#eef0f3")
+        panel.spines[["top", "right"]].set_visible(False)
+    figure.savefig(picture, dpi=100)
+    print(picture)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""How the compiled race calls a planner's functions: by the address of their machine code.
+
+An address is a plain number. Numba's own function pointers do the same, but looking up the types of the four that a
+race needs took longer than the step of a single race (``benchmarks/environment_speed.py --against`` compares).
+"""
+
+from collections.abc import Callable
+from functools import cache
+from types import FunctionType
+from typing import Any
+
+from numba import types
+from numba.core import config
+from numba.core.errors import NumbaError, TypingError
+from numba.extending import intrinsic
+
+from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.errors import InputError
+from pcs_racing.track.frenet import TrackArrays
+
+__all__ = ["call_control", "call_plan", "control_address", "plan_address"]
+
+_VECTOR = types.Array(types.float64, 1, "C")
+_MATRIX = types.Array(types.float64, 2, "C")
+
+_TRACK = types.NamedTuple(
+    (
+        types.float64,  # length
+        types.float64,  # ds
+        _MATRIX,  # line
+        types.Array(types.float32, 2, "C"),  # distance
+        types.float64,  # origin_x
+        types.float64,  # origin_y
+        types.float64,  # cell
+        _MATRIX,  # walls
+        types.Array(types.int32, 1, "C"),  # seen_start
+        types.Array(types.int32, 1, "C"),  # seen
+        types.Array(types.float32, 1, "C"),  # seen_distance
+        _MATRIX,  # seen_middle
+        types.float64,  # seen_stretch
+        types.Array(types.int32, 2, "C"),  # lookup
+        types.float64,  # lookup_cell
+    ),
+    TrackArrays,
+)
+
+_PLAN = (_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX)
+"""Of track, theta, view, memory, scratch and path."""
+_CONTROL = (*_PLAN, _VECTOR)
+"""The same, and of the command to write."""
+
+
+@cache
+def plan_address(function: Callable[..., None]) -> Any:
+    """Compile a planner's ``plan`` and return the address of its machine code, for `call_plan`.
+
+    Without compilation (``NUMBA_DISABLE_JIT``) it is the function itself.
+    """
+    return _address(function, _PLAN)
+
+
+@cache
+def control_address(function: Callable[..., None]) -> Any:
+    """Compile a planner's ``control`` and return the address of its machine code, for `call_control`."""
+    return _address(function, _CONTROL)
+
+
+def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -> Any:
+    python = getattr(function, "py_func", function)
+    if getattr(config, "DISABLE_JIT", 0):
+        return python
+    if getattr(function, "targetoptions", {}).get("_nrt") is False:  # made by `kernel` already
+        dispatcher: Any = function
+        dispatcher.compile(arguments)
+    else:
+        own = _renamed(python)
+        try:  # without reference counts where the function allocates nothing
+            dispatcher = kernel(own)
+            dispatcher.compile(arguments)
+        except (RuntimeError, NumbaError):
+            dispatcher = compiled(own)
+            dispatcher.compile(arguments)
+    code = dispatcher.overloads[arguments]
+    if code.signature.return_type != types.none:
+        raise InputError(
+            f"a planner's {python.__name__!r} returns {code.signature.return_type}; it must write its results into its "
+            "arguments and return nothing"
+        )
+    _kept.append(code)
+    return code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
+
+
+def _renamed(python: Any) -> FunctionType:
+    """Return a function under a name of its own, or numba would take code from its cache that has other options."""
+    own = FunctionType(python.__code__, python.__globals__, python.__name__, python.__defaults__, python.__closure__)
+    own.__module__, own.__qualname__ = python.__module__, f"{python.__qualname__}.driven"
+    return own
+
+
+_kept: list[Any] = []
+"""Machine code whose address was given away."""
+
+
+def _call(wanted: tuple[types.Type, ...], given: tuple[types.Type, ...]) -> tuple[Any, Callable[..., Any]]:
+    """Signature and machine code of a call: numba's own way to call, with the address of a function it compiled."""
+    if given != wanted:
+        raise TypingError(f"a planner's function takes {wanted}, not {given}")
+
+    def generate(context, builder, signature, values):  # type: ignore[no-untyped-def]
+        function = context.call_conv.get_function_type(types.none, wanted)
+        callee = builder.inttoptr(values[0], function.as_pointer())
+        status, _ = context.call_conv.call_function(builder, callee, types.none, wanted, values[1:])
+        with builder.if_then(status.is_error, likely=False):  # what the planner raised, the race raises
+            context.call_conv.return_status_propagate(builder, status)
+        return context.get_dummy_value()
+
+    return types.none(types.intp, *wanted), generate
+
+
+if getattr(config, "DISABLE_JIT", 0):
+
+    def call_plan(function, track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+        """Call a planner's ``plan``."""
+        function(track, theta, view, memory, scratch, path)
+
+    def call_control(function, track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+        """Call a planner's ``control``."""
+        function(track, theta, view, memory, scratch, path, command)
+
+else:
+
+    @intrinsic
+    def call_plan(typing, address, track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+        """Call a planner's ``plan`` at an address."""
+        return _call(_PLAN, (track, theta, view, memory, scratch, path))
+
+    @intrinsic
+    def call_control(typing, address, track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+        """Call a planner's ``control`` at an address."""
+        return _call(_CONTROL, (track, theta, view, memory, scratch, path, command))

@@ -1,0 +1,52 @@
+"""What changes a steering command on its way to a car: the noise of the race, and the delay of the car."""
+
+import numpy as np
+
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.race.rates import CONTROL_EVERY
+
+__all__ = ["delayed", "steering_noise", "steering_sd"]
+
+
+@inner_kernel(forceinline=True)
+def _mix(key):  # type: ignore[no-untyped-def]
+    """Scramble 64 bits (the finaliser of splitmix64, Steele et al. 2014)."""
+    key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return key ^ (key >> np.uint64(31))
+
+
+@kernel
+def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
+    """One draw of nearly normal noise, mean 0 and variance 1, as a pure function of its arguments.
+
+    The sum of four 16-bit uniform numbers: bounded by 3.5 standard deviations, excess kurtosis -0.3.
+    """
+    key = _mix(seed + np.uint64(0x9E3779B97F4A7C15) * np.uint64(2 * tick + car + 1))
+    key = _mix(key + np.uint64(0xD1B54A32D192ED03))
+    mask = np.uint64(0xFFFF)
+    total = (
+        float(key & mask)
+        + float((key >> np.uint64(16)) & mask)
+        + float((key >> np.uint64(32)) & mask)
+        + float((key >> np.uint64(48)) & mask)
+    )
+    return (total / 65535.0 - 2.0) * 1.7320508075688772
+
+
+@inner_kernel(forceinline=True)
+def steering_sd(settings, vehicle):  # type: ignore[no-untyped-def]
+    """Standard deviation of the steering disturbance of a car: its own, else that of the rules."""
+    own = vehicle[_vehicle.STEER_NOISE]
+    return settings.noise_sd if own < 0.0 else own
+
+
+@inner_kernel
+def delayed(memory, delay, tick, steering):  # type: ignore[no-untyped-def]
+    """Put a steering command in the queue at the end of a driver's memory; returns the one whose time has come."""
+    length = int(delay)
+    place = memory.shape[0] - length + (tick // CONTROL_EVERY) % length
+    due = memory[place]
+    memory[place] = steering
+    return due

@@ -1,0 +1,138 @@
+"""Tuned settings of PPO of Stable-Baselines3 by environment, from a file that train.py of rl_zoo3 reads as well."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pcs_racing.base.checks import check_choice
+from pcs_racing.base.errors import ConfigError, UnknownNameError
+from pcs_racing.base.settings import read_settings
+from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.learning.ppo.learner import check_packages
+
+if TYPE_CHECKING:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecEnv
+
+__all__ = ["TUNED_FILE", "TunedPPO", "tuned_environments", "tuned_ppo"]
+
+TUNED_FILE = shipped_configs("sb3")["ppo"]
+"""The file with the settings of all environments, in the format of rl_zoo3."""
+
+LINEAR = "lin_"
+"""What precedes a learning rate that falls linearly to 0, in the format of rl_zoo3."""
+
+
+@dataclass(frozen=True)
+class TunedPPO:
+    """A task of an environment and the settings with which PPO learns it.
+
+    Attributes
+    ----------
+    environment : str
+        Id of the environment.
+    arguments : Mapping
+        Arguments of the environment: the task.
+    num_envs : int
+        Environments that are stepped together.
+    steps : int
+        Steps of the training, over all environments.
+    normalize : bool
+        Whether observations and rewards are normalised by ``VecNormalize``.
+    settings : Mapping
+        Arguments of ``PPO``; the learning rate as a number, or as text such as "lin_1e-3": it falls linearly to 0.
+    """
+
+    environment: str
+    arguments: Mapping[str, Any]
+    num_envs: int
+    steps: int
+    normalize: bool = False
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def make_envs(self, num_envs: int | None = None) -> "VecEnv":
+        """Return compiled environments of the task for Stable-Baselines3, without normalisation.
+
+        Parameters
+        ----------
+        num_envs : int, optional
+            In place of the tuned number.
+        """
+        check_packages()
+        from pcs_racing.envs.sb3 import make_sb3_vec_env
+
+        return make_sb3_vec_env(self.environment, num_envs or self.num_envs, **self.arguments)
+
+    def make_model(self, seed: int = 0) -> "PPO":
+        """Return an untrained model with its environments; ``model.learn(tuned.steps)`` trains it.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of the networks, the environments and the exploration.
+        """
+        check_packages()
+        from stable_baselines3 import PPO
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        envs = self.make_envs()
+        if self.normalize:
+            envs = VecNormalize(envs, gamma=float(self.settings.get("gamma", 0.99)))
+        settings = {**self.settings, "learning_rate": learning_rate(self.settings.get("learning_rate", 3e-4))}
+        return PPO(env=envs, seed=seed, device="cpu", **settings)
+
+
+def tuned_environments() -> tuple[str, ...]:
+    """Return the ids of all environments with tuned settings."""
+    return tuple(read_settings(TUNED_FILE))
+
+
+def tuned_ppo(environment: str) -> TunedPPO:
+    """Return the tuned settings of PPO for an environment.
+
+    Parameters
+    ----------
+    environment : str
+        Its id, for instance ``"pcs_racing/Match-v0"``.
+
+    Raises
+    ------
+    UnknownNameError
+        If there are no settings for it.
+
+    Examples
+    --------
+    >>> tuned = tuned_ppo("pcs_racing/Match-v0")
+    >>> tuned.arguments["archive"], tuned.settings["policy"]
+    ('contest', 'MlpPolicy')
+    """
+    known = read_settings(TUNED_FILE)
+    check_choice("environment", environment, known, UnknownNameError)
+    values = dict(known[environment])
+    return TunedPPO(
+        environment,
+        arguments=values.pop("env_kwargs"),
+        num_envs=values.pop("n_envs"),
+        steps=values.pop("n_timesteps"),
+        normalize=values.pop("normalize", False),
+        settings=values,
+    )
+
+
+def learning_rate(value: float | str) -> Any:
+    """Return a learning rate as PPO takes it: a number, or a function of the share of the training that is left.
+
+    Raises
+    ------
+    ConfigError
+        If a text is not "lin_" and a number.
+    """
+    if not isinstance(value, str):
+        return float(value)
+    try:
+        first = float(value.removeprefix(LINEAR)) if value.startswith(LINEAR) else float("nan")
+    except ValueError:
+        first = float("nan")
+    if not first > 0.0:
+        raise ConfigError(f"learning_rate is {value!r}; it must be a number, or one after {LINEAR!r}")
+    return lambda left: left * first

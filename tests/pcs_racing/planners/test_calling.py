@@ -1,0 +1,100 @@
+"""Planners' functions as the race kernel calls them."""
+
+import sys
+
+import numpy as np
+import pytest
+from numba import njit
+
+from pcs_racing import InputError, Planner, RaceSetup, advance, load_race_config, load_track, run_races, start_races
+from pcs_racing.planners.calling import control_address
+from pcs_racing.race.races import draw_starts
+
+
+def control(track, theta, view, memory, scratch, path, command):
+    command[0] = 0.0
+    command[1] = 1.0 + 0.0 * track.length
+
+
+def failing(track, theta, view, memory, scratch, path, command):
+    if view[0] > 0.1:  # the time, s
+        raise ValueError("nowhere to go")
+    command[0] = 0.0
+    command[1] = 1.0
+
+
+def returning(track, theta, view, memory, scratch, path, command):
+    return view[0]
+
+
+def allocating(track, theta, view, memory, scratch, path, command):
+    line, values = track.line, np.ones(2)
+    command[0] = 0.0
+    command[1] = values[0] + 0.0 * line[0, 0]
+
+
+def race(function):
+    planner = Planner("test", (), control=function)
+    config = load_race_config("paper", duration=0.4)
+    return run_races(load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1)
+
+
+def test_plain_and_compiled_functions_drive_the_same():
+    assert (race(control).state.cars == race(njit(control)).state.cars).all()
+
+
+def test_a_function_is_compiled_once():
+    assert control_address(control) == control_address(control)
+
+
+def test_what_a_planner_raises_the_race_raises():
+    with pytest.raises(ValueError, match="nowhere to go"):
+        race(failing)
+
+
+def test_a_function_that_returns_something_is_refused():
+    with pytest.raises(InputError, match="returning"):
+        race(returning)
+
+
+@pytest.mark.parametrize("function", [control, allocating, failing])
+def test_references_to_arrays_are_counted_right(function):
+    """Whatever a planner does, no array is freed too early, or never."""
+    planner, track, config = Planner("test", (), control=function), load_track("Tarnfjord"), load_race_config("paper")
+    setup = RaceSetup(track, config, (planner, planner))
+    state = start_races(setup, draw_starts(track, config, 1, 0), np.zeros(1, np.uint64))
+    theta = np.zeros((1, 2, 1))
+    watched = [theta, *state, *(array for array in track.arrays if isinstance(array, np.ndarray))]
+
+    def drive():
+        if function is failing:
+            with pytest.raises(ValueError, match="nowhere to go"):
+                advance(setup, state, theta, 100, threads=1)
+        else:
+            advance(setup, state, theta, 2, threads=1)
+
+    drive()
+    before = [sys.getrefcount(array) for array in watched]
+    for _ in range(20):
+        drive()
+    assert [sys.getrefcount(array) for array in watched] == before
+
+
+def test_functions_with_options_of_their_own_are_compiled_anew(tmp_path, monkeypatch):
+    """Code that numba keeps of a user's function, here with another error model, is not taken for the race."""
+    (tmp_path / "users_planner.py").write_text(
+        "from numba import njit\n\n\n"
+        "@njit(cache=True)\n"
+        "def control(track, theta, view, memory, scratch, path, command):\n"
+        "    command[0] = 0.0\n"
+        "    command[1] = 1.0 / memory[0]\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    from users_planner import control as users
+
+    command = np.zeros(2)
+    with pytest.raises(ZeroDivisionError):
+        users(load_track("Tarnfjord").arrays, *(np.zeros(1) for _ in range(4)), np.zeros((12, 4)), command)
+    planner = Planner("test", (), control=users, memory_size=1)
+    config = load_race_config("paper", duration=0.1)
+    run_races(load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1)

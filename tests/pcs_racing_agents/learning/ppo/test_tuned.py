@@ -1,0 +1,75 @@
+"""Tuned settings of PPO: every environment has them, and they are what rl_zoo3 expects."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from repository import python_blocks, read_page, run_block
+
+from pcs_racing.base.errors import ConfigError, UnknownNameError
+from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_IDS
+from pcs_racing_agents.learning.ppo.tuned import learning_rate, tuned_environments, tuned_ppo
+
+WITHOUT_BATCH = {"pcs_racing/head_to_head_match-v0"}  # nothing of Stable-Baselines3 can step it
+PAGE = read_page("tuned_ppo.md")
+
+
+def test_every_environment_that_sb3_can_step_has_settings():
+    assert set(tuned_environments()) == {*GYMNASIUM_IDS, *PETTINGZOO_IDS} - WITHOUT_BATCH
+    for name in tuned_environments():
+        assert f"`{name}`" in PAGE
+
+
+def test_the_task_of_a_match_is_one_that_holds_a_game():
+    tuned = tuned_ppo("pcs_racing/Match-v0")
+    assert (tuned.arguments["archive"], tuned.arguments["race"]) == ("contest", "contest")
+    assert not tuned.normalize
+    assert "n_envs" not in tuned.settings
+
+
+def test_an_unknown_environment_is_refused_with_a_suggestion():
+    with pytest.raises(UnknownNameError, match="Match-v0"):
+        tuned_ppo("pcs_racing/Match-v1")
+
+
+def test_a_learning_rate_falls_linearly_if_it_says_so():
+    falling = learning_rate("lin_1e-3")
+    assert [falling(1.0), falling(0.5), falling(0.0)] == [1e-3, 5e-4, 0.0]
+    assert learning_rate(0.01) == 0.01
+
+
+@pytest.mark.parametrize("value", ["lin_", "cos_1e-3", "1e-3", "lin_-1", "lin_nan"])
+def test_another_schedule_is_refused(value):
+    with pytest.raises(ConfigError):
+        learning_rate(value)
+
+
+@pytest.mark.parametrize("name", tuned_environments())
+def test_models_are_made_and_act(name):
+    pytest.importorskip("stable_baselines3")
+    tuned = tuned_ppo(name)
+    small = {**tuned.settings, "n_steps": 4, "batch_size": 8}
+    model = replace(tuned, num_envs=2, settings=small).make_model(seed=3)
+    assert model.n_envs == 2
+    assert (model.get_vec_normalize_env() is not None) == tuned.normalize
+    assert model.lr_schedule(1.0) == pytest.approx(float(tuned.settings["learning_rate"].removeprefix("lin_")))
+    seen = model.get_env().reset()
+    assert np.isfinite(seen).all()
+    seen, rewards, _, _ = model.get_env().step(model.predict(seen)[0])
+    assert np.isfinite(rewards).all()
+
+
+@pytest.mark.parametrize("name", sorted(GYMNASIUM_IDS))
+def test_gymnasium_makes_the_task_that_rl_zoo3_reads(name):
+    tuned = tuned_ppo(name)
+    env = gym.make(name, **tuned.arguments)
+    assert env.observation_space == tuned.make_envs(1).observation_space
+    env.close()
+
+
+@pytest.mark.parametrize("number", range(len(python_blocks(PAGE))))
+def test_the_code_of_the_page_runs(number, tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.chdir(tmp_path)
+    run_block(python_blocks(PAGE)[number].replace("model.learn(tuned.steps)", "model.learn(1)"))
