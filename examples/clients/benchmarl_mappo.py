@@ -8,6 +8,7 @@
 A task of BenchMARL names the environment, its groups of agents and its spaces; ``BothCars`` below is all it takes.
 """
 
+import tempfile
 from collections.abc import Callable
 from typing import Any
 
@@ -100,12 +101,13 @@ class Tasks(Task):
         return BothCars
 
 
-def train(task: TaskClass) -> None:
-    """Train for a few steps, and print how it went."""
+def train(task: TaskClass, folder: str) -> None:
+    """Train for a few steps, write what BenchMARL writes into a folder, and print how it went."""
     config = ExperimentConfig.get_from_yaml()
     config.max_n_frames = config.on_policy_collected_frames_per_batch = 64
     config.on_policy_n_envs_per_worker, config.on_policy_n_minibatch_iters = 2, 1
     config.on_policy_minibatch_size, config.evaluation, config.loggers = 32, False, []
+    config.save_folder = folder
     config.create_json, config.checkpoint_at_end, config.render = False, False, False
     experiment = Experiment(
         task=task,
@@ -122,8 +124,9 @@ def train(task: TaskClass) -> None:
 
 
 def main() -> None:
-    train(Tasks.HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord"}))
-    train(Tasks.DRIVE_HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord", "duration": 1.0}))
+    with tempfile.TemporaryDirectory() as folder:
+        train(Tasks.HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord"}), folder)
+        train(Tasks.DRIVE_HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord", "duration": 1.0}), folder)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # /// script
-# dependencies = ["gymnasium==1.4.0", "moviepy==2.2.1"]
+# dependencies = ["gymnasium==1.4.0", "moviepy==2.2.1", "pygame-ce==2.5.8"]
 # ///
 """Gymnasium: its checker, its wrappers of one and of many environments, and its videos, on every environment.
 
@@ -8,6 +8,7 @@
 A wrapper that is not in the two tables below belongs to other kinds of observations or actions.
 """
 
+import os
 import tempfile
 import warnings
 from pathlib import Path
@@ -83,6 +84,7 @@ def film(folder: Path) -> None:
 
 
 def main() -> None:
+    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # the checker opens windows, too
     for name in GYMNASIUM_IDS:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # a warning of the checker is a fault
