@@ -4,6 +4,7 @@ import argparse
 import shlex
 from pathlib import Path
 
+from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
@@ -64,6 +65,8 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Simulate the race and print what happened."""
     config = rules(arguments)
+    check_seed(arguments.seed)
+    check_whole("index", arguments.index, 0, LAST_INDEX)
     ego, opponent = _policy("--ego", arguments.ego), _policy("--opponent", arguments.opponent)
     target = output_file(arguments.replay, ".html", ".json") if arguments.replay else None
     track = load_track(arguments.track)

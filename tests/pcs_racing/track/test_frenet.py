@@ -15,9 +15,9 @@ fractions = st.floats(0.0, 1.0, exclude_max=True)
 
 @pytest.fixture(scope="module")
 def spielberg(real_maps):
-    from pcs_racing.track import track
+    from pcs_racing.track.loading import load_track
 
-    return track.load_track(real_maps / "Spielberg")
+    return load_track(real_maps / "Spielberg")
 
 
 def _difference(track, a, b):

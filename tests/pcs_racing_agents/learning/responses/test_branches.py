@@ -4,6 +4,7 @@ import pytest
 from pcs_racing import make_game
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.race.races import TIE_WITHIN
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
@@ -69,6 +70,6 @@ def test_branches_tell_who_played_and_how_the_race_ended(game, setting):
     result = branch_games(game, always(setting, "restraint +"), race_seeds(5, 6), 1, pilots, pilots[1])
     np.testing.assert_array_equal(result.behaviour, result.game % 2)
     assert ((result.rival >= 0) & (result.rival < len(game.archive))).all()
-    won = np.where(result.leads > 0.0, 1.0, np.where(result.leads < 0.0, 0.0, 0.5))
+    won = np.where(result.leads > TIE_WITHIN, 1.0, np.where(result.leads < -TIE_WITHIN, 0.0, 0.5))
     assert (result.outcomes == won)[~result.crashed].all()
     assert (result.outcomes == 0.0)[result.crashed].all()  # by the paper's rule a crash pays nobody
