@@ -5,11 +5,12 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 
-.PHONY: help demo test compare clients machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
+.PHONY: help demo test kernels compare clients machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
 
 help:
 	@echo "make demo        the paper's study in small: trees, networks, races, a report to look at (under 5 minutes)"
 	@echo "make test        the test suite"
+	@echo "make kernels     compile what races and environments need, which the tests do first"
 	@echo "make compare     comparisons with other libraries (Gambit, pymoo, CMA-MAE and others), which it installs"
 	@echo "make clients     other RL libraries on the environments, each in an environment of its own (half an hour the first time)"
 	@echo "make machines    the test suite as other machines would run it; PYTHONS=\"python3.12 python3.13\" adds those"
@@ -29,9 +30,11 @@ demo: $(VENV)/base.stamp
 	$(VENV)/bin/pcs-racing study quick --out out/demo
 
 # The kernels are compiled once before the tests begin, rather than by every worker at the same time.
-test: $(VENV)/test.stamp
-	$(VENV)/bin/pcs-racing compile
+test: kernels
 	$(RUN) -m pytest -n 2 --dist worksteal
+
+kernels: $(VENV)/test.stamp
+	$(VENV)/bin/pcs-racing compile
 
 # Some of these libraries are large, so that nothing else waits for them.
 compare: $(VENV)/compare.stamp

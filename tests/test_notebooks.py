@@ -9,8 +9,8 @@ from repository import REPOSITORY
 
 NOTEBOOKS = sorted((REPOSITORY / "docs" / "notebooks").glob("*.md"))
 SHORTER = {
-    ".learn(60_000)": ".learn(1)",
-    "races_per_pair=100": "races_per_pair=2",
+    ".learn(8_192)": ".learn(1)",
+    "races_per_pair=40": "races_per_pair=2",
     "[fast] * 100": "[fast] * 10",
 }
 
