@@ -144,11 +144,11 @@ class Arena:
     def __init__(self, kind: Any, arguments: Any, games: int, seed: int) -> None:
         self.envs, self.seed = kind(games, **arguments), seed
         self.opponents = np.arange(games) % len(self.envs.game.archive)
+        self.options = {"policies": np.stack([np.full_like(self.opponents, -1), self.opponents], axis=1)}
 
     def returns(self, player: Player) -> np.ndarray:
         """Return of each game, shape (games,)."""
-        policies = np.stack([np.full_like(self.opponents, -1), self.opponents], axis=1)
-        return play(self.envs, player, self.seed, {"policies": policies})[0]
+        return play(self.envs, player, self.seed, self.options)[0]
 
     def row(self, name: str, looks: str, returns: np.ndarray, blind: np.ndarray) -> tuple[str, ...]:
         """Name, whether it looks, mean return, and gain over the best blind player with its interval."""
@@ -238,8 +238,7 @@ def judge_match(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[
 
 def races_of(arena: Arena, player: Player) -> tuple[np.ndarray, np.ndarray]:
     """Score of each race, and whether it was started in front, both of shape (matches, races)."""
-    policies = np.stack([np.full_like(arena.opponents, -1), arena.opponents], axis=1)
-    seen, _ = arena.envs.reset(seed=arena.seed, options={"policies": policies})
+    seen, _ = arena.envs.reset(seed=arena.seed, options=arena.options)
     scores, fronts, over = [], [], False
     while not over:
         fronts.append(seen[:, -1] > 0.5)

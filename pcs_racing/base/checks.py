@@ -194,19 +194,35 @@ def check_array(
         array = np.array(value, dtype)
     except (TypeError, ValueError, OverflowError):
         raise error(f"{name} is {value!r:.200}; it must hold numbers") from None
-    if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+    if not _fits(array, shape):
         wanted = ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "")
         raise error(f"{name} has shape {array.shape}; it must have ({wanted})")
-    wrong = ~np.isfinite(array)
-    if least is not None:
-        wrong |= array < least
-    if most is not None:
-        wrong |= array > most
+    wrong = ~np.isfinite(array) | _outside(array, least, most)
     if wrong.any():
-        place = tuple(int(i) for i in np.argwhere(wrong)[0])
-        at = f" at {place[0] if len(place) == 1 else place}" if place else ""
-        raise error(f"{name} holds {array[place]}{at}; it must be finite{within(least, most)}")
+        raise error(f"{name} holds {_first(array, wrong)}; it must be finite{within(least, most)}")
     return array
+
+
+def _fits(array: NDArray[Any], shape: Sequence[int | None]) -> bool:
+    """Whether an array has a shape, in which None stands for any length."""
+    return array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+
+
+def _outside(array: NDArray[Any], least: float | None, most: float | None) -> NDArray[np.bool_]:
+    """Which numbers are beyond one of two limits."""
+    outside = np.zeros(array.shape, np.bool_)
+    if least is not None:
+        outside |= array < least
+    if most is not None:
+        outside |= array > most
+    return outside
+
+
+def _first(array: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
+    """The first of the wrong numbers, and where it stands."""
+    place = tuple(int(i) for i in np.argwhere(wrong)[0])
+    at = f" at {place[0] if len(place) == 1 else place}" if place else ""
+    return f"{array[place]}{at}"
 
 
 def as_array(values: Any) -> NDArray[Any]:
@@ -244,24 +260,15 @@ def check_whole_array(
         If it has another shape or type, or a number is out of the range.
     """
     array = as_array(value)
-    fits = not shapes or any(
-        array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
-        for shape in shapes
-    )
+    fits = not shapes or any(_fits(array, shape) for shape in shapes)
     if array.dtype.kind not in "iu" or not fits:
         wanted = " or ".join(str(shape).replace("None", "any") for shape in shapes)
         found = f"has shape {array.shape} and type {array.dtype}" if array.ndim else f"is {value!r:.80}"
         raise error(f"{name} {found}; it must hold whole numbers" + (f" in shape {wanted}" if shapes else ""))
-    wrong = np.zeros(array.shape, np.bool_)
-    if least is not None:
-        wrong |= array < least
-    if most is not None:
-        wrong |= array > most
+    wrong = _outside(array, least, most)
     if wrong.any():
-        place = tuple(int(i) for i in np.argwhere(wrong)[0])
-        at = f" at {place[0] if len(place) == 1 else place}" if place else ""
-        has = "holds" if place else "is"
-        raise error(f"{name} {has} {array[place]}{at}; it must be a whole number{within(least, most)}")
+        has = "holds" if array.ndim else "is"
+        raise error(f"{name} {has} {_first(array, wrong)}; it must be a whole number{within(least, most)}")
     return array.astype(np.int64)
 
 

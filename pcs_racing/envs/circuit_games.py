@@ -1,9 +1,9 @@
 """The game on every circuit that the episodes of a batch are on, with the opponents in it."""
 
-from collections import OrderedDict
 from dataclasses import replace
 from typing import Any
 
+from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.envs.opponents import Opponent, parse_opponents, shared_planner
 from pcs_racing.envs.variety import Variety
 from pcs_racing.game.archive import PolicyArchive
@@ -35,17 +35,11 @@ class CircuitGames:
     ) -> None:
         self._variety, self._archive, self._rules = variety, archive, rules
         self._opponent, self._threads = opponent, threads
-        self._games: OrderedDict[int, tuple[RaceGame, list[Opponent]]] = OrderedDict()
+        self._games: RecentlyUsed[int, tuple[RaceGame, list[Opponent]]] = RecentlyUsed(KEPT + variety.episodes)
 
     def on(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
         """Return the game on a circuit, by its number, and the opponents in it."""
-        known = self._games.get(circuit)
-        if known is None:
-            known = self._games[circuit] = self._make(circuit)
-            if len(self._games) > KEPT + self._variety.episodes:
-                self._games.popitem(last=False)
-        self._games.move_to_end(circuit)
-        return known
+        return self._games.get(circuit, lambda: self._make(circuit))
 
     def _make(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
         game = RaceGame(

@@ -1,11 +1,11 @@
 """The circuits of a batch of drives: what all races on one of them share."""
 
-from collections import OrderedDict
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.envs.circuits import Circuits
 from pcs_racing.envs.drive_kernel import Sight
 from pcs_racing.race.kernel import KernelSettings
@@ -73,18 +73,12 @@ class Courses:
         races: int,
     ) -> None:
         self._circuits, self._setup, self._sight, self._look_ahead = circuits, setup, sight, look_ahead
-        self._ittc, self._most = ittc, KEPT + races
-        self._known: OrderedDict[int, Course] = OrderedDict()
+        self._ittc = ittc
+        self._known: RecentlyUsed[int, Course] = RecentlyUsed(KEPT + races)
 
     def on(self, circuit: int) -> Course:
         """Return the course on a circuit, by its number."""
-        course = self._known.get(circuit)
-        if course is None:
-            course = self._known[circuit] = self._make(circuit)
-            if len(self._known) > self._most:
-                self._known.popitem(last=False)
-        self._known.move_to_end(circuit)
-        return course
+        return self._known.get(circuit, lambda: self._make(circuit))
 
     def _make(self, circuit: int) -> Course:
         setup = replace(self._setup, track=self._circuits.track(circuit))

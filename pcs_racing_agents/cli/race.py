@@ -12,7 +12,6 @@ from pcs_racing.race.recording import LAST_INDEX, record_race
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.replay_files import save_replay
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.agents import zoo
 from pcs_racing_agents.cli.options import (
     POLICY_HELP,
     Commands,
@@ -87,6 +86,8 @@ def _policy(option: str, text: str) -> Policy:
     try:
         return parse_policy(text)
     except UnknownNameError:
+        from pcs_racing_agents.agents import zoo
+
         name = text.partition(":")[0].strip()
         if name not in zoo.entries() and not name.startswith(zoo.ALWAYS):
             raise

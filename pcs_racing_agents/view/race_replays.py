@@ -4,7 +4,6 @@ A replay of the viewer is a smaller form of one of :mod:`pcs_racing.race.replay`
 all races, plans are stored every 0.2 s in centimetres, and data that the page does not draw is left out.
 """
 
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.packing import COARSE, FINE, pack, pack_paths, pack_segments
+from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.replay import Replay
@@ -71,7 +71,7 @@ class RaceRepeater:
         self.results = results
         self.circuits: dict[str, dict[str, Any]] = {}
         self.space: dict[str, Any] | None = None
-        self._pairings: OrderedDict[tuple[str, str, str, int], Pairing] = OrderedDict()
+        self._pairings: RecentlyUsed[tuple[str, str, str, int], Pairing] = RecentlyUsed(MOST_PAIRINGS)
 
     def drive(self, number: int) -> RepeatedRace:
         """Repeat the race of a line of the results.
@@ -82,7 +82,7 @@ class RaceRepeater:
             If there is no such line, the archive, the circuit or an agent has changed since, or the result differs.
         """
         row = self.results.row(number)
-        pairing = self._pairing(row)
+        pairing = self._pairings.get(_pair(row), lambda: self.results.pairing(row))
         if row.race >= len(pairing):
             raise InputError(f"race {number} is number {row.race} of its pair, which drove {len(pairing)}")
         _check_start(number, row, pairing)
@@ -118,16 +118,6 @@ class RaceRepeater:
         order = sorted(numbers, key=lambda number: (_pair(rows(number)), number))
         for number in order:
             yield self.drive(number)
-
-    def _pairing(self, row: RaceRow) -> Pairing:
-        """Return the races of a pair; the last few pairs are cached."""
-        key = _pair(row)
-        if key not in self._pairings:
-            self._pairings[key] = self.results.pairing(row)
-            while len(self._pairings) > MOST_PAIRINGS:
-                self._pairings.popitem(last=False)
-        self._pairings.move_to_end(key)
-        return self._pairings[key]
 
 
 def _pair(row: RaceRow) -> tuple[str, str, str, int]:

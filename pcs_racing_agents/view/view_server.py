@@ -8,13 +8,13 @@ name), and by what the browser says about where they come from.
 
 import re
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.race.replay_files import safe_json
 from pcs_racing_agents.view.race_replays import RaceRepeater
 
@@ -61,7 +61,7 @@ class RaceService:
     def __init__(self, driver: RaceRepeater, races: int) -> None:
         self.driver = driver
         self.races = races
-        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._kept: RecentlyUsed[int, bytes] = RecentlyUsed(MOST_KEPT)
         self._lock = threading.Lock()
 
     def answer(self, path: str) -> Answer:
@@ -73,18 +73,15 @@ class RaceService:
         if not 0 <= number < self.races:
             return error_answer(404, f"there is no race {number}; there are races 0 to {self.races - 1}")
         with self._lock:
-            if number not in self._kept:
-                try:
-                    race = self.driver.drive(number)
-                except (InputError, ModuleNotFoundError, OSError) as error:
-                    return error_answer(409, str(error))
-                circuit = [race.circuit, self.driver.circuits[race.circuit]]
-                content = {"race": race.values, "circuit": circuit, "space": self.driver.space}
-                self._kept[number] = safe_json(content).encode()
-                while len(self._kept) > MOST_KEPT:
-                    self._kept.popitem(last=False)
-            self._kept.move_to_end(number)
-            return Answer(200, self._kept[number])
+            try:
+                return Answer(200, self._kept.get(number, lambda: self._drive(number)))
+            except (InputError, ModuleNotFoundError, OSError) as error:
+                return error_answer(409, str(error))
+
+    def _drive(self, number: int) -> bytes:
+        race = self.driver.drive(number)
+        circuit = [race.circuit, self.driver.circuits[race.circuit]]
+        return safe_json({"race": race.values, "circuit": circuit, "space": self.driver.space}).encode()
 
 
 def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> ThreadingHTTPServer:

@@ -1,0 +1,35 @@
+"""Values that are made when they are first asked for, of which the last ones used are kept."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+__all__ = ["RecentlyUsed"]
+
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
+
+
+class RecentlyUsed(Generic[Key, Value]):
+    """Values by key; where there are too many, the one goes that was not used for the longest time.
+
+    Unlike :func:`functools.lru_cache` it can be copied and pickled together with what the values refer to.
+
+    Parameters
+    ----------
+    most : int
+        Values that are kept, at least 1.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._kept: OrderedDict[Key, Value] = OrderedDict()
+
+    def get(self, key: Key, make: Callable[[], Value]) -> Value:
+        """Return the value of a key; ``make`` makes it if it is not there. If that fails, nothing is kept."""
+        if key not in self._kept:
+            self._kept[key] = make()
+            if len(self._kept) > self._most:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
