@@ -56,7 +56,7 @@ def _controls(n, track, theta, view, memory, scratch, path, command):  # type: i
 @njit(error_model="numpy")
 def _steps(n, lanes):  # type: ignore[no-untyped-def]
     for _ in range(n):
-        step_lanes(lanes, 0.01)
+        step_lanes(lanes, LANES, 0.01)
 
 
 @njit(error_model="numpy")

@@ -3,7 +3,7 @@
 import gc
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -110,8 +110,7 @@ _begun: set[str] = set()
 """What this process has looked for: compiled, loaded or waited for."""
 
 
-@contextmanager
-def first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
+def first_call(dispatcher: Any, what: str, seconds: int) -> AbstractContextManager[bool]:
     """Surround the first call of a compiled function, so that one process compiles it and the others wait.
 
     Prints a line to stderr if the function is neither in memory nor in numba's cache on disk: that it is compiled,
@@ -132,10 +131,19 @@ def first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
         Whether the function is about to be compiled. A caller whose work takes long can then call it without any work,
         so that other processes wait for the compilation alone.
     """
-    known = what in _begun
-    _begun.add(what)  # asking numba what it has compiled costs more than a short race
+    if what in _begun:  # asking numba what it has compiled costs more than a short race
+        return _LATER_CALL
+    return _first_call(dispatcher, what, seconds)
+
+
+_LATER_CALL = nullcontext(False)
+
+
+@contextmanager
+def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
+    _begun.add(what)
     # Without compilation (NUMBA_DISABLE_JIT) it is an ordinary function.
-    if known or not hasattr(dispatcher, "signatures") or dispatcher.signatures or _on_disk(dispatcher):
+    if not hasattr(dispatcher, "signatures") or dispatcher.signatures or _on_disk(dispatcher):
         yield False
         return
     with ExitStack() as turn:

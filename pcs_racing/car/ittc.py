@@ -18,6 +18,9 @@ __all__ = ["minimum_ittc", "segment_ittc"]
 # A segment may end this far, in m, before the point that was computed on it.
 _ROUNDING = 1e-9
 
+# A segment that stays this far, in m, outside the circle of a time can't have a smaller time, however it is rounded.
+_OUTSIDE = 1e-8
+
 
 @kernel(forceinline=True)
 def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untyped-def]
@@ -71,21 +74,50 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
     return best
 
 
+@inner_kernel(forceinline=True)
+def outside_circle(ax, ay, bx, by, cx, cy, square):  # type: ignore[no-untyped-def]
+    """Whether the segment from a to b lies outside the circle about c; ``square`` is that of its radius."""
+    wx = cx - ax
+    wy = cy - ay
+    ex = bx - ax
+    ey = by - ay
+    along = wx * ex + wy * ey
+    length = ex * ex + ey * ey
+    cross = wx * ey - wy * ex
+    end = min(wx * wx + wy * wy, (cx - bx) * (cx - bx) + (cy - by) * (cy - by))
+    # Without branches, which nobody could predict: both ends are outside, and what is between them if it is nearer.
+    return (end > square) & ((along <= 0.0) | (along >= length) | (cross * cross > square * length))
+
+
 @inner_kernel
 def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
     """Return the smaller of ``best`` and the minimum time to collision with the walls visible from a stretch."""
     speed = np.sqrt(vx * vx + vy * vy)
     if speed == 0.0:
         return best
-    dx = x - middle[stretch, 0]
-    dy = y - middle[stretch, 1]
-    off = np.sqrt(dx * dx + dy * dy)
-    for k in range(seen_start[stretch], seen_start[stretch + 1]):
-        # The circle of the best time reaches |v| t far from the lidar; this and all later segments lie outside it.
-        if distance[k] - off >= best * speed:
-            break
-        i = np.uint32(seen[k])
-        best = segment_ittc(walls[i, 0] - x, walls[i, 1] - y, walls[i, 2] - x, walls[i, 3] - y, vx, vy, speed, best)
+    k, last = seen_start[stretch], seen_start[stretch + 1]
+    while k < last:
+        # The circle of the best time so far, about (cx, cy) as seen from the lidar. What is so far from the stretch's
+        # middle lies outside it, as do all later segments.
+        cx = 0.5 * best * vx
+        cy = 0.5 * best * vy
+        radius = 0.5 * best * speed + _OUTSIDE
+        dx = x + cx - middle[stretch, 0]
+        dy = y + cy - middle[stretch, 1]
+        reach = np.sqrt(dx * dx + dy * dy) + radius
+        known = best
+        while k < last and best == known:
+            if distance[k] >= reach:
+                return best
+            i = np.uint32(seen[k])
+            k += 1
+            ax = walls[i, 0] - x
+            ay = walls[i, 1] - y
+            bx = walls[i, 2] - x
+            by = walls[i, 3] - y
+            # Most segments lie outside: seen here without a root or a quotient.
+            if not outside_circle(ax, ay, bx, by, cx, cy, radius * radius):
+                best = segment_ittc(ax, ay, bx, by, vx, vy, speed, best)
     return best
 
 

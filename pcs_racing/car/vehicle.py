@@ -14,6 +14,7 @@ References
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
 from operator import attrgetter
 from typing import Any, Literal, NamedTuple
 
@@ -105,6 +106,10 @@ class VehicleParams(Settings):
 
     def as_row(self) -> NDArray[np.float64]:
         """Return the parameters as the row of numbers that compiled code reads, shape (18,)."""
+        return self._row.copy()
+
+    @cached_property
+    def _row(self) -> NDArray[np.float64]:
         noise = RULES_NOISE if self.steer_noise is None else self.steer_noise
         return np.array([*_physical(self), round(self.steer_delay / COMMAND_PERIOD), noise], dtype=np.float64)
 

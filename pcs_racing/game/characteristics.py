@@ -178,4 +178,7 @@ def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
 
 def measure(segment: Segment, characteristics: Sequence[Characteristic]) -> NDArray[np.float64]:
     """Evaluate characteristics on a segment, shape (B, 2, |G|)."""
-    return np.stack([characteristic.evaluate(segment) for characteristic in characteristics], axis=-1)
+    values = np.empty((*segment.progress.shape, len(characteristics)))
+    for k, characteristic in enumerate(characteristics):
+        values[..., k] = characteristic.evaluate(segment)
+    return values

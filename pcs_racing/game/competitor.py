@@ -221,11 +221,9 @@ def ask_moves(
         return moves
     answer: Any
     if isinstance(competitor, RandomMoves):
-        masks = game.action_mask(state)[rows, car]
-        answer = [
-            np.flatnonzero(mask)[generators[row].integers(int(mask.sum()))]  # type: ignore[index]
-            for row, mask in zip(rows, masks, strict=True)
-        ]
+        allowed = [np.flatnonzero(mask) for mask in game.action_mask(state)[rows, car]]
+        drawn = [each[generators[row].integers(len(each))] for row, each in zip(rows, allowed, strict=True)]  # type: ignore[index]
+        answer = np.array(drawn)
     elif isinstance(competitor, Decider):
         answer = competitor.decide(game, take_games(state, rows), car)
     elif isinstance(competitor, Chooser) and not isinstance(competitor, Predictor):

@@ -100,7 +100,9 @@ def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indi
     games, steps = leads.shape
     axes = own.shape[-1]
     lead = np.minimum(np.maximum(leads / LEAD_SCALE, -LEAD_BOUND), LEAD_BOUND)
-    parts = np.empty((games, 2, steps, 2 * axes + 2), np.float32)
+    size = steps * (2 * axes + 2)
+    observation = np.empty((games, 2, size + 1), np.float32)
+    parts = observation[..., :size].reshape(games, 2, steps, 2 * axes + 2)  # the same memory
     parts[..., :axes] = own
     parts[..., axes:-2] = estimates[:, ::-1]
     parts[:, 0, :, -2] = lead
@@ -108,8 +110,5 @@ def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indi
     parts[..., -1] = 1.0
     unseen = np.arange(steps) > step[:, None]
     parts.transpose(0, 2, 1, 3)[unseen] = 0.0
-    size = steps * parts.shape[-1]
-    observation = np.empty((games, 2, size + 1), np.float32)
-    observation[..., :-1] = parts.reshape(games, 2, size)
     observation[..., -1] = (step / (steps - 1))[:, None]
     return observation

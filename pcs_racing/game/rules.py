@@ -451,7 +451,8 @@ class RaceGame:
     def measure(self, before: RaceState, after: RaceState) -> Floats:
         """Normalised coordinates of each car as measured between two moments a step apart, shape (B, 2, G)."""
         segment = Segment.between(before, after, self.config.step_seconds)
-        return np.clip(self.archive.normalise(measure(segment, self.characteristics)), LOW, HIGH)
+        points = self.archive.normalise(measure(segment, self.characteristics))
+        return np.minimum(np.maximum(points, LOW), HIGH)  # in a third of the time of np.clip
 
     def drive(self, races: RaceState, policies: Indices) -> Floats:
         """Drive a step of the game in place, with policies of the archive: what :meth:`step` does between two moves.

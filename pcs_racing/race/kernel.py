@@ -216,6 +216,7 @@ def advance_races(  # type: ignore[no-untyped-def]
     noise_share = np.sqrt(1.0 - settings.noise_keep * settings.noise_keep)
     for start in range(first, last, GROUP):
         stop = min(start + GROUP, last)
+        lanes = LANES if stop - start > 1 else 2  # the cars of a single race are done sooner one by one
         for race in range(start, stop):
             crashed = crash[race, 0] != 0 or crash[race, 1] != 0
             work[_LEFT + race - start] = 0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])
@@ -260,7 +261,7 @@ def advance_races(  # type: ignore[no-untyped-def]
                     lane = 2 * (race - start) + car
                     slow = step_slow_car(work, lane, cars[race, car], vehicles[race, car], DT)
                     work[_SLOW + lane] = 1.0 if slow else 0.0
-            step_lanes(work, DT)
+            step_lanes(work, lanes, DT)
             for race in range(start, stop):
                 if work[_LEFT + race - start] <= 0.0:
                     continue

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,30 +61,30 @@ class RaceSetup:
     vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH)
     most_delay: float = 0.0
 
-    @property
+    @cached_property
     def memory_size(self) -> int:
         """Numbers of memory for each car in the state: its planner's, and the commands on their way to the steering."""
         delay = max(self.most_delay, *(vehicle.steer_delay for vehicle in self.vehicles))
         return max(planner.memory_total for planner in self.planners) + round(delay / COMMAND_PERIOD)
 
-    @property
+    @cached_property
     def theta_size(self) -> int:
         """Length of the longer of the two planners' parameter vectors."""
         return max(1, *(len(planner.parameters) for planner in self.planners))
 
-    @property
+    @cached_property
     def speed_range(self) -> tuple[float, float]:
         """Speed scales for pace 0 and pace 1: the configuration's, else what the circuit is calibrated to."""
         return self.config.speed_range or calibration_of(self.track, self.config).speed_range
 
-    @property
+    @cached_property
     def start_spacing(self) -> float:
         """Distance between the cars across the track at the start, m: the nearest to the configuration's that works."""
         if start_layout(self.config) != start_layout(preset_of(self.config)):
             return self.config.start_spacing
         return calibration_of(self.track, self.config).start_spacing
 
-    @property
+    @cached_property
     def settings(self) -> KernelSettings:
         """The numbers that the compiled loop needs."""
         return kernel_settings(self.config, self.speed_range)

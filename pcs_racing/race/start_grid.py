@@ -86,8 +86,9 @@ def place_on_grid(
             f"race {i}: the start line {starts.s[i]} m is not on track {track.name!r}; it must lie in "
             f"[0, {arrays.length:.2f})"
         )
-    if not np.isin(starts.side, (0, 1)).all():
-        raise InputError(f"start sides must be 0 or 1; found {starts.side[~np.isin(starts.side, (0, 1))][0]}")
+    neither = (starts.side != 0) & (starts.side != 1)
+    if neither.any():
+        raise InputError(f"start sides must be 0 or 1; found {starts.side[neither][0]}")
     races = len(starts)
     state = empty_state(races, memory_size)
     rows = np.arange(races)

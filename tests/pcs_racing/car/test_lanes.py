@@ -23,7 +23,7 @@ def _drive(lanes, states, params, targets, steps):  # type: ignore[no-untyped-de
     for _ in range(steps):
         for lane in range(states.shape[0]):
             slow[lane] = step_slow_car(lanes, lane, states[lane], params[lane], 0.01)
-        step_lanes(lanes, 0.01)
+        step_lanes(lanes, LANES if states.shape[0] > 2 else states.shape[0], 0.01)
         for lane in range(states.shape[0]):
             if slow[lane]:
                 load_car(lanes, lane, states[lane], params[lane])
