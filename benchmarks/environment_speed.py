@@ -1,6 +1,7 @@
 """Steps per second of the environments: batches against scalar environments, with and without a lidar, on one core.
 
     python benchmarks/environment_speed.py [--track NAME_OR_FOLDER] [--envs 256] [--seconds 1.0]
+    python benchmarks/environment_speed.py --only duel "both cars"    # the variants whose names hold one of these
     python benchmarks/environment_speed.py --against PATH    # scalar environments beside those of another checkout
 
 Everything is measured in one run, the variants in turn for several rounds, and the best round of each counts. Times
@@ -189,6 +190,9 @@ def main() -> None:
     parser.add_argument("--envs", type=int, default=256, help="environments in a batch")
     parser.add_argument("--seconds", type=float, default=1.0, help="for each variant in each round")
     parser.add_argument("--against", type=Path, metavar="PATH", help="only compare with the checkout in this folder")
+    parser.add_argument(
+        "--only", nargs="+", metavar="TEXT", default=[""], help="variants whose names hold one of these"
+    )
     given = parser.parse_args()
     if given.against is not None:
         for name in ("drive", "duel"):
@@ -196,28 +200,33 @@ def main() -> None:
             print(f"{name}, scalar: {new:.1f} us a step here, {old:.1f} there: {old / new:.2f} times as fast")
         return
     track, envs = given.track, given.envs
-    variants = {
-        "drive, batch, pure pursuit": drive_batch(track, envs, opponent="pure-pursuit"),
-        "drive, batch, lattice": drive_batch(track, envs),
-        "drive, batch, alone": drive_batch(track, envs, opponent=None),
-        "drive, batch, pure pursuit, 108 beams": drive_batch(track, envs, opponent="pure-pursuit", beams=108),
-        "drive, batch, pure pursuit, 1080 beams": drive_batch(track, envs, opponent="pure-pursuit", beams=1080),
-        "drive, batch, both cars 1080 beams": drive_batch(track, envs, both=True, opponent="pure-pursuit", beams=1080),
-        "two agents, batch": pair_batch(track, envs),
-        "two agents, batch, 108 beams": pair_batch(track, envs, beams=108),
-        "two agents, batch, 1080 beams": pair_batch(track, envs, beams=1080),
-        "drive, scalar, pure pursuit": drive_scalar(track, opponent="pure-pursuit"),
-        "drive, scalar, compiled call alone": drive_scalar(track, inner=True, opponent="pure-pursuit"),
-        "drive, scalar, 1080 beams": drive_scalar(track, opponent="pure-pursuit", beams=1080),
-        "duel, batch": duel_batch(track, envs),
-        "duel, scalar": duel_scalar(track),
-        "match, batch": match_batch(track, envs),
-        "match, scalar": match_scalar(track),
+    pure = {"opponent": "pure-pursuit"}
+    makers: dict[str, Callable[[], Work]] = {
+        "drive, batch, pure pursuit": lambda: drive_batch(track, envs, **pure),
+        "drive, batch, lattice": lambda: drive_batch(track, envs),
+        "drive, batch, alone": lambda: drive_batch(track, envs, opponent=None),
+        "drive, batch, pure pursuit, 108 beams": lambda: drive_batch(track, envs, **pure, beams=108),
+        "drive, batch, pure pursuit, 1080 beams": lambda: drive_batch(track, envs, **pure, beams=1080),
+        "drive, batch, both cars 1080 beams": lambda: drive_batch(track, envs, both=True, **pure, beams=1080),
+        "two agents, batch": lambda: pair_batch(track, envs),
+        "two agents, batch, 108 beams": lambda: pair_batch(track, envs, beams=108),
+        "two agents, batch, 1080 beams": lambda: pair_batch(track, envs, beams=1080),
+        "drive, scalar, pure pursuit": lambda: drive_scalar(track, **pure),
+        "drive, scalar, compiled call alone": lambda: drive_scalar(track, inner=True, **pure),
+        "drive, scalar, 1080 beams": lambda: drive_scalar(track, **pure, beams=1080),
+        "duel, batch": lambda: duel_batch(track, envs),
+        "duel, scalar": lambda: duel_scalar(track),
+        "match, batch": lambda: match_batch(track, envs),
+        "match, scalar": lambda: match_scalar(track),
+        "duel, SuperSuit (games)": lambda: supersuit_games(track),
     }
-    try:
-        variants["duel, SuperSuit (games)"] = supersuit_games(track)
-    except ImportError:
-        print("SuperSuit is not installed: its path is left out")
+    variants = {}
+    for name, make in makers.items():
+        if any(text in name for text in given.only):
+            try:
+                variants[name] = make()
+            except ImportError:
+                print("SuperSuit is not installed: its path is left out")
     best = dict.fromkeys(variants, 0.0)
     for work, _ in variants.values():
         work()  # compiles
@@ -232,10 +241,12 @@ def main() -> None:
     print(f"{'':42} {'steps/s':>10} {'us/step':>9} {'ratio':>7}")
     for name, rate in best.items():
         level = name.partition(",")[0]
-        scalar = best["drive, scalar, pure pursuit" if level == "drive" else f"{level}, scalar"]
-        print(f"{name:42} {rate:10.0f} {1e6 / rate:9.2f} {rate / scalar:7.2f}")
-    wrapper = 1e6 / best["drive, scalar, pure pursuit"] - 1e6 / best["drive, scalar, compiled call alone"]
-    print(f"what Gymnasium's interface adds to the compiled call: {wrapper:.1f} us a step")
+        scalar = best.get({"duel": "duel, scalar", "match": "match, scalar"}.get(level, "drive, scalar, pure pursuit"))
+        print(f"{name:42} {rate:10.0f} {1e6 / rate:9.2f}" + (f" {rate / scalar:7.2f}" if scalar else ""))
+    step, call = best.get("drive, scalar, pure pursuit"), best.get("drive, scalar, compiled call alone")
+    if step and call:
+        added = 1e6 / step - 1e6 / call
+        print(f"what Gymnasium's interface adds to the compiled call: {added:.1f} us a step")
 
 
 if __name__ == "__main__":

@@ -106,7 +106,7 @@ def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy,
         dy = y + cy - middle[stretch, 1]
         reach = np.sqrt(dx * dx + dy * dy) + radius
         known = best
-        while k < last and best == known:
+        while k < last and not best < known:
             if distance[k] >= reach:
                 return best
             i = np.uint32(seen[k])
