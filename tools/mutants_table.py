@@ -124,7 +124,8 @@ MODULES = {
         backward_induction: backward_induction
         game_tree: game_tree cfr
         matrix_games: matrix_games
-        openspiel openspiel_game: openspiel_game
+        openspiel: openspiel_game efg
+        openspiel_game: openspiel_game
         rational_games: matrix_games
         sequence_form: sequence_form evaluation
         """,
