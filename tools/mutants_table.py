@@ -90,7 +90,10 @@ MODULES = {
         "rules",
         "pcs_racing/game",
         """
-        rules state reward observation competitor starting: ; game
+        rules state observation: ; game
+        reward: reward; game
+        competitor: ; competitor game
+        starting: starting; game
         config: game_config
         archive: archive
         moves: archive; game
@@ -102,7 +105,7 @@ MODULES = {
         "pcs_racing/envs",
         """
         drive_kernel: drive_kernel; drive
-        drive_batch drive_courses: drive_kernel; drive
+        drive_batch drive_courses: drive_kernel; drive variety
         drive moving_opponents: ; drive
         game_batch circuit_games opponents: game_batch; duel
         duel: ; duel
