@@ -105,8 +105,10 @@ MODULES = {
         "pcs_racing/envs",
         """
         drive_kernel: drive_kernel; drive
-        drive_batch drive_courses: drive_kernel; drive variety
-        drive moving_opponents: ; drive
+        drive_batch: drive_kernel; drive variety
+        drive_courses: drive_kernel; drive /pcs_racing_agents/agents/opponents
+        drive: ; drive
+        moving_opponents: ; drive /pcs_racing_agents/agents/opponents
         game_batch circuit_games opponents: game_batch; duel
         duel: ; duel
         scalar vector over_batch reset_options: ; vector

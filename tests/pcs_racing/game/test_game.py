@@ -155,10 +155,10 @@ def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
         assert drawn.max() < 4.0 * 400 / count + 5.0
 
 
-def test_a_state_begins_with_zeros():
+def test_a_state_begins_with_zeros_and_nobody_leads():
     for name, array in arrays(empty_game(2, 3, 4, 5, 2)).items():
         assert array.shape[0] == 2, name
-        assert not array.any(), name
+        assert (array == (-1 if name == "leader" else 0)).all(), name
 
 
 def test_a_step_leaves_its_argument_alone(game):
