@@ -108,12 +108,16 @@ MODULES = {
         drive_batch: drive_kernel; drive variety
         drive_courses: drive_kernel; drive /pcs_racing_agents/agents/opponents
         drive: ; drive
-        moving_opponents: ; drive /pcs_racing_agents/agents/opponents
-        game_batch circuit_games opponents: game_batch; duel
+        moving_opponents: ; moving_opponents drive
+        game_batch circuit_games: game_batch; duel variety
+        opponents: game_batch; duel drive /pcs_racing_agents/agents/opponents
         duel: ; duel
-        scalar vector over_batch reset_options: ; vector
+        scalar vector: ; vector
+        over_batch: ; vector drive
+        reset_options: ; reset_options
         head_to_head: ; head_to_head
-        match match_batch head_to_head_match: ; match
+        match head_to_head_match: ; match
+        match_batch: ; match variety
         drive_head_to_head: ; drive_head_to_head
         parallel: ; head_to_head drive_head_to_head
         """,
