@@ -107,18 +107,18 @@ MODULES = {
         drive_kernel: drive_kernel; drive
         drive_batch: drive_kernel; drive variety
         drive_courses: drive_kernel; drive /pcs_racing_agents/agents/opponents
-        drive: ; drive
+        drive: ; drive defaults
         moving_opponents: ; moving_opponents drive
         game_batch circuit_games: game_batch; duel variety
         opponents: game_batch; duel drive /pcs_racing_agents/agents/opponents
-        duel: ; duel
+        duel: ; duel defaults
         scalar vector: ; vector
         over_batch: ; vector drive
         reset_options: ; reset_options
-        head_to_head: ; head_to_head
-        match head_to_head_match: ; match
+        head_to_head: ; head_to_head defaults
+        match head_to_head_match: ; match defaults
         match_batch: ; match variety
-        drive_head_to_head: ; drive_head_to_head
+        drive_head_to_head: ; drive_head_to_head defaults
         parallel: ; head_to_head drive_head_to_head
         """,
     ),

@@ -417,6 +417,13 @@ def test_results_that_do_not_fit_each_other_are_named():
     """Where an executor has each part of the points evaluated on its own."""
     with ThreadPoolExecutor(2) as executor, pytest.raises(InputError, match="results of different shapes"):
         synthesize(lambda x: np.zeros((len(x), 2 + int(x[0, 0] > 0.5))), UNIT, **SMALL, executor=executor)
+    with ThreadPoolExecutor(2) as executor, pytest.raises(InputError, match="results of different shapes"):
+        synthesize(violations_in_a_part, UNIT, **SMALL, executor=executor)
+
+
+def violations_in_a_part(points):
+    objectives = np.zeros((len(points), 2))
+    return objectives if points[0, 0] > 0.5 else (objectives, np.zeros(len(points)))
 
 
 @pytest.mark.parametrize(
