@@ -463,6 +463,19 @@ def test_without_the_library_the_error_says_what_to_install(monkeypatch):
         Search(UNIT, method="nsga2")
 
 
+def test_an_archive_whose_objectives_have_changed_is_evaluated_as_for_the_first_time():
+    calls = []
+
+    def evaluate(points, repeats):
+        calls.append((points, repeats))
+        return spheres(points)
+
+    synthesize(evaluate, UNIT, callback=lambda _: True, reevaluation=0.3, **SMALL)
+    (first, _), (again, repeats) = calls[:2]
+    assert {tuple(point) for point in again} <= {tuple(point) for point in first}
+    assert not repeats.any()
+
+
 def test_what_violates_a_constraint_lies_below_all_that_does_not_the_lower_the_more():
     scale = Scale(ideal=np.array([1.0, -1.0]), nadir=np.array([-1.0, -3.0]))
     objectives = np.array([[0.5, -2.0], [2.0, 0.0], [3.0, 5.0]])
