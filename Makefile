@@ -5,6 +5,9 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 
+# The tests start some hundred processes. Without bytecode on disk each of them would compile all of our files again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help demo test kernels compare clients machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
 
 help:
