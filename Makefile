@@ -32,7 +32,10 @@ help:
 demo: $(VENV)/base.stamp
 	$(VENV)/bin/pcs-racing study quick --out out/demo
 
-# The kernels are compiled once before the tests begin, rather than by every worker at the same time.
+# The kernels are compiled once before the tests begin, rather than by every worker at the same time. Linear algebra keeps
+# to one thread: several in each of two workers, and in the processes that these start, would fight for two cores.
+test: export OMP_NUM_THREADS = 1
+test: export OPENBLAS_NUM_THREADS = 1
 test: kernels
 	$(RUN) -m pytest -n 2 --dist worksteal
 

@@ -28,8 +28,19 @@ IMPORTED += ["stable_baselines3", "matplotlib.pyplot", "distributed.cli.dask_wor
 def _context() -> Any:
     if sys.platform != "linux":
         return get_context("spawn")
+    from multiprocessing import forkserver  # not on Windows
+
     context = get_context("forkserver")
     context.set_forkserver_preload(IMPORTED)
+    before = os.environ.get("PYTHONPATH")
+    # It would look for our packages in the folder of this moment, and then find those of another checkout.
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    try:
+        forkserver.ensure_running()
+    finally:
+        os.environ.pop("PYTHONPATH")
+        if before is not None:
+            os.environ["PYTHONPATH"] = before
     return context
 
 
