@@ -5,6 +5,9 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 
+# The tests start some hundred processes. Without bytecode on disk each of them would compile all of our files again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help demo test kernels compare clients machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
 
 help:
@@ -29,7 +32,10 @@ help:
 demo: $(VENV)/base.stamp
 	$(VENV)/bin/pcs-racing study quick --out out/demo
 
-# The kernels are compiled once before the tests begin, rather than by every worker at the same time.
+# The kernels are compiled once before the tests begin, rather than by every worker at the same time. Linear algebra keeps
+# to one thread: several in each of two workers, and in the processes that these start, would fight for two cores.
+test: export OMP_NUM_THREADS = 1
+test: export OPENBLAS_NUM_THREADS = 1
 test: kernels
 	$(RUN) -m pytest -n 2 --dist worksteal
 

@@ -2,10 +2,11 @@
 
 import importlib
 import re
-import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+
+from warm_start import call_python
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -34,8 +35,7 @@ def run_block(code: str) -> None:
 
 
 def run_python(*arguments: object, folder: Path = REPOSITORY) -> str:
-    """Run Python in another process, and return what it printed."""
-    command = [sys.executable, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=300, check=False)
+    """Run Python in another process, which must end well, and return what it printed."""
+    done = call_python(*arguments, cwd=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -144,18 +144,29 @@ EXAMPLES = {
 }
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_without_its_library_ends_in_one_line(name, tmp_path):
-    library, extra = EXAMPLES[name]
-    script = REPOSITORY / "examples" / f"{name}.py"
+@pytest.fixture(scope="module")
+def ends(tmp_path_factory):
+    """How each of them ends, and what it prints before."""
     code = f"""
-import runpy
-try:
-    runpy.run_path({str(script)!r}, run_name="__main__")
-except SystemExit as end:
-    print(end.code)
+import contextlib, io, json, runpy
+
+ends = {{}}
+for name in {list(EXAMPLES)!r}:
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        try:
+            runpy.run_path(f"{REPOSITORY / "examples"}/{{name}}.py", run_name="__main__")
+        except SystemExit as end:
+            ends[name] = end.code, printed.getvalue()
+print(json.dumps(ends))
 """
-    assert without_extras(code, tmp_path) == f'this example needs {library}: pip install ".[{extra}]"\n'
+    return json.loads(without_extras(code, tmp_path_factory.mktemp("bare")))
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_without_its_library_ends_in_one_line(name, ends):
+    library, extra = EXAMPLES[name]
+    assert ends[name] == [f'this example needs {library}: pip install ".[{extra}]"', ""]
 
 
 def test_examples_that_import_a_library_of_an_extra_are_all_tried():

@@ -1,12 +1,32 @@
+from collections.abc import Iterator
+from concurrent.futures import Executor
+
 import numpy as np
 import pytest
 from zoo_games import CONFIG, toy_archive, untrained
 
 from pcs_racing import PolicyArchive, RaceGame, load_race_config, load_track, save_archive
 from pcs_racing_agents.agents import Setting, make_setting
-from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.jobs import make_executor, open_job
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
+
+
+@pytest.fixture(scope="session")
+def processes() -> Iterator[Executor]:
+    """Two processes for all tests: those of each executor would import and load everything again."""
+    with make_executor("processes", 2) as executor:
+        yield executor
+
+
+@pytest.fixture
+def executor(kind, request) -> Iterator[Executor | None]:
+    """An executor of the kind that a test is about, with two workers."""
+    if kind == "processes":
+        yield request.getfixturevalue("processes")
+    else:
+        with make_executor(kind, 2) as own:
+            yield own
 
 
 @pytest.fixture(scope="session")

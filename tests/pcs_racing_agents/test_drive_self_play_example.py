@@ -1,9 +1,7 @@
 import re
-import subprocess
-import sys
 
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, run_python
 
 EXAMPLE = REPOSITORY / "examples" / "drive_self_play.py"
 
@@ -11,14 +9,11 @@ EXAMPLE = REPOSITORY / "examples" / "drive_self_play.py"
 def test_it_learns_and_races_in_a_small_setting(tmp_path):
     pytest.importorskip("stable_baselines3")
     size = ("--steps", "512", "--envs", "8", "--rollout", "64", "--races", "2", "--duration", "2")
-    done = subprocess.run(
-        [sys.executable, EXAMPLE, *size, "--track", "Pipkin"], capture_output=True, text=True, cwd=tmp_path, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    out = run_python(EXAMPLE, *size, "--track", "Pipkin", folder=tmp_path)
     assert re.search(
-        r"^ +512 steps .* about +0\.0 left .* won against lattice: \d+% .paper., \d+% .contest.$", done.stdout, re.M
+        r"^ +512 steps .* about +0\.0 left .* won against lattice: \d+% .paper., \d+% .contest.$", out, re.M
     )
-    rows = re.findall(r"^(\S.*?) +(paper|contest) +([\d.]+)% +\S+ +([\d.]+)%$", done.stdout, re.M)
+    rows = re.findall(r"^(\S.*?) +(paper|contest) +([\d.]+)% +\S+ +([\d.]+)%$", out, re.M)
     assert [row[:2] for row in rows] == [
         ("lattice, archive default", "paper"),
         ("ppo-drive", "paper"),

@@ -1,24 +1,14 @@
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, run_python
 
-
-def run(folder: Path, *arguments: object) -> str:
-    """Output of a Python process that must end well."""
-    done = subprocess.run(
-        [sys.executable, *map(str, arguments)], capture_output=True, text=True, cwd=folder, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+EXAMPLES = REPOSITORY / "examples"
 
 
 def test_tournament(tmp_path):
     arguments = ("--track", "Pipkin", "--races", 2, "--duration", 3, "--out", "made")
-    out = run(tmp_path, REPOSITORY / "examples" / "tournament.py", *arguments)
+    out = run_python(EXAMPLES / "tournament.py", *arguments, folder=tmp_path)
     assert "12 races of 3 s" in out
     assert {path.name for path in (tmp_path / "made").iterdir()} == {"results.csv", "replay.html"}
 
@@ -26,37 +16,38 @@ def test_tournament(tmp_path):
 def test_all_play_all(tmp_path):
     agents = ("never-switch", "random-moves", "lane-switcher")
     arguments = ("--track", "Pipkin", "--races", 4, "--agents", *agents, "--out", "made")
-    out = run(tmp_path, REPOSITORY / "examples" / "all_play_all.py", *arguments)
+    out = run_python(EXAMPLES / "all_play_all.py", *arguments, folder=tmp_path)
     assert "12 races of 40 s" in out
     assert "equilibrium: " in out
     assert (tmp_path / "made" / "results.csv").is_file()
 
 
 def test_custom_agent(tmp_path):
-    out = run(tmp_path, REPOSITORY / "examples" / "custom_agent.py", "--track", "Pipkin", "--races", 2)
+    out = run_python(EXAMPLES / "custom_agent.py", "--track", "Pipkin", "--races", 2, folder=tmp_path)
     assert "20 races of 40 s" in out
     assert all(name in out for name in ("catch-up", "catch-up-too", "stubborn"))
 
 
 def test_the_papers_table(tmp_path):
     size = ("--egos", 2, "--variants", 2, "--lines", 1, "--arms", "never-switch", "cfr-argmax")
-    script = REPOSITORY / "examples" / "papers_table.py"
-    out = run(tmp_path, script, "--tracks", "Tarnfjord", *size, "--out", "made")
+    script = EXAMPLES / "papers_table.py"
+    out = run_python(script, "--tracks", "Tarnfjord", *size, "--out", "made", folder=tmp_path)
     assert "paper: GT" in out
     assert "paper: 0.515 ± 0.251 non-GT, 0.569 ± 0.213 GT, difference +0.054, p 0.0142" in out
     assert (tmp_path / "made" / "table.csv").read_text(encoding="utf-8").count("\n") == 1 + 3
-    assert run(tmp_path, script, "--tracks", "Tarnfjord", *size, "--out", "made") == out  # from what was driven before
+    again = run_python(script, "--tracks", "Tarnfjord", *size, "--out", "made", folder=tmp_path)
+    assert again == out  # from what was driven before
 
 
 def test_move_by_move(tmp_path):
-    out = run(tmp_path, REPOSITORY / "examples" / "move_by_move.py", "--track", "Pipkin", "--opponent", "random-moves")
+    out = run_python(EXAMPLES / "move_by_move.py", "--track", "Pipkin", "--opponent", "random-moves", folder=tmp_path)
     assert out.startswith("cfr-argmax (policy ")
     assert out.count("  ego: ") == len(re.findall(r"^move \d: lead", out, re.MULTILINE)) >= 1
     assert (tmp_path / "out" / "move_by_move" / "race.html").is_file()
 
 
 def test_watch_a_race(tmp_path):
-    out = run(tmp_path, REPOSITORY / "examples" / "watch_a_race.py", "--track", "Pipkin", "--duration", 1, "--gif")
+    out = run_python(EXAMPLES / "watch_a_race.py", "--track", "Pipkin", "--duration", 1, "--gif", folder=tmp_path)
     assert "race.html" in out
     assert {path.name for path in (tmp_path / "out" / "race").iterdir()} == {"race.html", "race.gif"}
 
@@ -65,14 +56,14 @@ def test_watch_a_race(tmp_path):
 def test_what_the_readme_shows(tmp_path, number):
     code = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)[number]
     (tmp_path / "snippet.py").write_text(code)
-    run(tmp_path, "snippet.py")
+    run_python("snippet.py", folder=tmp_path)
 
 
 @pytest.mark.parametrize("script", ["train_ppo.py", "self_play_ppo.py"])
 def test_training_by_ppo(tmp_path, script):
     pytest.importorskip("stable_baselines3")
     pytest.importorskip("matplotlib")
-    out = run(tmp_path, REPOSITORY / "examples" / script, "--steps", 1, "--games", 4)
+    out = run_python(EXAMPLES / script, "--steps", 1, "--games", 4, folder=tmp_path)
     assert "random" in out
     if script == "train_ppo.py":
         assert "PPO over random moves: " in out

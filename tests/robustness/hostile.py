@@ -71,7 +71,7 @@ def zeros(gigabytes: int) -> bytes:
     """A zip file of a few MB that unpacks to gigabytes."""
     buffer = io.BytesIO()
     with (
-        zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file,
+        zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file,
         file.open("parameters.npy", "w", force_zip64=True) as out,
     ):
         for _ in range(100 * gigabytes):

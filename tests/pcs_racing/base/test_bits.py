@@ -1,19 +1,26 @@
 """Races and tracks are the same to the bit whatever instructions the processor has.
 
-A second process is told to do without: numba compiles for any x86-64 processor, numpy, the C library and BLAS take the
-code that they keep for the oldest ones. `benchmarks/bits.py` does the same at length.
+Numba's code: it is looked through for what the rounding could depend on, which are operations that the compiler may
+fuse or put into another order, and functions of the C library. The rest: a second process is told to do without new
+instructions, so numpy, the C library and BLAS take the code that they keep for the oldest processors.
+`benchmarks/bits.py` and `tools/try_machines.py` also compile everything for any x86-64 processor, which takes minutes.
 """
 
 import hashlib
 import json
+import math
 import os
 import platform
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import njit
+from numba.core.registry import CPUDispatcher
 from numpy._core._multiarray_umath import __cpu_dispatch__
 
 from pcs_racing import build_track, draw_starts, load_race_config, load_track, parse_policy, start_races
@@ -21,8 +28,6 @@ from pcs_racing.race.races import RaceSetup, advance, pad_parameters, race_seeds
 from pcs_racing.track.maps import find_shipped, read_map
 
 WITHOUT = {
-    "NUMBA_CPU_NAME": "generic",
-    "NUMBA_CPU_FEATURES": "",
     "NPY_DISABLE_CPU_FEATURES": " ".join(__cpu_dispatch__),
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX512VL,-AVX512DQ,-AVX512BW,-AVX2,-FMA,-FMA4",
     "OPENBLAS_CORETYPE": "Prescott",
@@ -69,15 +74,73 @@ def results() -> dict[str, str]:
     return {"track": track_from_its_picture(), **races()}
 
 
+EXACT = {"sqrt", "fabs", "floor", "ceil", "copysign"}
+"""Functions whose results IEEE 754 defines to the bit."""
+
+DEFINE = re.compile(r'^define [^@]*@"?([^"(]+)', re.MULTILINE)
+CALL = re.compile(r'\bcall ([^@\n]*)@"?([^"(\s]+)"?\(([^\n]*)')
+FLOATING = re.compile(r"\b(double|float)\b")
+LOOSE = re.compile(r" = (?:tail )?(f\w+|call|select|phi) .*?\b(fast|contract|reassoc|arcp|afn)\b ")
+
+
+def inexact(dispatcher: CPUDispatcher) -> Iterator[str]:
+    """What the bits of a compiled function's results could depend on: the processor's instructions and its libraries.
+
+    The code is that of the compiler, with everything that was inlined, before it becomes machine code. Numba shows it
+    only of functions that this process has compiled itself; those from its cache keep it in ``_shared_module``.
+    """
+    for overload in dispatcher.overloads.values():
+        library = overload.library
+        text = str(library._shared_module or library._final_module)
+        functions = {match[1] for match in DEFINE.finditer(text)}
+        for body in re.split(r"^(?=define )", text, flags=re.MULTILINE):
+            named = DEFINE.match(body)
+            if named is None or "raise_with_shape" in named[1]:  # numba's: how many digits an error has to show
+                continue
+            yield from (" ".join(match.groups()) for match in LOOSE.finditer(body))
+            for result, name, arguments in CALL.findall(body):
+                function = re.sub(r"^llvm\.([a-z0-9]+).*", r"\1", name)
+                known = function in EXACT or name in functions or name.startswith(("Py", "llvm.masked."))
+                linear_algebra = name.startswith(("numba_xx", "numba_ez", "numba_raw"))
+                if linear_algebra or (not known and FLOATING.search(f"{result} {arguments}")):
+                    yield name
+
+
+def test_fused_operations_and_functions_of_the_c_library_are_found():
+    fused = njit(fastmath=True)(lambda a, b: a * b + 1.0)
+    sine = njit(lambda a, b: math.sin(a) * b)
+    both = njit(lambda a, b: np.dot(a, b))
+    plain = njit(lambda a, b: math.sqrt(a) * b + math.floor(b))
+    for function in (fused, sine, plain):
+        function(1.0, 2.0)
+    both(np.ones(2), np.ones(2))
+    assert set(inexact(fused)) == {"fmul fast", "fadd fast"}
+    assert set(inexact(sine)) == {"llvm.sin.f64"}
+    assert "numba_xxdot" in set(inexact(both))
+    assert list(inexact(plain)) == []
+
+
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the promise is about x86-64")
 def test_races_and_tracks_need_no_instruction_of_a_newer_processor(tmp_path):
-    caches = {"NUMBA_CACHE_DIR": str(tmp_path / "code"), "PCS_RACING_CACHE": str(tmp_path / "tracks")}
     source = str(Path(__file__).resolve().parents[3])
-    environment = {**os.environ, **WITHOUT, **caches, "PYTHONPATH": source}
+    environment = {**os.environ, **WITHOUT, "PCS_RACING_CACHE": str(tmp_path), "PYTHONPATH": source}
     child = subprocess.run([sys.executable, __file__], env=environment, capture_output=True, text=True)
     assert child.returncode == 0, child.stderr
-    assert json.loads(child.stdout.splitlines()[-1]) == results()
+    theirs = json.loads(child.stdout.splitlines()[-1])
+    assert theirs.pop("inexact") == []
+    assert {"advance_races", "flood", "wall_clearance"} <= set(theirs.pop("compiled"))
+    assert theirs == results()
+
+
+def called() -> list[CPUDispatcher]:
+    """The compiled functions of ours that Python has called, with all those which they call."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("pcs_racing")]
+    functions = {id(value): value for module in modules for value in vars(module).values()}
+    return [value for value in functions.values() if isinstance(value, CPUDispatcher) and value.overloads]
 
 
 if __name__ == "__main__":
-    print(json.dumps(results()))
+    found = results()
+    compiled = called()
+    names = [function.py_func.__qualname__ for function in compiled]
+    print(json.dumps({**found, "compiled": names, "inexact": sorted({x for f in compiled for x in inexact(f)})}))

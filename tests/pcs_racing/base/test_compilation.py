@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 from numba.core.caching import IndexDataCacheFile
-from repository import REPOSITORY
+from repository import REPOSITORY, run_python
 
 from pcs_racing.base import code_cache
 from pcs_racing.base.compilation import compiled, first_call, inner_kernel, kernel
@@ -245,8 +245,6 @@ print(hashlib.sha256(state.race.cars.tobytes()).hexdigest())
 
 def test_races_do_not_depend_on_what_was_loaded_before():
     """A process binds all callers to the copies of these two functions that it loaded first."""
-    said = [
-        subprocess.run([sys.executable, "-c", RACES, before], capture_output=True, text=True, check=True).stdout
-        for before in ("nothing first", "spirals first")
-    ]
+    said = [run_python("-c", RACES, before) for before in ("nothing first", "spirals first")]
+    assert len(said[0]) == 65
     assert said[0] == said[1]

@@ -1,19 +1,19 @@
 """Long jobs on a real cluster: a dask scheduler and worker processes, some of which are killed."""
 
 import os
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import contextmanager
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from long_jobs import TREES, commands, files
+from warm_start import kill, start_python
 
 from pcs_racing import InputError
 from pcs_racing_agents.cli.main import main
@@ -35,9 +35,9 @@ class Cluster:
         self.folder = folder
         self.scheduler = self._start("scheduler", "--port", "0", "--host", "127.0.0.1")
         self.address = self._address()
-        self.workers: list[subprocess.Popen[bytes]] = []
+        self.workers: list[BaseProcess] = []
 
-    def add_worker(self) -> subprocess.Popen[bytes]:
+    def add_worker(self) -> BaseProcess:
         options = ("--nthreads", "1", "--no-nanny", "--memory-limit", "2GB", "--death-timeout", str(PATIENCE))
         worker = self._start("worker", self.address, *options, "--local-directory", str(self.folder / "scratch"))
         self.workers.append(worker)
@@ -46,17 +46,16 @@ class Cluster:
     def stop(self) -> None:
         for process in [*self.workers, self.scheduler]:
             process.kill()
-            process.wait()
+            process.join()
 
-    def _start(self, what: str, *arguments: str) -> subprocess.Popen[bytes]:
+    def _start(self, what: str, *arguments: str) -> BaseProcess:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
-        with open(self.folder / f"{what}.log", "ab") as log:
-            command = [sys.executable, "-m", "dask", what, "--no-dashboard", *arguments]
-            return subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+        log = self.folder / f"{what}.log"
+        return start_python("-m", "dask", what, "--no-dashboard", *arguments, env=environment, stdout=log, stderr=log)
 
     def _address(self) -> str:
         log = self.folder / "scheduler.log"
-        wait_for(lambda: "Scheduler at:" in log.read_text() or self.scheduler.poll() is not None)
+        wait_for(lambda: (log.exists() and "Scheduler at:" in log.read_text()) or not self.scheduler.is_alive())
         return log.read_text().split("Scheduler at:")[1].split()[0]
 
 
@@ -175,8 +174,7 @@ def test_a_killed_worker_loses_nothing(cluster, tmp_path):
 
         def kill_one(done, total, what):
             if not killed and (marks / str(victim.pid)).exists():
-                victim.send_signal(signal.SIGKILL)
-                victim.wait()
+                kill(victim)
                 killed.append(done)
 
         job.run("slow", slow, tasks, executor=executor, progress=kill_one, keep=False)
@@ -195,8 +193,7 @@ def test_a_worker_killed_while_ppo_learns_costs_a_piece_at_most(cluster, long_co
     def kill_one(done, total, what):
         if not told:
             victim = cluster.workers.pop(0)
-            victim.send_signal(signal.SIGKILL)
-            victim.wait()
+            kill(victim)
         told.append((done, total))
 
     monkeypatch.setattr("pcs_racing_agents.jobs.jobs.show_progress", lambda unit: kill_one)
@@ -218,7 +215,7 @@ def test_a_killed_scheduler_is_told_in_a_line_and_another_goes_on(cluster, tmp_p
 
         def kill_it(done, total, what):
             if done == 5:
-                first.scheduler.send_signal(signal.SIGKILL)
+                first.scheduler.kill()
 
         with (
             open_job(tmp_path / "job", "k", {}) as job,

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from long_jobs import TREES, commands, files
-from repository import REPOSITORY
+from warm_start import call_python, kill, start_python
 
 from pcs_racing_agents.cli.main import main
 
@@ -40,11 +39,6 @@ sys.exit(code)
 """Run a command and kill it after some seconds of processor time: they pass alike, however busy the machine is."""
 
 
-def call(script: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", script, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY)
-
-
 @pytest.fixture(scope="module")
 def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     """Every long command; the training is of a network on some trees."""
@@ -62,13 +56,13 @@ def test_killed_at_random_moments_the_results_are_the_same(long_commands, tmp_pa
     if what == "train":
         pytest.importorskip("torch")
     command = long_commands[what]
-    whole = call(KILLED, 0, *command, "--out", tmp_path / "whole")
+    whole = call_python("-c", KILLED, 0, *command, "--out", tmp_path / "whole")
     assert whole.returncode == 0, whole.stderr
     seconds = float(whole.stdout.split("processor time ")[1])
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(what),)))
     killed = 0
     for moment in rng.uniform(0.2, 0.95, KILLS):
-        done = call(KILLED, moment * seconds, *command, "--out", tmp_path / "killed")
+        done = call_python("-c", KILLED, moment * seconds, *command, "--out", tmp_path / "killed")
         assert done.returncode in (0, -signal.SIGKILL), done.stderr
         killed += done.returncode != 0
     assert killed > 0
@@ -83,23 +77,18 @@ def test_ppo_killed_after_some_checkpoints_ends_with_the_same_weights(long_comma
     command = long_commands["ppo"]
     assert main([*command, "--out", str(tmp_path / "whole")]) == 0
     killed = tmp_path / "killed"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pcs_racing_agents", *command, "--out", str(killed)],
-        cwd=REPOSITORY,
-        stderr=subprocess.DEVNULL,
-    )
+    process = start_python("-m", "pcs_racing_agents", *command, "--out", killed)
     last = killed / "chunks" / "seed-00002.npz"
     written: set[int] = set()
     rng = np.random.default_rng(seed)
     count, later = rng.integers(1, 6), rng.uniform(0.0, 0.1)
     while len(written) < count:
-        assert process.poll() is None
+        assert process.is_alive()
         if last.exists():
             written.add(last.stat().st_mtime_ns)
         time.sleep(0.002)
     time.sleep(later)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
+    kill(process)
     assert not (killed / "policy").exists()  # there was work left
     assert main([*command, "--out", str(killed)]) == 0
     assert files(killed) == files(tmp_path / "whole")

@@ -1,7 +1,6 @@
 import errno
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -15,6 +14,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from repository import REPOSITORY
+from warm_start import call_python, kill, start_python
 
 from pcs_racing import InputError, load_race_config, load_track
 from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
@@ -63,11 +63,11 @@ def test_results_come_in_the_order_of_the_tasks(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["serial", "threads", "processes"])
-def test_files_are_the_same_whatever_the_executor(tmp_path, kind):
+def test_files_are_the_same_whatever_the_executor(tmp_path, kind, executor):
     tasks = list(range(9))
     with open_job(tmp_path / "a", "squares", SETTINGS) as job:
         expected = job.run("square", square, tasks)
-    with open_job(tmp_path / "b", "squares", SETTINGS) as job, make_executor(kind, 3) as executor:
+    with open_job(tmp_path / "b", "squares", SETTINGS) as job:
         same(job.run("square", square, tasks, executor=executor), expected)
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
@@ -223,16 +223,13 @@ def test_killed_and_started_again_the_files_are_the_same(tmp_path, kind):
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     folder = tmp_path / "job"
-    command = [sys.executable, str(script), str(folder), kind]
-    environment = {**os.environ, "PYTHONPATH": CHECKOUT}
-    process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
+    process = start_python(script, folder, kind, env={**os.environ, "PYTHONPATH": CHECKOUT})
     while len(list(folder.glob("chunks/*.npz"))) < 4:
-        assert process.poll() is None
+        assert process.is_alive()
         time.sleep(0.01)
     with pytest.raises(JobError, match=f"process {process.pid};"), open_job(folder, "squares", SETTINGS):
         pass
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    kill(process)
     assert 4 <= len(list(folder.glob("chunks/*.npz"))) < 30
     with open_job(folder, "squares", SETTINGS) as job:  # the lock died with the process
         job.run("square", square, range(30))
@@ -284,12 +281,11 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
     pids = tmp_path / "pids"
     pids.mkdir()
     environment = {**os.environ, "PYTHONPATH": CHECKOUT, "PID_FOLDER": str(pids)}
-    process = subprocess.Popen([sys.executable, str(script), str(tmp_path / "job")], env=environment)
+    process = start_python(script, tmp_path / "job", env=environment)
     while len(list(pids.iterdir())) < 2:
-        assert process.poll() is None
+        assert process.is_alive()
         time.sleep(0.01)
-    process.kill()
-    process.wait()
+    kill(process)
 
     def alive(pid: str) -> bool:
         try:
@@ -456,7 +452,7 @@ with open_job(sys.argv[1], "k", {}) as job:
     except InputError as error:
         print(error)
 """
-    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
+    done = call_python("-c", code, tmp_path)
     assert done.stdout.startswith(
         f"can't write {tmp_path}/chunks/large-00001.npz: File too large; what is done is kept"
     )

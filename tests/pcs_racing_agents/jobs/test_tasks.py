@@ -102,9 +102,9 @@ GOALS = (7, 2, 9)
 
 
 @pytest.mark.parametrize("kind", ["serial", "threads", "processes"])
-def test_chains_end_alike_whatever_the_executor(tmp_path, kind):
+def test_chains_end_alike_whatever_the_executor(tmp_path, kind, executor):
     told = []
-    with open_job(tmp_path, "k", {}) as job, make_executor(kind, 2) as executor:
+    with open_job(tmp_path, "k", {}) as job:
         last = job.run_chains("count", count_up, GOALS, executor=executor, on_state=lambda i, state: told.append(i))
         again = job.run_chains("count", None, GOALS)  # finished: there is nothing to do
     for found in (last, again, [read_chunk(job.file("count", i)) for i in range(3)]):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, load_archive, load_race_config, parse_policy
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, slot_payoffs, spanning_policies
 
 SLOW, EQUAL, FAST = (parse_policy(f"lattice:pace={pace}") for pace in (0.2, 0.5, 1.0))
@@ -42,10 +42,9 @@ def test_of_two_equal_cars_the_one_in_front_wins():
     np.testing.assert_array_equal(np.diag(front), -np.diag(behind))
 
 
-def test_processes_and_blocks_of_pairs_make_no_difference(payoffs, monkeypatch):
+def test_processes_and_blocks_of_pairs_make_no_difference(payoffs, processes, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.payoffs.policy_pool._RACES_AT_ONCE", 1)
-    with make_executor("processes", 2) as executor:
-        np.testing.assert_array_equal(slot_payoffs(pool(), executor=executor), payoffs)
+    np.testing.assert_array_equal(slot_payoffs(pool(), executor=processes), payoffs)
 
 
 def test_a_job_is_taken_up_where_it_was_left(payoffs, tmp_path, monkeypatch):

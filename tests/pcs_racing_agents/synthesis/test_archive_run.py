@@ -1,9 +1,6 @@
 import csv
 import logging
-import os
 import shutil
-import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -11,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from repository import REPOSITORY
+from warm_start import kill, start_python
 
 from pcs_racing import InputError, load_archive
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.jobs import make_executor
 from pcs_racing_agents.synthesis.archive_run import make_archive, stage_scenarios
 from pcs_racing_agents.synthesis.config import ArchiveConfig, list_archive_configs, load_archive_config
 from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
@@ -158,9 +155,8 @@ def test_the_course_of_the_search_is_told_and_written(made):
 
 
 @pytest.mark.parametrize("kind", ["threads", "processes"])
-def test_the_executor_has_no_influence(made, tmp_path, kind):
-    with make_executor(kind, 2) as executor:
-        make_archive(TINY, tmp_path / "again", executor=executor)
+def test_the_executor_has_no_influence(made, tmp_path, kind, executor):
+    make_archive(TINY, tmp_path / "again", executor=executor)
     assert results(tmp_path / "again") == results(made[1])
 
 
@@ -172,15 +168,13 @@ def test_killed_and_started_again_it_ends_in_the_same_files(made, tmp_path):
 import sys, time
 from pcs_racing_agents.synthesis.archive_run import make_archive
 from tests.pcs_racing_agents.synthesis.test_archive_run import TINY
-make_archive(TINY, sys.argv[1], callback=lambda news: time.sleep(0.5))
+make_archive(TINY, sys.argv[1], callback=lambda news: time.sleep(0.2))
 """
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])}
-    process = subprocess.Popen([sys.executable, "-c", code, str(folder)], env=environment)
+    process = start_python("-c", code, folder, cwd=REPOSITORY)
     while not list(folder.glob("job/chunks/generation-00002-*.npz")):
-        assert process.poll() is None
+        assert process.is_alive()
         time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    kill(process)
     assert results(folder) == {}
     make_archive(TINY, folder)
     assert results(folder) == results(made[1])

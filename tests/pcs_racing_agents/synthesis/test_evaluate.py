@@ -6,7 +6,6 @@ from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import Characteristic
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race.races import RaceSetup, advance
-from pcs_racing_agents.jobs.jobs import make_executor
 from pcs_racing_agents.synthesis import evaluate as evaluation
 from pcs_racing_agents.synthesis.evaluate import (
     evaluate,
@@ -86,13 +85,12 @@ def test_coordinates_are_means_over_the_pieces(scenarios, raced, oval):
 
 
 @pytest.mark.parametrize("kind", ["serial", "threads", "processes"])
-def test_blocks_and_executors_change_nothing(scenarios, raced, kind):
+def test_blocks_and_executors_change_nothing(scenarios, raced, kind, executor):
     expected = summarise(raced)
-    with make_executor(kind, 2) as executor:
-        for size in (1, 2, 5) if kind != "processes" else (2,):
-            found = evaluate(scenarios, policies(5), executor=executor, block=size)
-            for mine, theirs in zip(found, expected, strict=True):
-                np.testing.assert_array_equal(mine, theirs)
+    for size in (1, 2, 5) if kind != "processes" else (2,):
+        found = evaluate(scenarios, policies(5), executor=executor, block=size)
+        for mine, theirs in zip(found, expected, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
 
 
 def test_policies_with_many_races_are_driven_one_by_one(scenarios, raced, monkeypatch):

@@ -12,7 +12,7 @@ from pcs_racing.game.match import MatchConfig, MatchGame
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.behaviours import Behaviours
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.tournament.match_gain import ARMS, MatchTest, TrackGain, gain_text, match_gains, write_gains
 from pcs_racing_agents.tournament.match_learning import LearningRaces, learn_behaviours
 from pcs_racing_agents.tournament.match_play import FixedChoice, play_matches
@@ -49,13 +49,12 @@ def same_tables(one: Behaviours, other: Behaviours) -> bool:
     return one.content_hash == other.content_hash
 
 
-def test_blocks_and_processes_make_no_difference(small, oval, table, monkeypatch, tmp_path):
+def test_blocks_and_processes_make_no_difference(small, oval, table, processes, monkeypatch, tmp_path):
     learning = LearningRaces(small, ("Pipkin",), races=4, seed=3)
     whole = learn_behaviours(learning)
     assert not same_tables(whole, table)
     monkeypatch.setattr("pcs_racing_agents.tournament.match_learning.RACES_AT_ONCE", 1)
-    with make_executor("processes", 2) as executor:
-        assert same_tables(learn_behaviours(learning, executor=executor), whole)
+    assert same_tables(learn_behaviours(learning, executor=processes), whole)
     for _ in range(2):
         with open_job(tmp_path, "match", {}) as job:
             assert same_tables(learn_behaviours(learning, job=job), whole)

@@ -131,11 +131,10 @@ def test_results_of_another_configuration_are_refused(mixed, oval, archive, tmp_
             pass
 
 
-def test_processes_drive_the_same_races(tmp_path):
+def test_processes_drive_the_same_races(processes):
     """What travels to another process comes back the same; the map is read there again."""
     plan = plan_tournament(load_track("Pipkin"), ["random-moves", "lane-switcher"], CONTEST, races_per_pair=4)
-    with make_executor("processes", 1) as executor:
-        assert list(play_plan(plan, executor=executor).races) == list(play_plan(plan).races)
+    assert list(play_plan(plan, executor=processes).races) == list(play_plan(plan).races)
 
 
 def test_a_table_of_races_reads_like_rows_and_takes_a_tenth_of_their_memory(mixed):

@@ -8,7 +8,7 @@ import yaml
 
 from pcs_racing import InputError, make_game
 from pcs_racing_agents.jobs.chunks import write_chunk
-from pcs_racing_agents.jobs.jobs import make_executor, read_chunk
+from pcs_racing_agents.jobs.jobs import read_chunk
 from pcs_racing_agents.trees import build_tree, build_trees, choose_pairs, load_trees
 from pcs_racing_agents.trees.roots import default_seeds, draw_root
 
@@ -48,9 +48,8 @@ def test_the_manifest_names_everything_that_decides_the_trees(paper, stored):
 
 
 @pytest.mark.parametrize("kind", ["threads", "processes"])
-def test_executors_write_the_same_bytes(paper, stored, tmp_path, kind):
-    with make_executor(kind, 2) as executor:
-        other = build_trees(paper, tmp_path / kind, pairs=PAIRS, seed=3, executor=executor)
+def test_executors_write_the_same_bytes(paper, stored, tmp_path, kind, executor):
+    other = build_trees(paper, tmp_path / kind, pairs=PAIRS, seed=3, executor=executor)
     assert contents(other) == contents(stored)
 
 

@@ -11,7 +11,7 @@ from pcs_racing.game import characteristics
 from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics, LearnedInput
 from pcs_racing.game.learned_files import load_learned, save_learned
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.characteristics.apply import ApplySettings, apply_characteristics
 from pcs_racing_agents.learning.characteristics.behaviour import measure_behaviour, measure_payoffs
 from pcs_racing_agents.learning.characteristics.learn import LearnSettings, learn_characteristics
@@ -56,20 +56,19 @@ def test_drawn_pools_go_from_slow_to_fast_and_repeat():
     assert [policy.parameters.tolist() for policy in first] == [policy.parameters.tolist() for policy in again]
 
 
-def test_workers_and_resumed_jobs_learn_the_same(tmp_path, monkeypatch):
+def test_workers_and_resumed_jobs_learn_the_same(processes, tmp_path, monkeypatch):
     pool = PolicyPool(POLICIES, TRACKS[:1], CONFIG, races=8, folds=4)
     settings = LearnSettings(inputs=("speed",), opponents=4, starts=2, segment_seconds=1.0, folds=2)
     with open_job(tmp_path, "characteristics", {}) as job:
         expected = learn_characteristics(pool, settings, job=job).characteristics
-    with make_executor("processes", 2) as executor:
-        assert learn_characteristics(pool, settings, executor=executor).characteristics == expected
+    assert learn_characteristics(pool, settings, executor=processes).characteristics == expected
     monkeypatch.setattr("pcs_racing_agents.synthesis.evaluate.advance", None)  # nothing is raced again
     monkeypatch.setattr("pcs_racing_agents.payoffs.policy_pool.advance", None)
     with open_job(tmp_path, "characteristics", {}) as job:
         assert learn_characteristics(pool, settings, job=job).characteristics == expected
 
 
-def test_an_archive_on_learned_axes_keeps_its_policies_and_makes_games():
+def test_an_archive_on_learned_axes_keeps_its_policies_and_makes_games(processes):
     archive = toy_archive(4)
     axes, rules = ["raced_calm", "speed"], replace(CONFIG, duration=8.0)
     made = apply_characteristics(archive, TOY, TRACKS[:1], rules, axes=axes, settings=FEW)
@@ -78,8 +77,8 @@ def test_an_archive_on_learned_axes_keeps_its_policies_and_makes_games():
     assert made.characteristics == ("raced_calm", "speed")
     assert made.explored_coordinates.shape == (30, 2)
     assert (np.diff(made.coordinates[:, 1]) > 0.0).all()  # from slow to fast
-    with make_executor("processes", 1) as executor:  # which learns of the axes from its tasks
-        again = apply_characteristics(archive, TOY, TRACKS[:1], rules, axes=axes, settings=FEW, executor=executor)
+    # Other processes learn of the axes from their tasks.
+    again = apply_characteristics(archive, TOY, TRACKS[:1], rules, axes=axes, settings=FEW, executor=processes)
     assert again.content_hash == made.content_hash
     game = make_game(TRACKS[0], made, CONFIG, moves=1, step_seconds=2.0)
     state = game.step(game.reset(games=2), [[0, 3], [1, 2]])
