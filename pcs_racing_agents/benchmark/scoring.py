@@ -1,13 +1,14 @@
 """Races of an agent by a protocol, and what they say: scores, crashes, the adaptivity gain, a rating, its cost."""
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import competitor_name
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.agents.measured import measurements
@@ -67,27 +68,35 @@ class CardScore(NamedTuple):
 
 def play_protocol(
     protocol: Protocol,
-    agent: Competitor,
+    agents: Sequence[Competitor],
     *,
     job: Job | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> dict[str, list[CellRaces]]:
-    """Simulate the races of an agent and of the protocol's blind strategies, which drive the same ones.
+    """Simulate the races of agents and of the protocol's blind strategies, which all drive the same ones.
 
     Parameters
     ----------
     protocol : Protocol
-    agent : Competitor
+    agents : sequence of Competitor
+        With different names.
     job, executor, progress
         As for :func:`pcs_racing_agents.tournament.runner.play_pairings`.
 
     Returns
     -------
     dict of str to list of CellRaces
-        By name: the agent first, then the blind strategies.
+        By name: the agents first, then the blind strategies.
+
+    Raises
+    ------
+    InputError
+        If two agents have the same name.
     """
-    arms = {competitor_name(agent): as_competitor(agent)}
+    arms = {competitor_name(agent): as_competitor(agent) for agent in agents}
+    if len(arms) < len(agents):
+        raise InputError(f"two of the agents have the same name; they are {', '.join(map(competitor_name, agents))}")
     arms |= {name: protocol.opponents[name] for name in protocol.config.blind if name not in arms}
     cells = [(name, cell) for name in arms for cell in protocol.cells]
     games = {name: protocol.game(name) for name in protocol.tracks}
