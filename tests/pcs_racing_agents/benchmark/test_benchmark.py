@@ -194,7 +194,10 @@ def test_the_command_writes_a_card_that_the_leaderboard_takes(tmp_path, capsys):
     assert "Adaptivity gain over the best blind strategy (never-switch)" in capsys.readouterr().out
     assert main(["leaderboard", str(out), "--out", str(tmp_path / "board")]) == 0
     assert (tmp_path / "board" / "leaderboard.html").is_file()
-    assert main(["benchmark", "random-moves", "never-switch", "--protocol", str(file), "--out", str(tmp_path / "two")]) == 0
+    assert (
+        main(["benchmark", "random-moves", "never-switch", "--protocol", str(file), "--out", str(tmp_path / "two")])
+        == 0
+    )
     one, two = read_card(out), read_card(tmp_path / "two" / "random-moves")
     assert replace(two, cost_us=one.cost_us) == one  # an agent drives the same races alone and beside others
     capsys.readouterr()
