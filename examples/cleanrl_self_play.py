@@ -101,10 +101,7 @@ def main() -> None:
             # The return would say nothing: what one car wins the other one loses.
             with torch.no_grad():
                 entropy = Categorical(logits=actor(flat[0])).entropy().mean()
-            crashed = float(np.mean((rewards == 0.0).numpy()[dones.numpy() > 0])) if dones.any() else 0.0
-            print(
-                f"{(update + 1) * ENVS * ROLLOUT:8d} moves: entropy {entropy:.3f}, games without a winner {crashed:.1%}"
-            )
+            print(f"{(update + 1) * ENVS * ROLLOUT:8d} moves: entropy {entropy:.3f}", flush=True)
     save_model(actor, str(given.out / "actor.safetensors"))
     print(given.out / "actor.safetensors")
 
