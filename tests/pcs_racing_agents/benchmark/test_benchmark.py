@@ -1,6 +1,7 @@
 """The benchmark on a small protocol: races, scores, cards, and the leaderboard."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -114,6 +115,15 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
     for text, value in (("brought:nothing", "brought:nothing"), ("nobody", "'nobody'"), ("gone.zip", "gone.zip")):
         with pytest.raises(InputError, match=value):
             load_entrant(text, protocol.setting)
+
+
+def test_a_module_is_found_in_the_working_directory(protocol, tmp_path, monkeypatch):
+    (tmp_path / "beside.py").write_text(
+        "from pcs_racing.game.competitor import SameMove\ndef agent(setting):\n    return SameMove('mine', 1)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", sys.path[:])
+    assert load_entrant("beside:agent", protocol.setting).name == "agent"
 
 
 def test_a_policy_of_stable_baselines3_is_read_without_running_its_code(protocol, tmp_path):
