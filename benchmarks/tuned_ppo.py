@@ -77,6 +77,7 @@ def main() -> None:
         "pcs_racing/Match-v0": judge_match,
         "pcs_racing/Drive-v1": judge_drive,
         "pcs_racing/head_to_head-v1": judge_self_play,
+        "pcs_racing/head_to_head_match-v0": judge_match_self_play,
         "pcs_racing/drive_head_to_head-v0": judge_drive_self_play,
     }
     for name in given.only:
@@ -259,6 +260,22 @@ def judge_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> l
         found = [arena.returns(player) for player in players]
         gain = clustered_mean(found[2] - found[0], arena.opponents)
         means = (f"{returns.mean():+.3f}" for returns in found)
+        rows.append((opponent, *means, f"{gain.mean:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]"))
+    return rows
+
+
+def judge_match_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
+    """PPO and others in matches against opponents that it never met."""
+    del choices
+    world = {"archive": tuned.arguments["archive"], "race": tuned.arguments["race"]}
+    rows = [("opponent", "random policies", "remember", "PPO", "PPO over random policies")]
+    for opponent in ("never-switch", "random-moves", "remember"):
+        arena = Arena(MatchVectorEnv, {**tuned.arguments, "opponent": opponent}, games, JUDGING)
+        policies = len(arena.envs.game.archive)
+        players = at_random(policies), make("remember", **world).choose, ppo
+        found = [arena.returns(player) for player in players]
+        gain = clustered_mean(found[2] - found[0], arena.opponents)
+        means = (f"{returns.mean():.3f}" for returns in found)
         rows.append((opponent, *means, f"{gain.mean:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]"))
     return rows
 
