@@ -15,6 +15,7 @@ from pcs_racing_agents.agents.measured import measurements
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
 from pcs_racing_agents.jobs.jobs import Job, Progress
 from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
@@ -76,6 +77,8 @@ def play_protocol(
 ) -> dict[str, list[CellRaces]]:
     """Simulate the races of agents and of the protocol's blind strategies, which all drive the same ones.
 
+    A driver with fewer policies than the protocol has start policies drives as many races, from more start lines.
+
     Parameters
     ----------
     protocol : Protocol
@@ -100,15 +103,16 @@ def play_protocol(
     arms |= {name: protocol.opponents[name] for name in protocol.config.blind if name not in arms}
     cells = [(name, cell) for name in arms for cell in protocol.cells]
     games = {name: protocol.game(name) for name in protocol.tracks}
+    config = protocol.config
     pairings = [
         cross_pairing(
             games[cell.circuit],
             arms[name],
             protocol.opponents[cell.opponent],
-            egos=protocol.config.egos,
-            opponents=protocol.config.variants,
-            lines=1,
-            seed=protocol.config.seed,
+            egos=config.egos,
+            opponents=config.variants,
+            lines=max(1, config.egos // variant_count(games[cell.circuit], arms[name])),
+            seed=config.seed,
         )
         for name, cell in cells
     ]
@@ -144,7 +148,8 @@ def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]
 def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     scores, egos, opponents = _columns(cells)
     clusters = [labels for labels in (egos, opponents) if len(np.unique(labels)) > 1]
-    estimate = clustered_mean(scores, *clusters)
+    # One policy against one policy: the races differ in their start lines alone.
+    estimate = clustered_mean(scores, *(clusters or [np.arange(len(scores))]))
     own = np.concatenate([played.races.fault[:, 0] > 0 for played in cells])
     crashed = np.concatenate([played.races.crashed for played in cells])
     return CardScore(
@@ -159,10 +164,11 @@ def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     )
 
 
-def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None) -> dict[str, Any]:
+def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None) -> dict[str, Any] | None:
     """Return what an agent scores more than the best strategy that never looks, on the same races.
 
-    The best one is taken after the fact, on these races, which can only make the gain smaller.
+    The best one is taken after the fact, on these races, which can only make the gain smaller. None for a driver that
+    starts from other lines than the agents (:func:`play_protocol`): there are no same races.
 
     Parameters
     ----------
@@ -178,6 +184,9 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
 
     blind = {name: float(_columns(rows(name))[0].mean()) for name in results if name != agent}
     best = max(blind, key=lambda name: blind[name])
+    for own, other in zip(rows(agent), rows(best), strict=True):
+        if not np.array_equal(own.races.start_s, other.races.start_s):
+            return None
     scores, egos, opponents = _columns(rows(agent))
     difference = compare(scores, _columns(rows(best))[0], egos, opponents)
     return {"over": best, "gain": difference.difference, "low": difference.low, "high": difference.high}

@@ -22,6 +22,7 @@ __all__ = ["add"]
 
 WATCHED = 3
 REPLY_RACES = 4000
+LEARNER = "best-reply"  # settings of the learner of best replies
 
 
 def add(commands: Commands) -> None:
@@ -80,7 +81,8 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.benchmark.entrants import load_entrant
     from pcs_racing_agents.benchmark.protocol import load_protocol
     from pcs_racing_agents.benchmark.scoring import play_protocol
-    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
+    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds, response_seconds
+    from pcs_racing_agents.learning.responses.learner import load_response_settings
 
     texts, alone = arguments.agents, len(arguments.agents) == 1
     if not alone and (arguments.weights is not None or arguments.name is not None):
@@ -96,9 +98,15 @@ def run(arguments: argparse.Namespace) -> None:
     config = protocol.config
     arms = len({*map(competitor_name, agents), *config.blind})
     races = len(list(protocol.cells)) * arms * 2 * config.egos * config.variants
+    rules = protocol.setting.config
+    seconds = racing_seconds(races, rules.horizon)
+    if arguments.full:
+        learner, circuits = load_response_settings(LEARNER), len(config.seen)
+        learning = response_seconds(learner, rules, len(protocol.setting.moves), circuits)
+        seconds += len(agents) * (learning + racing_seconds(REPLY_RACES, rules.horizon))
     settings = {"protocol": protocol.content_hash, "agents": digests}
     with executor_from(arguments) as executor:
-        announce(racing_seconds(races, protocol.setting.config.horizon), cores_of(arguments))
+        announce(seconds, cores_of(arguments))
         with open_job(arguments.out, "benchmark", settings) as job:
             results = play_protocol(protocol, agents, job=job, executor=executor, progress=show_progress("races"))
             replies = [
@@ -129,15 +137,18 @@ def _write(
     name, config = competitor_name(agent), protocol.config
     own = results[name]
     raced = {name: own, **{blind: results[blind] for blind in config.blind}}
-    other = next((cells for blind, cells in raced.items() if blind != name), own)
     circuits = {"seen": True, "unseen": False, "all": None}
+    found = {} if name in config.blind else {key: gain(raced, name, seen) for key, seen in circuits.items()}
+    gains = {key: value for key, value in found.items() if value is not None}
+    # A driver that starts from other lines than the blind strategies has no races to compare with theirs.
+    other = next((cells for blind, cells in raced.items() if blind != name), own) if gains or not found else own
     card = Card(
         protocol=config.name,
         protocol_sha256=protocol.content_hash,
         agent=name,
         agent_sha256=digest,
         scores=tuple(summarise(own)),
-        gains={} if name in config.blind else {key: gain(raced, name, seen) for key, seen in circuits.items()},
+        gains=gains,
         rating=rating(protocol, own),
         cost_us=decision_cost(protocol, agent),
         best_reply=reply,
@@ -156,7 +167,7 @@ def _best_reply(
     from pcs_racing_agents.learning.responses.best_reply import best_reply
     from pcs_racing_agents.learning.responses.learner import load_response_settings
 
-    settings = load_response_settings("best-reply")
+    settings = load_response_settings(LEARNER)
     reply = best_reply(
         [protocol.game(name) for name in protocol.config.seen],
         agent,

@@ -204,18 +204,19 @@ def test_the_command_writes_a_card_that_the_leaderboard_takes(tmp_path, capsys):
     assert "Adaptivity gain over the best blind strategy (never-switch)" in capsys.readouterr().out
     assert main(["leaderboard", str(out), "--out", str(tmp_path / "board")]) == 0
     assert (tmp_path / "board" / "leaderboard.html").is_file()
-    assert (
-        main(["benchmark", "random-moves", "never-switch", "--protocol", str(file), "--out", str(tmp_path / "two")])
-        == 0
-    )
+    both = ["random-moves", "pure-pursuit"]
+    assert main(["benchmark", *both, "--protocol", str(file), "--out", str(tmp_path / "two")]) == 0
     one, two = read_card(out), read_card(tmp_path / "two" / "random-moves")
     assert replace(two, cost_us=one.cost_us) == one  # an agent drives the same races alone and beside others
+    driver = read_card(tmp_path / "two" / "pure-pursuit")
+    assert driver.score().races == one.score().races  # one policy, so more start lines
+    assert driver.gains == {}  # on other races than those of the blind strategy
     capsys.readouterr()
     assert main(["leaderboard", str(tmp_path / "two")]) == 0
     board = capsys.readouterr().out
     assert "random-moves" in board
-    assert "never-switch" in board
-    for wrong in (["random-moves", "random-moves"], ["random-moves", "never-switch", "--name", "mine"]):
+    assert "pure-pursuit" in board
+    for wrong in (["random-moves", "random-moves"], [*both, "--name", "mine"]):
         assert main(["benchmark", *wrong, "--protocol", str(file), "--out", str(tmp_path / "none")]) == 2
     assert main(["benchmark", "nobody", "--protocol", str(file), "--out", str(tmp_path / "none")]) == 2
     assert not (tmp_path / "none" / "card.json").exists()
