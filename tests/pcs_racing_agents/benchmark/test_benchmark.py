@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from repository import REPOSITORY
 from zoo_games import toy_archive
 
 from pcs_racing import InputError, save_archive
@@ -13,10 +14,11 @@ from pcs_racing_agents.agents import make
 from pcs_racing_agents.agents.sb3_files import load_sb3_policy
 from pcs_racing_agents.benchmark.card import Card, read_card, write_card
 from pcs_racing_agents.benchmark.entrants import load_entrant
-from pcs_racing_agents.benchmark.leaderboard import board_page, board_rows, read_cards
+from pcs_racing_agents.benchmark.leaderboard import BOARD_COLUMNS, board_page, board_rows, read_cards
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import CardScore, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.results.text_table import markdown
 
 SMALL = {
     "race": "paper",
@@ -220,3 +222,11 @@ def test_the_command_writes_a_card_that_the_leaderboard_takes(tmp_path, capsys):
         assert main(["benchmark", *wrong, "--protocol", str(file), "--out", str(tmp_path / "none")]) == 2
     assert main(["benchmark", "nobody", "--protocol", str(file), "--out", str(tmp_path / "none")]) == 2
     assert not (tmp_path / "none" / "card.json").exists()
+
+
+def test_the_leaderboard_of_the_docs_is_that_of_the_shipped_cards():
+    cards = read_cards([REPOSITORY / "benchmarks" / "bench_v1"])
+    assert {card.protocol_sha256 for card in cards} == {load_protocol().content_hash}
+    page = (REPOSITORY / "docs" / "benchmark.md").read_text(encoding="utf-8")
+    assert "\n".join(markdown([BOARD_COLUMNS, *board_rows(cards)])) in page
+    assert (REPOSITORY / "docs" / "static" / "leaderboard.html").read_text(encoding="utf-8") == board_page(cards)
