@@ -302,10 +302,10 @@ DRIVE_HEAD = ("opponent", "player", "return", "error", "won", "crashed or lost")
 
 
 def judge_drive(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
-    """PPO and random actions against the opponents of the training, one by one, in races of the whole length."""
+    """PPO and random actions against the opponents of the training, one by one."""
     del choices
-    world = {key: value for key, value in tuned.arguments.items() if key != "duration"}
-    return drive_rows({name: {**world, "opponent": name} for name in world["opponent"]}, ppo, games)
+    tasks = {name: {**tuned.arguments, "opponent": name} for name in tuned.arguments["opponent"]}
+    return drive_rows(tasks, ppo, games)
 
 
 def judge_drive_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
