@@ -76,7 +76,7 @@ MODULES = {
         lane_switcher: ; lane_switcher
         """,
     ),
-    **_modules("kernels", "pcs_racing/race", "kernel contacts progress steering: race_kernel; race"),
+    **_modules("kernels", "pcs_racing/race", "kernel contacts progress steering: race_kernel; laps race"),
     **_modules(
         "rules",
         "pcs_racing/race",
@@ -90,7 +90,10 @@ MODULES = {
         "rules",
         "pcs_racing/game",
         """
-        rules state reward observation competitor starting: ; game
+        rules state observation: ; game
+        reward: reward; game
+        competitor: ; competitor game
+        starting: starting; game
         config: game_config
         archive: archive
         moves: archive; game
@@ -102,14 +105,20 @@ MODULES = {
         "pcs_racing/envs",
         """
         drive_kernel: drive_kernel; drive
-        drive_batch drive_courses: drive_kernel; drive
-        drive moving_opponents: ; drive
-        game_batch circuit_games opponents: game_batch; duel
-        duel: ; duel
-        scalar vector over_batch reset_options: ; vector
-        head_to_head: ; head_to_head
-        match match_batch head_to_head_match: ; match
-        drive_head_to_head: ; drive_head_to_head
+        drive_batch: drive_kernel; drive variety
+        drive_courses: drive_kernel; drive /pcs_racing_agents/agents/opponents
+        drive: ; drive defaults
+        moving_opponents: ; moving_opponents drive
+        game_batch circuit_games: game_batch; duel variety
+        opponents: game_batch; duel drive /pcs_racing_agents/agents/opponents
+        duel: ; duel defaults
+        scalar vector: ; vector
+        over_batch: ; vector drive
+        reset_options: ; reset_options
+        head_to_head: ; head_to_head defaults
+        match head_to_head_match: ; match defaults
+        match_batch: ; match variety
+        drive_head_to_head: ; drive_head_to_head defaults
         parallel: ; head_to_head drive_head_to_head
         """,
     ),
@@ -124,7 +133,8 @@ MODULES = {
         backward_induction: backward_induction
         game_tree: game_tree cfr
         matrix_games: matrix_games
-        openspiel openspiel_game: openspiel_game
+        openspiel: openspiel_game efg
+        openspiel_game: openspiel_game
         rational_games: matrix_games
         sequence_form: sequence_form evaluation
         """,

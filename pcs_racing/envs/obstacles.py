@@ -28,7 +28,7 @@ def _count(value: Any) -> tuple[int, int]:
     if not isinstance(pair, list | tuple) or len(pair) != 2 or not all(map(is_whole, pair)):
         pair = [1, 0]
     if not 0 <= pair[0] <= pair[1] <= MOST:
-        raise InputError(f"count is {value!r}; it must be a whole number or [low, high], from 0 to {MOST}")
+        raise InputError(f"count of obstacles is {value!r}; it must be a whole number or [low, high], from 0 to {MOST}")
     return int(pair[0]), int(pair[1])
 
 
@@ -36,7 +36,7 @@ def _size(value: Any) -> tuple[float, float]:
     pair = [value, value] if is_number(value) else value
     fine = isinstance(pair, list | tuple) and len(pair) == 2 and all(map(is_number, pair))
     if not fine or not 0.05 <= pair[0] <= pair[1] <= 2.0:
-        raise InputError(f"size is {value!r}; it must be [low, high] with 0.05 <= low <= high <= 2")
+        raise InputError(f"size of obstacles is {value!r}; it must be [low, high] with 0.05 <= low <= high <= 2")
     return float(pair[0]), float(pair[1])
 
 

@@ -60,7 +60,7 @@ class GameState(NamedTuple):
 
 
 def empty_game(games: int, memory: int, parameters: int, steps: int, axes: int) -> GameState:
-    """Return the state of a batch of games in which every number is 0."""
+    """Return the state of a batch of games in which every number is 0 and nobody leads."""
     return GameState(
         race=empty_state(games, memory),
         step=np.zeros(games, np.int64),

@@ -7,6 +7,7 @@ import pytest
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import Lidar, scan_into
+from pcs_racing.track.grid import cast
 from pcs_racing.track.loading import load_track
 
 LENGTH, WIDTH = 0.58, 0.31
@@ -107,6 +108,28 @@ def test_every_beam_is_settled_without_any_list_of_segments(oval):
         error = np.abs(out - lidar.scan([x, y, psi]))
         assert np.median(error) < arrays.cell
         assert (error > 1.0).mean() <= 0.01
+
+
+def test_beams_beside_an_edge_end_where_the_grid_says(oval):
+    """The drawn outlines lie beside the cells by a fraction of one: enough to miss an edge."""
+    lidar = Lidar(oval, fov=2.0 * np.pi)
+    edges = wrong = 0
+    for pose in poses_on(oval, 40):
+        exact = ranges_on_the_grid(oval, pose, lidar.angles)
+        jumps = np.abs(np.diff(exact)) > 1.0
+        beside = np.append(jumps, False) | np.append(False, jumps)
+        edges += beside.sum()
+        wrong += (np.abs(lidar.scan(pose) - exact)[beside] > 0.2).sum()
+    assert edges > 100
+    assert wrong <= 0.03 * edges
+
+
+def ranges_on_the_grid(track, pose, angles):
+    """Ranges of beams that are followed from cell to cell."""
+    arrays = track.arrays
+    u, v = (pose[0] - arrays.origin_x) / arrays.cell, (pose[1] - arrays.origin_y) / arrays.cell
+    ways = zip(np.cos(pose[2] + angles), np.sin(pose[2] + angles), strict=True)
+    return arrays.cell * np.array([cast(arrays.distance, u, v, c, s, 30.0 / arrays.cell)[0] for c, s in ways])
 
 
 def test_turning_by_one_beam_shifts_the_scan_by_one(oval):

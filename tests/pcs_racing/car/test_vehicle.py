@@ -294,8 +294,13 @@ def test_bad_input_is_refused(change, message):
 
 
 @pytest.mark.parametrize(
-    ("parameter", "value"), [("m", 0.0), ("mu", -1.0), ("lf", np.nan), ("a_max", np.inf), ("v_min", 1.0)]
+    ("parameter", "value"),
+    [("m", 0.0), ("mu", -1.0), ("lf", np.nan), ("a_max", np.inf), ("v_min", 1.0), ("steer_delay", 0.52)],
 )
 def test_impossible_vehicles_are_refused(parameter, value):
     with pytest.raises(InputError, match=f"^{parameter} is"):
         VehicleParams(**{parameter: value})
+
+
+def test_commands_may_be_delayed_by_up_to_half_a_second():
+    assert dataclasses.replace(F1TENTH, steer_delay=0.5).steer_delay == 0.5

@@ -367,6 +367,16 @@ def test_the_reward_of_a_win_goes_to_the_winner_of_the_races():
                     assert sign == (0.0 if winner < 0 else 1.0 if winner == car else -1.0)
 
 
+def test_a_step_lasts_a_control_period_and_a_batch_has_one_race_by_default(coarse_oval):
+    env, envs = DriveHeadToHeadEnv(coarse_oval), DriveHeadToHeadVectorEnv(track=coarse_oval)
+    env.reset(seed=0)
+    envs.reset(seed=0)
+    env.step(SLOW)
+    envs.step(np.zeros((2, 2), np.float32))
+    assert env.batch.state.tick.tolist() == envs.batch.state.tick.tolist() == [2]  # of 0.01 s
+    assert env.metadata["is_parallelizable"]  # which PettingZoo's wrappers ask for
+
+
 def test_max_cycles_truncates_and_decides_nothing(coarse_oval):
     env = make(coarse_oval, max_cycles=3)
     env.reset(seed=0)

@@ -228,6 +228,7 @@ def test_unknown_names_are_named():
             DuelEnv(**arguments)
     with pytest.raises(InputError, match="num_envs is 3"):
         SelfPlayVectorEnv(3)
+    assert SelfPlayVectorEnv(**SHORT).num_envs == 2
 
 
 def test_impossible_actions_are_refused():

@@ -95,6 +95,13 @@ def test_rendering(monkeypatch):
     render_test(lambda **options: pcs_racing.env(**FAST, render_size=(160, 120), **options))
 
 
+def test_a_frame_has_the_size_that_is_documented():
+    env = HeadToHeadEnv(render_mode="rgb_array", **FAST)
+    env.reset(seed=0)
+    assert env.render().shape == (640, 960, 3)
+    env.close()
+
+
 # Names and documentation
 
 

@@ -26,7 +26,7 @@ from pcs_racing.game.characteristics import Segment, get_characteristics, measur
 from pcs_racing.game.moves import move
 from pcs_racing.game.observation import observation_elements, observation_table
 from pcs_racing.game.reward import reward
-from pcs_racing.game.state import GameState, load_game, put_games, save_game, take_games
+from pcs_racing.game.state import GameState, empty_game, load_game, put_games, save_game, take_games
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
@@ -153,6 +153,12 @@ def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
     for car in range(2):
         drawn = np.bincount(state.policy[:, car], minlength=count)
         assert drawn.max() < 4.0 * 400 / count + 5.0
+
+
+def test_a_state_begins_with_zeros_and_nobody_leads():
+    for name, array in arrays(empty_game(2, 3, 4, 5, 2)).items():
+        assert array.shape[0] == 2, name
+        assert (array == (-1 if name == "leader" else 0)).all(), name
 
 
 def test_a_step_leaves_its_argument_alone(game):
@@ -394,6 +400,7 @@ def test_the_table_of_an_observation(game):
     assert len(observation_table(elements).splitlines()) == 2 + 31
     short = observation_table(elements, 4)
     assert "| 6k + 4 | lead_k | 20 m | -5 | 5 | own lead at the end of step k |" in short
+    assert "| 6k + 5 | seen_k | 1 | 0 | 1 | 1 once step k is over" in short
     assert len(short.splitlines()) == 2 + 7
 
 
@@ -406,6 +413,7 @@ def test_the_table_of_an_observation(game):
         ({"step_seconds": np.nan}, "step_seconds is nan"),
         ({"step_seconds": 600.0, "moves": 10}, "over 3600 s"),
         ({"epsilon": 0.0}, r"epsilon is 0\.0"),
+        ({"epsilon": [np.array([0.1, 0.2]), 0.3]}, "epsilon is"),
         ({"utility": "fame"}, "utility is 'fame'"),
         ({"fault_penalty": -1.0}, r"fault_penalty is -1\.0"),
         ({"discount": 0.0}, r"discount is 0\.0"),

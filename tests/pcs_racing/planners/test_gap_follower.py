@@ -13,7 +13,7 @@ from pcs_racing.planners.gap_follower import (
     lean,
     widest_gap,
 )
-from pcs_racing.planners.view import PATH_POINTS
+from pcs_racing.planners.view import OWN_BETA, OWN_PSI, PATH_POINTS
 
 ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 
@@ -91,6 +91,9 @@ def test_it_sees_what_the_lidar_sees(oval, view_at):
     x, y, psi = oval.to_cartesian([3.0, 0.2])
     opponent = oval.to_cartesian([4.5, -0.3])
     expected = lidar.scan([x, y, psi + 0.1], opponents=opponent)
+    np.testing.assert_allclose(path(oval, view)[1], expected, rtol=0, atol=1e-9)
+    view[OWN_PSI] -= 0.05  # of a car that slides, what lies along its course
+    view[OWN_BETA] += 0.05
     np.testing.assert_allclose(path(oval, view)[1], expected, rtol=0, atol=1e-9)
 
 

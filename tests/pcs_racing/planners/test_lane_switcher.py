@@ -6,6 +6,7 @@ from pcs_racing.planners.lane_switcher import (
     _FREE_COUNT,
     _LANE,
     _MOST_SPEED,
+    _PLACE,
     _SIDE,
     LANE_SWITCHER,
     MOST_OFFSET,
@@ -17,7 +18,7 @@ from pcs_racing.planners.lane_switcher import (
 )
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT, WALL_MARGIN
-from pcs_racing.planners.view import PATH_POINTS
+from pcs_racing.planners.view import PATH_POINTS, SPEED_HIGH
 from pcs_racing.track.frenet import LEFT, RIGHT
 
 STRAIGHT = 3.0  # an arc length on the oval's first straight, with 9 m to go
@@ -96,6 +97,21 @@ def test_it_drives_on_the_overtaking_lane_at_a_share_of_the_race_lines_speed(ova
     assert across[_LANE] == OVERTAKING
     (_, fast), (_, slow) = (command(oval, view_at(oval, STRAIGHT, speed=0.0), memory)[0] for memory in (alone, across))
     assert slow == pytest.approx(0.6 * fast)
+
+
+def test_its_speed_is_a_share_of_the_fastest_that_the_race_allows(oval, view_at):
+    view = view_at(oval, STRAIGHT, speed=0.0)
+    memory = decide(oval, view)
+    fast = command(oval, view, memory)[0][1]
+    view[SPEED_HIGH] *= 0.5
+    assert command(oval, view, memory)[0][1] == pytest.approx(0.5 * fast)
+
+
+def test_it_changes_lanes_at_a_metre_or_so_a_second(oval, view_at):
+    view = view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0)
+    before = decide(oval, view)
+    _, after = command(oval, view, before)  # the next one follows 0.02 s later
+    assert after[_PLACE] - before[_PLACE] == pytest.approx(0.02 * 1.2 * before[_SIDE])
 
 
 def test_it_closes_up_no_faster_than_it_crosses(oval, view_at):

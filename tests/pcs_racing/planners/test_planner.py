@@ -15,6 +15,7 @@ from pcs_racing.planners.view import (
     PATH_POINTS,
     PATH_SPEED,
     PATH_X,
+    PATH_Y,
     STEER_MAX,
     UNDERSTEER,
     UNDERSTEER_GAIN,
@@ -181,6 +182,19 @@ def test_a_path_is_followed_at_its_speed(view):
     command = followed(path, view)
     assert command[0] == 0.0
     assert command[1] == pytest.approx(np.interp(0.4, path[:, PATH_X], path[:, PATH_SPEED]), abs=0.05)
+
+
+def test_a_policy_has_its_planner_s_name_unless_it_is_given_one():
+    assert (PLANNER.policy().name, PLANNER.policy(name="mine").name) == ("example", "mine")
+
+
+def test_a_point_of_the_path_nearer_than_its_second_one_is_aimed_at(view):
+    path = np.zeros((PATH_POINTS, 4))
+    path[:, PATH_X] = 2.0 * np.arange(PATH_POINTS)
+    path[1:, PATH_Y] = 1.0
+    path[:, PATH_SPEED] = view[OWN_V]
+    share = (0.3 + 0.1 * view[OWN_V]) / np.hypot(2.0, 1.0)
+    assert followed(path, view)[0] == pytest.approx(pursuit_steering(view, 2.0 * share, share, 0.0, 0.0))
 
 
 def at_distance(values, away, wanted):

@@ -239,6 +239,14 @@ def test_each_car_has_its_own_vehicle(oval):
 # Progress
 
 
+def test_memory_has_room_for_the_commands_on_their_way_to_the_slowest_steering(oval):
+    late, prompt = VehicleParams(steer_delay=0.1), VehicleParams()
+    usual = RaceSetup(oval, SHORT, (LATTICE, LATTICE))
+    for vehicles in ((late, prompt), (prompt, late)):
+        assert dataclasses.replace(usual, vehicles=vehicles).memory_size == usual.memory_size + 5
+    assert dataclasses.replace(usual, most_delay=0.04).memory_size == usual.memory_size + 2
+
+
 def test_crossing_the_start_line_never_jumps_and_a_lap_adds_the_length():
     track = load_track("Pipkin")
     setup, state, theta = begin(track, PAPER, [lattice()] * 2, [lattice(pace=0.0)] * 2)

@@ -15,7 +15,7 @@ from pcs_racing.race.contacts import place_cars
 from pcs_racing.race.kernel import fill_view, measure_ittc
 from pcs_racing.race.progress import update_progress
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
-from pcs_racing.race.steering import steering_noise
+from pcs_racing.race.steering import delayed, steering_noise
 from pcs_racing.track.frenet import SPEED
 
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
@@ -255,6 +255,13 @@ def test_the_understeer_of_the_view_keeps_a_car_on_its_circle():
 
 def noise(count: int, seed: int, car: int = 0) -> np.ndarray:
     return np.array([steering_noise(np.uint64(seed), car, tick) for tick in range(0, 2 * count, 2)])
+
+
+def test_a_command_is_due_after_the_delay_of_its_car():
+    """The queue stands at the end of the driver's memory; what is before belongs to the driver."""
+    memory, queue = np.array([9.0, 9.0, 0.0, 0.0, 0.0]), getattr(delayed, "py_func", delayed)
+    assert [queue(memory, 3.0, 2 * k, k + 1.0) for k in range(8)] == [0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert memory[:2].tolist() == [9.0, 9.0]
 
 
 def test_noise_is_standard_and_different_for_each_race_and_car():

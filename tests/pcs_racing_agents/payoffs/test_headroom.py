@@ -46,6 +46,10 @@ def test_a_pool_whose_fastest_policy_beats_all_has_no_headroom():
     assert abs(np.mean(estimates)) < 0.01
 
 
+def test_the_best_fixed_policy_of_a_ladder_is_its_top():
+    assert headroom(played(ladder(10), 0)).best_fixed == 9
+
+
 @pytest.mark.parametrize("strength", [0.0, 0.02])
 def test_headroom_of_a_wheel_is_what_its_true_payoffs_say(strength):
     truth = wheel(9, 0.15) + ladder(9, strength)
@@ -100,6 +104,11 @@ def test_the_transitive_share_is_free_of_noise():
     assert np.mean(estimates) == pytest.approx(share, abs=0.05)
 
 
+def test_a_ladder_is_all_transitive_however_small_its_steps():
+    assert transitive_share(np.stack([ladder(3, 0.01)] * 2)) == pytest.approx(1.0)
+    assert np.isnan(transitive_share(np.zeros((2, 3, 3))))
+
+
 @given(seed=st.integers(0, 1000))
 def test_planes_add_up_to_the_cyclic_part(seed):
     folds = played(wheel(6) + ladder(6), seed, 20)
@@ -149,6 +158,11 @@ def test_headroom_within_slots_is_what_the_true_payoffs_say():
     assert np.mean([estimate.value for estimate in estimates]) == pytest.approx(truth, abs=max(error, 0.01))
     assert all(estimate.low <= estimate.value + 1e-12 for estimate in estimates)
     assert np.mean([np.mean(e.slots) for e in estimates]) == pytest.approx(np.mean([e.value for e in estimates]))
+
+
+def test_to_know_the_slot_is_worth_nothing_where_one_policy_is_best_in_both():
+    estimates = [slot_headroom(in_slots(ladder(8, 0.03) + 0.1, seed)) for seed in range(10)]
+    assert abs(np.mean([estimate.slot_alone for estimate in estimates])) < 0.005
 
 
 def test_payoffs_without_slots_are_refused():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, load_race_config, parse_policy
+from pcs_racing import InputError, load_archive, load_race_config, parse_policy
 from pcs_racing_agents.jobs.jobs import make_executor, open_job
-from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, slot_payoffs
+from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, slot_payoffs, spanning_policies
 
 SLOW, EQUAL, FAST = (parse_policy(f"lattice:pace={pace}") for pace in (0.2, 0.5, 1.0))
 
@@ -61,3 +61,14 @@ def test_a_job_is_taken_up_where_it_was_left(payoffs, tmp_path, monkeypatch):
 def test_races_that_cannot_be_divided_are_refused(wrong):
     with pytest.raises(InputError):
         pool(**wrong)
+
+
+def test_a_pool_spans_an_archive_from_one_end_of_its_first_axis_to_the_other():
+    archive = load_archive("contest")
+    names, policies = spanning_policies(archive, 3)
+    first = archive.coordinates[:, 0]
+    assert [names[0], names[2]] == [f"contest {first.argmin()}", f"contest {first.argmax()}"]
+    assert len(policies) == 3
+    for size in (2, len(archive) + 1):
+        with pytest.raises(InputError, match=f"size is {size}"):
+            spanning_policies(archive, size)

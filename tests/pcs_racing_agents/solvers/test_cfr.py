@@ -105,14 +105,17 @@ class SlowCFR:
             self.strategy[level][player] = np.where(total > 0.0, positive / np.where(total > 0.0, total, 1.0), even)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+DISCOUNTED_TOGETHER = Variant(alternating=False, alpha=1.5, beta=0.0, gamma=2.0)
+
+
+@pytest.mark.parametrize("variant", [*VARIANTS.values(), DISCOUNTED_TOGETHER], ids=[*VARIANTS, "discounted together"])
 @pytest.mark.parametrize(
     "tree",
     [random_tree(7, 2, 3, 3, 2), random_tree(8, 3, 2, 2, 3, chance=3, blur=2), kuhn_poker()],
     ids=["open", "hidden", "kuhn"],
 )
 def test_every_iteration_is_that_of_the_definition(tree, variant):
-    slow = SlowCFR(tree.averaged, VARIANTS[variant])
+    slow = SlowCFR(tree.averaged, variant)
     for t in range(1, 8):
         slow.iterate(t)
         result = cfr(tree, t, variant)

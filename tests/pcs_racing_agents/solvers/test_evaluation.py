@@ -58,7 +58,9 @@ def test_two_steps_by_hand():
 def test_reach():
     tree = random_tree(0, 2, 3, 3, 2)
     profile = random_profile(tree)
-    own, other = reach_probabilities(tree, profile)[1]
+    reach = reach_probabilities(tree, profile)
+    assert [len(own) for own, _ in reach] == [tree.nodes(k) for k in range(tree.depth)]
+    own, other = reach[1]
     assert own == pytest.approx(np.repeat(profile[0][0][0], 3))
     assert other == pytest.approx(np.tile(profile[0][1][0], 2))
     assert (own * other).sum() == pytest.approx(1.0)

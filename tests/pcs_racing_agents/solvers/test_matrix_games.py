@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.solvers import solve_matrix_games
+from pcs_racing_agents.solvers import matrix_games, solve_matrix_games
 from pcs_racing_agents.solvers.rational_games import solve_rationally
 
 SHAPES = st.tuples(st.integers(1, 6), st.integers(1, 6))
@@ -81,6 +81,12 @@ def test_games_with_equal_and_nearly_equal_moves(shape):
         whole = rng.integers(0, choices, games.shape).astype(float)
         check(whole)
         check(whole + 1e-9 * rng.normal(size=games.shape))
+
+
+def test_ordinary_games_need_no_exact_arithmetic(monkeypatch):
+    """The exact solver, a thousand times as slow, is there for games that rounding errors spoil."""
+    monkeypatch.setattr(matrix_games, "solve_rationally", None)
+    check(np.random.default_rng(4).normal(size=(200, 5, 4)))
 
 
 def test_payoffs_of_all_sizes():

@@ -71,6 +71,17 @@ def test_what_is_known_is_the_infoset(tree):
         assert len({string for key, strings in seen.items() if key[0] == player for string in strings}) == rows
 
 
+def test_a_tensor_says_which_moves_led_there():
+    """Where everything is seen: whose it is, the level, then the own and the other car's moves."""
+    for first in range(2):
+        for second in range(3):
+            state = python_game(TREE).new_initial_state()
+            state.apply_actions([first, second])
+            level, own, other = (0.0, 1.0), np.eye(2)[first], np.eye(3)[second]
+            assert state.information_state_tensor(0) == [1.0, 0.0, *level, *own, *other]
+            assert state.information_state_tensor(1) == [0.0, 1.0, *level, *other, *own]
+
+
 def test_copies_share_the_tree():
     state = python_game(TREE).new_initial_state()
     state.apply_actions([1, 2])

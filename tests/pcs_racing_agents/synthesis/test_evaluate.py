@@ -7,6 +7,7 @@ from pcs_racing.game.characteristics import Characteristic
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race.races import RaceSetup, advance
 from pcs_racing_agents.jobs.jobs import make_executor
+from pcs_racing_agents.synthesis import evaluate as evaluation
 from pcs_racing_agents.synthesis.evaluate import (
     evaluate,
     race_policies,
@@ -92,6 +93,12 @@ def test_blocks_and_executors_change_nothing(scenarios, raced, kind):
             found = evaluate(scenarios, policies(5), executor=executor, block=size)
             for mine, theirs in zip(found, expected, strict=True):
                 np.testing.assert_array_equal(mine, theirs)
+
+
+def test_policies_with_many_races_are_driven_one_by_one(scenarios, raced, monkeypatch):
+    monkeypatch.setattr(evaluation, "RACES_AT_ONCE", 1)
+    for key, values in race_policies((scenarios, policies(5))).items():
+        np.testing.assert_array_equal(values, raced[key])
 
 
 def test_policies_do_not_disturb_each_other(scenarios, raced):

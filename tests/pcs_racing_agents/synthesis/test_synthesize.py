@@ -7,8 +7,8 @@ import pytest
 from pcs_racing import InputError, UnknownNameError
 from pcs_racing_agents.synthesis.indicators import hypervolume, non_dominated
 from pcs_racing_agents.synthesis.mo_cma_es import middle_of_the_best
-from pcs_racing_agents.synthesis.optimisers import METHODS
-from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive
+from pcs_racing_agents.synthesis.optimisers import METHODS, _worst
+from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
 from pcs_racing_agents.synthesis.search import Search
 from pcs_racing_agents.synthesis.synthesize import Evaluated, synthesize
 
@@ -417,6 +417,13 @@ def test_results_that_do_not_fit_each_other_are_named():
     """Where an executor has each part of the points evaluated on its own."""
     with ThreadPoolExecutor(2) as executor, pytest.raises(InputError, match="results of different shapes"):
         synthesize(lambda x: np.zeros((len(x), 2 + int(x[0, 0] > 0.5))), UNIT, **SMALL, executor=executor)
+    with ThreadPoolExecutor(2) as executor, pytest.raises(InputError, match="results of different shapes"):
+        synthesize(violations_in_a_part, UNIT, **SMALL, executor=executor)
+
+
+def violations_in_a_part(points):
+    objectives = np.zeros((len(points), 2))
+    return objectives if points[0, 0] > 0.5 else (objectives, np.zeros(len(points)))
 
 
 @pytest.mark.parametrize(
@@ -454,3 +461,25 @@ def test_without_the_library_the_error_says_what_to_install(monkeypatch):
         Search(UNIT)
     with pytest.raises(ModuleNotFoundError, match=r'pip install "pcs-racing\[baselines\]"'):
         Search(UNIT, method="nsga2")
+
+
+def test_an_archive_whose_objectives_have_changed_is_evaluated_as_for_the_first_time():
+    calls = []
+
+    def evaluate(points, repeats):
+        calls.append((points, repeats))
+        return spheres(points)
+
+    synthesize(evaluate, UNIT, callback=lambda _: True, reevaluation=0.3, **SMALL)
+    (first, _), (again, repeats) = calls[:2]
+    assert {tuple(point) for point in again} <= {tuple(point) for point in first}
+    assert not repeats.any()
+
+
+def test_what_violates_a_constraint_lies_below_all_that_does_not_the_lower_the_more():
+    scale = Scale(ideal=np.array([1.0, -1.0]), nadir=np.array([-1.0, -3.0]))
+    objectives = np.array([[0.5, -2.0], [2.0, 0.0], [3.0, 5.0]])
+    found = _worst(scale, objectives, np.array([0.0, 0.1, 0.2]))
+    np.testing.assert_array_equal(found[0], objectives[0])
+    assert (found[1] < np.minimum(objectives.min(axis=0), scale.nadir)).all()
+    assert (found[2] < found[1]).all()

@@ -220,6 +220,10 @@ def test_the_paired_t_test_is_that_of_the_means_of_the_egos():
     expected = stats.ttest_rel(a.reshape(20, 20).mean(axis=1), b.reshape(20, 20).mean(axis=1))
     assert result.p_paired_t == pytest.approx(expected.pvalue)
     assert result.cohen_d == pytest.approx(expected.statistic / np.sqrt(20))
+    # An ego with fewer races than the others counts as much as they do.
+    some = compare(a[:-15], b[:-15], np.repeat(np.arange(20), 20)[:-15], np.tile(np.arange(20), 20)[:-15])
+    means = np.add.reduceat(a[:-15] - b[:-15], np.arange(0, 400, 20)) / np.array([20] * 19 + [5])
+    assert some.p_paired_t == pytest.approx(stats.ttest_1samp(means, 0.0).pvalue)
 
 
 def test_the_interval_and_the_p_value_belong_to_students_t():

@@ -47,7 +47,7 @@ def test_the_table_counts_every_ending_once():
         race("a", "b", winner="ego", crash="car", fault="opponent"),
         race("b", "a", crash="car", fault="both"),
         race("b", "a", winner="ego", lead=1.0, opponent_overtakes=1),
-        race("b", "a", winner="ego", lead=1.0),
+        race("b", "a", winner="ego", lead=1.0, ego_overtakes=1),
     ]
     b, a = standings(played(*rows))
     assert (a.name, b.name) == ("a", "b")
@@ -56,7 +56,8 @@ def test_the_table_counts_every_ending_once():
     assert (b.win, b.tie, b.loss, b.own_crash, b.other_crash) == (3 / 8, 1 / 8, 1 / 8, 2 / 8, 1 / 8)
     assert a.score == pytest.approx((2 + 0.5) / 8)  # a win, a crash that the other pays for, half a tie
     assert b.score == pytest.approx((4 + 0.5) / 8)
-    assert (a.overtakes, b.overtakes) == (3 / 8, 0.0)
+    assert (a.overtakes, b.overtakes) == (3 / 8, 1 / 8)
+    assert "62% finished, 38% with an overtake" in tournament_text(played(*rows))
     matrix = payoff_matrix(played(*rows))
     np.testing.assert_allclose(matrix, [[np.nan, 2.5 / 8], [4.5 / 8, np.nan]])
 

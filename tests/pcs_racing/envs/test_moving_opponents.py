@@ -1,0 +1,62 @@
+"""An agent as the opponent of a drive: it watches, observes and moves as in a game."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from pcs_racing import make_game
+from pcs_racing.envs.drive import DriveEnv
+
+STEP = 8.0  # s between two moves
+
+
+class Watcher:
+    """It keeps what it sees and asks for less aggressiveness."""
+
+    name = "watcher"
+
+    def __init__(self):
+        self.seen = []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.seen.append(observation[0].copy())
+        return np.ones(len(observation), np.int64), None
+
+
+def slow_follower(env):
+    """Steering back to the race line at a walking pace, and out of the opponent's way."""
+    seen = env._observation()
+    return np.array([(0.6 * -seen[7] - 0.35 * seen[6] + 0.33 * seen[12]) / 0.4189, -0.6], np.float32)
+
+
+def race_of(env, seed, seconds):
+    """States of a race every 8 s and, right after each, the parameters of the opponent; None if it ends before."""
+    env.reset(seed=seed)
+    states, parameters = [env.batch.state.copy()], [env.batch.theta[0, 1].copy()]
+    while env.batch.state.tick[0] * 0.01 < seconds:
+        if env.step(slow_follower(env))[2]:
+            return None
+        if round(env.batch.state.tick[0] * 0.01 / STEP, 6).is_integer():
+            states.append(env.batch.state.copy())
+            parameters.append(env.batch.theta[0, 1].copy())
+    return states, parameters
+
+
+def test_what_it_observes_and_drives_is_what_a_game_says():
+    game = make_game("Tarnfjord")
+    for seed in range(20):
+        watcher = Watcher()
+        race = race_of(DriveEnv("Tarnfjord", watcher), seed, 2 * STEP + 0.1)
+        if race is not None:
+            break
+    assert race is not None, "every race ends in a crash"
+    states, parameters = race
+    index = {element.name: i for i, element in enumerate(game.observation_elements)}
+    axes = [axis.name for axis in game.characteristics]
+    for step, (before, after) in enumerate(pairwise(states)):
+        estimate = game.measure(before, after)[0, 0]  # of car 0, which it races against
+        seen = [watcher.seen[step][index[f"opponent_{axis}_{step}"]] for axis in axes]
+        np.testing.assert_allclose(seen, estimate, atol=1e-6)
+        assert watcher.seen[step][index["step"]] == step / game.config.moves
+    policies = [int(np.flatnonzero((game.theta(np.arange(len(game.archive))) == p).all(axis=1))[0]) for p in parameters]
+    assert policies[1:3] == [game.table[policies[0], 1], game.table[game.table[policies[0], 1], 1]]
