@@ -37,25 +37,36 @@ from pcs_racing_agents.tournament.statistics import clustered_mean
 
 CHOOSING, JUDGING = 50_000_000, 90_000_000  # seeds of the starts; those of trainings are small
 POINTS = 40  # of a learning curve
+PROBES = {"pcs_racing/head_to_head-v1": DuelVectorEnv, "pcs_racing/head_to_head_match-v0": MatchVectorEnv}
+PROBED = "never-switch"  # the opponent in the curves of self-play of moves and of matches
 Player = Callable[[np.ndarray], np.ndarray]
+Probe = Callable[[Player], np.ndarray]
 
 
 class Curve(BaseCallback):
-    """Mean return of the episodes that ended in each of :data:`POINTS` parts of the training, and the time so far."""
+    """Mean return and the time so far, in each of :data:`POINTS` parts of the training.
 
-    def __init__(self, steps: int) -> None:
+    The return is that of the episodes that ended in the part; or, with a probe, what the model reaches in it: where
+    both cars learn, and one gets what the other one loses, the return of the training says nothing.
+    """
+
+    def __init__(self, steps: int, probe: Probe | None = None) -> None:
         super().__init__()
-        self.every, self.returns = steps / POINTS, []
+        self.every, self.returns, self.probe = steps / (POINTS if probe is None else POINTS // 4), [], probe
         self.rows: list[tuple[object, ...]] = [("steps", "episodes", "return", "error", "wall_s", "processor_s")]
-        self.began = time.perf_counter(), time.process_time()
+        self.began = np.array([time.perf_counter(), time.process_time()])
 
     def _on_step(self) -> bool:
         self.returns += [info["episode"]["r"] for info in self.locals["infos"] if "episode" in info]
         if self.num_timesteps >= len(self.rows) * self.every and len(self.returns) > 1:
-            spent = time.perf_counter() - self.began[0], time.process_time() - self.began[1]
+            spent = np.array([time.perf_counter(), time.process_time()]) - self.began
+            if self.probe is not None:
+                self.returns = list(self.probe(lambda seen: self.model.predict(seen, deterministic=True)[0]))
+                # The time of the training is reported, without that of its probes.
+                self.began = np.array([time.perf_counter(), time.process_time()]) - spent
             figures = np.mean(self.returns), np.std(self.returns) / np.sqrt(len(self.returns)), *spent
             self.rows.append((self.num_timesteps, len(self.returns), *(f"{number:.4f}" for number in figures)))
-            if len(self.rows) % 5 == 1:
+            if self.probe is not None or len(self.rows) % 5 == 1:
                 print(f"  {self.num_timesteps} steps: {figures[0]:+.3f} after {spent[0]:.0f} s", flush=True)
             self.returns = []
         return True
@@ -77,6 +88,7 @@ def main() -> None:
         "pcs_racing/Match-v0": judge_match,
         "pcs_racing/Drive-v1": judge_drive,
         "pcs_racing/head_to_head-v1": judge_self_play,
+        "pcs_racing/head_to_head_match-v0": judge_match_self_play,
         "pcs_racing/drive_head_to_head-v0": judge_drive_self_play,
     }
     for name in given.only:
@@ -100,7 +112,7 @@ def trained(tuned: TunedPPO, given: argparse.Namespace) -> Player:
     if not model_file.is_file():
         model = tuned.make_model(given.seed)
         steps = max(1, int(tuned.steps * given.share))
-        curve = Curve(steps)
+        curve = Curve(steps, probe_of(tuned))
         model.learn(steps, callback=curve)
         write_csv(curve.rows, curve_file)
         envs = model.get_env()
@@ -121,6 +133,13 @@ def trained(tuned: TunedPPO, given: argparse.Namespace) -> Player:
         return np.asarray(model.predict(scaled, deterministic=True)[0])
 
     return choose
+
+
+def probe_of(tuned: TunedPPO) -> Probe | None:
+    """Return games against policies that stay the same, where the two cars that learn share a fixed sum."""
+    if tuned.environment not in PROBES:
+        return None
+    return Arena(PROBES[tuned.environment], {**tuned.arguments, "opponent": PROBED}, 128, CHOOSING).returns
 
 
 def play(envs: Any, player: Player, seed: int, options: dict[str, Any] | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -263,13 +282,30 @@ def judge_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> l
     return rows
 
 
+def judge_match_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
+    """PPO and others in matches against opponents that it never met."""
+    del choices
+    world = {"archive": tuned.arguments["archive"], "race": tuned.arguments["race"]}
+    rows = [("opponent", "random policies", "remember", "PPO", "PPO over random policies")]
+    for opponent in ("never-switch", "random-moves", "remember"):
+        arena = Arena(MatchVectorEnv, {**tuned.arguments, "opponent": opponent}, games, JUDGING)
+        policies = len(arena.envs.game.archive)
+        players = at_random(policies), make("remember", **world).choose, ppo
+        found = [arena.returns(player) for player in players]
+        gain = clustered_mean(found[2] - found[0], arena.opponents)
+        means = (f"{returns.mean():.3f}" for returns in found)
+        rows.append((opponent, *means, f"{gain.mean:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]"))
+    return rows
+
+
 DRIVE_HEAD = ("opponent", "player", "return", "error", "won", "crashed or lost")
 
 
 def judge_drive(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
-    """PPO and random actions in the races of the training."""
+    """PPO and random actions against the opponents of the training, one by one."""
     del choices
-    return drive_rows({str(tuned.arguments["opponent"]): tuned.arguments}, ppo, games)
+    tasks = {name: {**tuned.arguments, "opponent": name} for name in tuned.arguments["opponent"]}
+    return drive_rows(tasks, ppo, games)
 
 
 def judge_drive_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
@@ -298,15 +334,21 @@ def draw(folder: Path, picture: Path) -> None:
     from matplotlib.figure import Figure
 
     names = [name for name in tuned_environments() if (folder / f"{file_name(name)}.csv").is_file()]
-    figure = Figure(figsize=(3.6 * len(names), 3.0), layout="constrained")
-    for panel, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
+    columns = min(3, len(names))
+    rows_of_panels = -(-len(names) // columns)
+    figure = Figure(figsize=(3.6 * columns, 3.0 * rows_of_panels), layout="constrained")
+    panels = figure.subplots(rows_of_panels, columns, squeeze=False).ravel()
+    for panel in panels[len(names) :]:
+        panel.set_visible(False)
+    for panel, name in zip(panels, names, strict=False):
         with (folder / f"{file_name(name)}.csv").open(encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         steps, mean, error = (np.array([float(row[key]) for row in rows]) for key in ("steps", "return", "error"))
         panel.fill_between(steps / 1e3, mean - error, mean + error, alpha=0.25, linewidth=0, color="#1f6fd6")
         panel.plot(steps / 1e3, mean, color="#1f6fd6", linewidth=1.3)
         panel.set_title(file_name(name), fontsize=10, loc="left")
-        panel.set(xlabel="thousand steps", ylabel="return in training")
+        probed = name in PROBES
+        panel.set(xlabel="thousand steps", ylabel=f"return against {PROBED}" if probed else "return in training")
         panel.grid(color="#eef0f3")
         panel.spines[["top", "right"]].set_visible(False)
     figure.savefig(picture, dpi=100)

@@ -35,6 +35,14 @@ def reference() -> Path:
     return _folder("PCS_RACING_REFERENCE", REPOSITORY.parent / "shared" / "reference", "reference data")
 
 
+@pytest.fixture
+def own_registry(monkeypatch):
+    """The characteristics that a test registers are forgotten after it."""
+    from pcs_racing.game import characteristics
+
+    monkeypatch.setattr(characteristics, "_registered", dict(characteristics._registered))
+
+
 @pytest.fixture(scope="session")
 def oval():
     """A stadium: two straights of 12 m, two half circles of 4 m radius, 2.2 m wide, driven counterclockwise."""

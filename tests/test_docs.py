@@ -44,6 +44,7 @@ SHORTER = {".learn(100_000)": "", "learn(60_000)": "learn(1)"}  # PPO of SB3 dri
 BLOCKS = [(page, number) for page in RUN_HERE for number in range(len(python_blocks(TEXTS.get(page, ""))))]
 
 
+@pytest.mark.usefixtures("own_registry")
 @pytest.mark.parametrize(("page", "number"), BLOCKS)
 def test_the_code_runs(page, number, tmp_path, monkeypatch):
     code = python_blocks(TEXTS[page])[number]

@@ -78,7 +78,8 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
     ## Vectorized environment
 
     `pcs_racing.game.match.MatchGame` plays any number of matches at once, with the same rules: this environment is a
-    batch of one. `gymnasium.make_vec("pcs_racing/Match-v0", num_envs=256)` is the single-agent view of such a batch.
+    batch of one. `gymnasium.make_vec("pcs_racing/Match-v0", num_envs=256)` is the single-agent view of such a batch;
+    in `pcs_racing.envs.match.SelfPlayMatchVectorEnv` one policy plays both cars.
 
     ## Version History
 

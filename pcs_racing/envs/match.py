@@ -19,7 +19,7 @@ from pcs_racing.game.match import MatchGame
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 
-__all__ = ["MatchEnv", "MatchVectorEnv"]
+__all__ = ["MatchEnv", "MatchVectorEnv", "SelfPlayMatchVectorEnv"]
 
 
 class MatchEnv(FilmedEnv):
@@ -260,7 +260,10 @@ class MatchVectorEnv(BatchVectorEnv):
             render_mode=render_mode,
             view=view,
             render_size=render_size,
+            players=self._players,
         )
+
+    _players = 1
 
     @property
     def game(self) -> RaceGame:
@@ -275,3 +278,35 @@ class MatchVectorEnv(BatchVectorEnv):
     def action_masks(self) -> NDArray[np.bool_]:
         """Actions that are asked for, shape (num_envs, A), as sb3-contrib's MaskablePPO asks for them."""
         return self.batch.action_masks()
+
+
+class SelfPlayMatchVectorEnv(MatchVectorEnv):
+    """Matches in which both cars belong to the agent: environment ``2 i`` is car 0 of match ``i``, ``2 i + 1`` car 1.
+
+    One policy that acts in all environments plays against itself. Seeds belong to matches: ``reset(seed=...)`` takes
+    one for each match.
+
+    Parameters
+    ----------
+    num_envs : int
+        Twice the number of matches.
+    **arguments
+        As for :class:`MatchVectorEnv`, without ``opponent``.
+
+    Raises
+    ------
+    InputError
+        If ``num_envs`` is odd, an opponent is given, or another argument is impossible.
+
+    Examples
+    --------
+    >>> envs = SelfPlayMatchVectorEnv(4)
+    >>> observations, info = envs.reset(seed=1)
+    >>> observations.shape
+    (4, 23)
+    """
+
+    _players = 2
+
+    def __init__(self, num_envs: int = 2, *, opponent: None = None, **arguments: Any) -> None:
+        super().__init__(num_envs, opponent=opponent, **arguments)

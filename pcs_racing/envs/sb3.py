@@ -15,7 +15,7 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.envs.drive import DriveVectorEnv
 from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
-from pcs_racing.envs.match import MatchVectorEnv
+from pcs_racing.envs.match import MatchVectorEnv, SelfPlayMatchVectorEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 
 try:
@@ -32,11 +32,13 @@ KINDS: dict[str, type[Any]] = {
     "self-play": SelfPlayVectorEnv,
     "match": MatchVectorEnv,
     "drive-self-play": DriveHeadToHeadVectorEnv,
+    "match-self-play": SelfPlayMatchVectorEnv,
     "pcs_racing/Duel-v1": DuelVectorEnv,
     "pcs_racing/Drive-v1": DriveVectorEnv,
     "pcs_racing/Match-v0": MatchVectorEnv,
     "pcs_racing/head_to_head-v1": SelfPlayVectorEnv,
     "pcs_racing/drive_head_to_head-v0": DriveHeadToHeadVectorEnv,
+    "pcs_racing/head_to_head_match-v0": SelfPlayMatchVectorEnv,
 }
 """What can be made, by name."""
 
@@ -50,7 +52,7 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
         "duel" or "pcs_racing/Duel-v1"; "match" or "pcs_racing/Match-v0"; "drive" or "pcs_racing/Drive-v1"; "self-play"
         or "pcs_racing/head_to_head-v1": both cars of ``num_envs / 2`` games belong to the learner, whose policy plays
         against itself; "drive-self-play" or "pcs_racing/drive_head_to_head-v0": the same at the level of steering and
-        speed.
+        speed; "match-self-play" or "pcs_racing/head_to_head_match-v0": the same in matches.
     num_envs : int
         Number of environments; even for self-play.
     **arguments
@@ -212,7 +214,7 @@ class SB3VecEnv(VecEnv):
         return group
 
     def _masks(self) -> NDArray[np.bool_]:
-        if not all(isinstance(group, DuelVectorEnv) for group in self.groups):
+        if not all(isinstance(group, DuelVectorEnv | MatchVectorEnv) for group in self.groups):
             raise AttributeError("the control level has no action masks")
         return np.concatenate([group.action_masks() for group in self.groups])
 

@@ -1,6 +1,7 @@
 """Agents that are brought to the benchmark: a zoo name, a function, a file of Stable-Baselines3, a driver's folder."""
 
 import importlib
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,8 @@ def load_entrant(
     text : str
         One of these: a name of the zoo, with options if it has any; ``module:function``, a function of the setting (and
         of the path of the weights, if there is one) that returns a competitor; the path of a ``.zip`` file of
-        Stable-Baselines3, of which only numbers are read; with ``drive``, the folder of a driver at control level.
+        Stable-Baselines3, of which only numbers are read; with ``drive``, the folder of a driver at control level. A
+        module is looked for in the working directory as well.
     setting : Setting
         Archive and rules of the game.
     drive : bool
@@ -45,6 +47,9 @@ def load_entrant(
         return as_competitor(planner.policy({}), name or planner.name)
     if text.endswith(".zip"):
         return as_competitor(load_sb3_policy(Path(text)), name or Path(text).stem)
+    here = str(Path.cwd())
+    if here not in sys.path:  # as with "python -m"; at the end, so that a file here hides no installed package
+        sys.path.append(here)
     if weights is not None or (separator and "=" not in function and _is_module(module)):
         return as_competitor(_call(module, function, setting, weights), name or function)
     return as_competitor(parse_agent(text, setting), name)

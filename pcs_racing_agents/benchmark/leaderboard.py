@@ -14,13 +14,18 @@ BOARD_COLUMNS = ("agent", "score", "95 % interval", "seen", "unseen", "own crash
 def read_cards(paths: Iterable[Path]) -> list[Card]:
     """Read cards, ranked by their score over all races.
 
+    Parameters
+    ----------
+    paths : iterable of Path
+        Folders of cards, or folders that hold such folders.
+
     Raises
     ------
     InputError
         If there is none, one can't be read, two are of the same agent, or one is of another protocol or of the same one
         with other hashes.
     """
-    files = list(paths)
+    files = [card for path in paths for card in _cards_in(path)]
     cards = [read_card(path) for path in files]
     if not cards:
         raise InputError("there are no cards; give at least one folder that 'pcs-racing benchmark' wrote")
@@ -39,6 +44,12 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
             )
         names.add(card.agent)
     return sorted(cards, key=lambda card: (-card.score().score, card.agent))
+
+
+def _cards_in(path: Path) -> list[Path]:
+    """Return a folder of a card, or the folders of cards that it holds."""
+    inside = sorted(card.parent for card in path.glob("*/card.json"))
+    return inside if inside and not (path / "card.json").exists() else [path]
 
 
 def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:

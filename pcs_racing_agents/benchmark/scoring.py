@@ -1,19 +1,21 @@
 """Races of an agent by a protocol, and what they say: scores, crashes, the adaptivity gain, a rating, its cost."""
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import competitor_name
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.agents.measured import measurements
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
 from pcs_racing_agents.jobs.jobs import Job, Progress
 from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
@@ -67,39 +69,50 @@ class CardScore(NamedTuple):
 
 def play_protocol(
     protocol: Protocol,
-    agent: Competitor,
+    agents: Sequence[Competitor],
     *,
     job: Job | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> dict[str, list[CellRaces]]:
-    """Simulate the races of an agent and of the protocol's blind strategies, which drive the same ones.
+    """Simulate the races of agents and of the protocol's blind strategies, which all drive the same ones.
+
+    A driver with fewer policies than the protocol has start policies drives as many races, from more start lines.
 
     Parameters
     ----------
     protocol : Protocol
-    agent : Competitor
+    agents : sequence of Competitor
+        With different names.
     job, executor, progress
         As for :func:`pcs_racing_agents.tournament.runner.play_pairings`.
 
     Returns
     -------
     dict of str to list of CellRaces
-        By name: the agent first, then the blind strategies.
+        By name: the agents first, then the blind strategies.
+
+    Raises
+    ------
+    InputError
+        If two agents have the same name.
     """
-    arms = {competitor_name(agent): as_competitor(agent)}
+    arms = {competitor_name(agent): as_competitor(agent) for agent in agents}
+    if len(arms) < len(agents):
+        raise InputError(f"two of the agents have the same name; they are {', '.join(map(competitor_name, agents))}")
     arms |= {name: protocol.opponents[name] for name in protocol.config.blind if name not in arms}
     cells = [(name, cell) for name in arms for cell in protocol.cells]
     games = {name: protocol.game(name) for name in protocol.tracks}
+    config = protocol.config
     pairings = [
         cross_pairing(
             games[cell.circuit],
             arms[name],
             protocol.opponents[cell.opponent],
-            egos=protocol.config.egos,
-            opponents=protocol.config.variants,
-            lines=1,
-            seed=protocol.config.seed,
+            egos=config.egos,
+            opponents=config.variants,
+            lines=max(1, config.egos // variant_count(games[cell.circuit], arms[name])),
+            seed=config.seed,
         )
         for name, cell in cells
     ]
@@ -135,7 +148,8 @@ def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]
 def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     scores, egos, opponents = _columns(cells)
     clusters = [labels for labels in (egos, opponents) if len(np.unique(labels)) > 1]
-    estimate = clustered_mean(scores, *clusters)
+    # One policy against one policy: the races differ in their start lines alone.
+    estimate = clustered_mean(scores, *(clusters or [np.arange(len(scores))]))
     own = np.concatenate([played.races.fault[:, 0] > 0 for played in cells])
     crashed = np.concatenate([played.races.crashed for played in cells])
     return CardScore(
@@ -150,10 +164,11 @@ def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     )
 
 
-def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None) -> dict[str, Any]:
+def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None) -> dict[str, Any] | None:
     """Return what an agent scores more than the best strategy that never looks, on the same races.
 
-    The best one is taken after the fact, on these races, which can only make the gain smaller.
+    The best one is taken after the fact, on these races, which can only make the gain smaller. None for a driver that
+    starts from other lines than the agents (:func:`play_protocol`): there are no same races.
 
     Parameters
     ----------
@@ -169,6 +184,9 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
 
     blind = {name: float(_columns(rows(name))[0].mean()) for name in results if name != agent}
     best = max(blind, key=lambda name: blind[name])
+    for own, other in zip(rows(agent), rows(best), strict=True):
+        if not np.array_equal(own.races.start_s, other.races.start_s):
+            return None
     scores, egos, opponents = _columns(rows(agent))
     difference = compare(scores, _columns(rows(best))[0], egos, opponents)
     return {"over": best, "gain": difference.difference, "low": difference.low, "high": difference.high}

@@ -1,6 +1,7 @@
 """``pcs-racing benchmark`` and ``pcs-racing leaderboard``: score cards of agents by a fixed protocol, and a ranking."""
 
 import argparse
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,12 +15,14 @@ if TYPE_CHECKING:
 
     from pcs_racing_agents.agents.agent import Competitor
     from pcs_racing_agents.benchmark.protocol import Protocol
+    from pcs_racing_agents.benchmark.scoring import CellRaces
     from pcs_racing_agents.jobs.jobs import Job
 
 __all__ = ["add"]
 
 WATCHED = 3
 REPLY_RACES = 4000
+LEARNER = "best-reply"  # settings of the learner of best replies
 
 
 def add(commands: Commands) -> None:
@@ -32,12 +35,15 @@ def add(commands: Commands) -> None:
         "pcs-racing benchmark my_model.zip --out out/cards/mine",
         "pcs-racing benchmark my_package.my_module:make_agent --weights net.pt --out out/cards/mine",
         "pcs-racing benchmark ppo-drive --drive --out out/cards/ppo-drive",
+        "pcs-racing benchmark best-fixed robust self-play --out out/cards/zoo",
     )
     parser.add_argument(
-        "agent",
+        "agents",
         metavar="AGENT",
+        nargs="+",
         help="a name of the zoo, module:function (called with the setting of the game, and the path of the weights if "
-        "there is one), or a .zip file of Stable-Baselines3",
+        "there is one), or a .zip file of Stable-Baselines3; of several each gets a card in a folder of its own, and "
+        "the blind strategies are raced only once",
     )
     parser.add_argument("--drive", action="store_true", help="AGENT is a driver at control level: its name or folder")
     parser.add_argument("--weights", type=Path, metavar="FILE", help="file that is handed to module:function")
@@ -59,69 +65,109 @@ def add(commands: Commands) -> None:
         commands,
         "leaderboard",
         "rank score cards of one protocol, and write the page that shows them",
-        "pcs-racing leaderboard out/cards/* --out out/leaderboard",
+        "pcs-racing leaderboard out/cards/mine out/cards/zoo --out out/leaderboard",
     )
     board.add_argument(
-        "cards", type=Path, nargs="+", metavar="FOLDER", help="folders that 'pcs-racing benchmark' wrote"
+        "cards", type=Path, nargs="+", metavar="FOLDER", help="folders of cards, or folders that hold such folders"
     )
     board.add_argument("--out", type=Path, metavar="DIR", help="folder for leaderboard.html and leaderboard.md")
     board.set_defaults(run=run_board)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Race an agent, print its card and write it."""
+    """Race agents, print their cards and write them."""
     from pcs_racing.game.competitor import competitor_name
     from pcs_racing_agents.agents.agent import competitor_hash
-    from pcs_racing_agents.benchmark.card import COLUMNS, Card, fact_lines, summary_rows, write_card
     from pcs_racing_agents.benchmark.entrants import load_entrant
     from pcs_racing_agents.benchmark.protocol import load_protocol
-    from pcs_racing_agents.benchmark.scoring import decision_cost, gain, play_protocol, rating, summarise
-    from pcs_racing_agents.benchmark.watching import telling_races
-    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
-    from pcs_racing_agents.results.text_table import aligned
+    from pcs_racing_agents.benchmark.scoring import play_protocol
+    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds, response_seconds
+    from pcs_racing_agents.learning.responses.learner import load_response_settings
 
-    if arguments.weights is not None and ":" not in arguments.agent:
+    texts, alone = arguments.agents, len(arguments.agents) == 1
+    if not alone and (arguments.weights is not None or arguments.name is not None):
+        raise InputError(f"--weights and --name go with one agent; here are {len(texts)}")
+    if arguments.weights is not None and ":" not in texts[0]:
         raise InputError("--weights goes with module:function")
     protocol = load_protocol(arguments.protocol)
-    agent = load_entrant(
-        arguments.agent, protocol.setting, drive=arguments.drive, weights=arguments.weights, name=arguments.name
-    )
-    name, digest = competitor_name(agent), competitor_hash(agent)
+    agents = [
+        load_entrant(text, protocol.setting, drive=arguments.drive, weights=arguments.weights, name=arguments.name)
+        for text in texts
+    ]
+    digests = [competitor_hash(agent) for agent in agents]
     config = protocol.config
-    races = len(list(protocol.cells)) * (1 + len(config.blind)) * 2 * config.egos * config.variants
+    arms = len({*map(competitor_name, agents), *config.blind})
+    races = len(list(protocol.cells)) * arms * 2 * config.egos * config.variants
+    rules = protocol.setting.config
+    seconds = racing_seconds(races, rules.horizon)
+    if arguments.full:
+        learner, circuits = load_response_settings(LEARNER), len(config.seen)
+        learning = response_seconds(learner, rules, len(protocol.setting.moves), circuits)
+        seconds += len(agents) * (learning + racing_seconds(REPLY_RACES, rules.horizon))
+    settings = {"protocol": protocol.content_hash, "agents": digests}
     with executor_from(arguments) as executor:
-        announce(racing_seconds(races, protocol.setting.config.horizon), cores_of(arguments))
-        with open_job(arguments.out, "benchmark", {"protocol": protocol.content_hash, "agent": digest}) as job:
-            results = play_protocol(protocol, agent, job=job, executor=executor, progress=show_progress("races"))
-            reply = _best_reply(protocol, agent, job, executor) if arguments.full else None
+        announce(seconds, cores_of(arguments))
+        with open_job(arguments.out, "benchmark", settings) as job:
+            results = play_protocol(protocol, agents, job=job, executor=executor, progress=show_progress("races"))
+            replies = [
+                _best_reply(protocol, agent, job, "" if alone else f"agent-{i}-", executor) if arguments.full else None
+                for i, agent in enumerate(agents)
+            ]
+    for agent, digest, reply in zip(agents, digests, replies, strict=True):
+        name = competitor_name(agent)
+        folder = arguments.out if alone else output_folder(arguments.out / re.sub(r"[^\w.+-]", "_", name))
+        _write(protocol, agent, digest, results, reply, folder)
+
+
+def _write(
+    protocol: "Protocol",
+    agent: "Competitor",
+    digest: str,
+    results: "dict[str, list[CellRaces]]",
+    reply: dict[str, float | int | str] | None,
+    folder: Path,
+) -> None:
+    """Print the card of one agent and write it."""
+    from pcs_racing.game.competitor import competitor_name
+    from pcs_racing_agents.benchmark.card import COLUMNS, Card, fact_lines, summary_rows, write_card
+    from pcs_racing_agents.benchmark.scoring import decision_cost, gain, rating, summarise
+    from pcs_racing_agents.benchmark.watching import telling_races
+    from pcs_racing_agents.results.text_table import aligned
+
+    name, config = competitor_name(agent), protocol.config
     own = results[name]
-    blind = next((cells for other, cells in results.items() if other != name), own)
+    raced = {name: own, **{blind: results[blind] for blind in config.blind}}
     circuits = {"seen": True, "unseen": False, "all": None}
+    found = {} if name in config.blind else {key: gain(raced, name, seen) for key, seen in circuits.items()}
+    gains = {key: value for key, value in found.items() if value is not None}
+    # A driver that starts from other lines than the blind strategies has no races to compare with theirs.
+    other = next((cells for blind, cells in raced.items() if blind != name), own) if gains or not found else own
     card = Card(
         protocol=config.name,
         protocol_sha256=protocol.content_hash,
         agent=name,
         agent_sha256=digest,
         scores=tuple(summarise(own)),
-        gains={} if name in config.blind else {key: gain(results, name, seen) for key, seen in circuits.items()},
+        gains=gains,
         rating=rating(protocol, own),
         cost_us=decision_cost(protocol, agent),
         best_reply=reply,
     )
+    print(f"\n{name}")
     print("\n".join(aligned([COLUMNS, *summary_rows(card)])))
     print("\n".join(fact_lines(card)))
-    for path in write_card(card, arguments.out, telling_races(own, blind, WATCHED)):
+    for path in write_card(card, folder, telling_races(own, other, WATCHED)):
         print(f"written: {path}")
 
 
 def _best_reply(
-    protocol: "Protocol", agent: "Competitor", job: "Job", executor: "Executor | None"
+    protocol: "Protocol", agent: "Competitor", job: "Job", part: str, executor: "Executor | None"
 ) -> dict[str, float | int | str]:
     """Train a best reply to the agent on the circuits that may be trained on, and return what it wins there."""
     from pcs_racing_agents.learning.responses.best_reply import best_reply
     from pcs_racing_agents.learning.responses.learner import load_response_settings
 
-    settings = load_response_settings("best-reply")
+    settings = load_response_settings(LEARNER)
     reply = best_reply(
         [protocol.game(name) for name in protocol.config.seen],
         agent,
@@ -129,6 +175,7 @@ def _best_reply(
         settings,
         job,
         races=REPLY_RACES,
+        part=part,
         executor=executor,
         progress=show_progress("best reply"),
     )

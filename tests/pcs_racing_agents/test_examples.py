@@ -1,7 +1,15 @@
 import re
+from pathlib import Path
 
+import numpy as np
 import pytest
 from repository import REPOSITORY, run_python
+
+from pcs_racing import load_track
+from pcs_racing.game.rules import RaceGame
+from pcs_racing_agents.agents.observing import own
+from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.benchmark.entrants import load_entrant
 
 EXAMPLES = REPOSITORY / "examples"
 
@@ -57,6 +65,32 @@ def test_what_the_readme_shows(tmp_path, number):
     code = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)[number]
     (tmp_path / "snippet.py").write_text(code)
     run_python("snippet.py", folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("script", "libraries", "file"),
+    [
+        ("maskable_ppo.py", ("sb3_contrib",), "model.zip"),
+        ("cleanrl_self_play.py", ("torch",), "actor.safetensors"),
+    ],
+)
+def test_a_trained_agent_enters_the_benchmark(tmp_path, monkeypatch, script, libraries, file):
+    for library in libraries:
+        pytest.importorskip(library)
+    run_python(EXAMPLES / script, "--steps", 1, "--out", "made", folder=tmp_path)
+    monkeypatch.syspath_prepend(REPOSITORY)
+    setting = make_setting("contest", "contest")
+    entrant = f"examples.{Path(script).stem}:make_agent"
+    agent = load_entrant(entrant, setting, weights=tmp_path / "made" / file)
+    game = RaceGame(load_track("Pipkin"), setting.archive, setting.config)
+    seen = game.observation(game.reset(games=6, seed=1))[0]
+    moves, _ = agent.predict(seen, None, np.ones(6, bool), True)
+    assert set(moves.tolist()) <= set(range(setting.offered))
+    if script == "maskable_ppo.py":
+        from pcs_racing.game.moves import duplicate_moves
+
+        driven = setting.archive.nearest(own(seen, len(setting.archive.characteristics)))
+        assert not duplicate_moves(setting.table[:, : setting.offered])[driven, moves].any()
 
 
 @pytest.mark.parametrize("script", ["train_ppo.py", "self_play_ppo.py"])

@@ -17,7 +17,7 @@ from repository import REPOSITORY
 from pcs_racing import ConfigError, InputError, PolicyArchive, get_planner
 from pcs_racing.envs.head_to_head_match import HeadToHeadMatchEnv, env, parallel_env
 from pcs_racing.envs.infos import Result
-from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
+from pcs_racing.envs.match import MatchEnv, MatchVectorEnv, SelfPlayMatchVectorEnv
 from pcs_racing.game.match_observation import decode_match
 
 with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
@@ -460,3 +460,26 @@ def test_the_example_of_its_page_runs(capsys):
     example = page.partition("\n## Matches\n")[2].split("```python\n")[1].split("```")[0]
     exec(compile(example, "environments.md", "exec"), {})
     assert re.search(r"races won of 3 (win|tie|loss)", capsys.readouterr().out)
+
+
+def test_in_self_play_the_rows_of_a_pair_are_the_two_players_of_a_match(short):
+    envs = SelfPlayMatchVectorEnv(4, autoreset_mode="DISABLED", races=2, **short)
+    both = [HeadToHeadMatchEnv(races=2, **short) for _ in range(2)]
+    seen, _ = envs.reset(seed=5)
+    pairs = [each.reset(seed=5 + i)[0] for i, each in enumerate(both)]
+    actions = np.array([0, 5, 3, 1])
+    for last in (False, True):
+        np.testing.assert_array_equal(seen, [pair[agent] for pair in pairs for agent in ("car_0", "car_1")])
+        seen, rewards, terminated, _, _ = envs.step(actions)
+        steps = [each.step({"car_0": actions[2 * i], "car_1": actions[2 * i + 1]}) for i, each in enumerate(both)]
+        pairs = [step[0] for step in steps]
+        assert rewards.tolist() == [step[1][agent] for step in steps for agent in ("car_0", "car_1")]
+        assert terminated.tolist() == [last] * 4
+    assert envs.action_masks().shape == (4, 6)
+
+
+def test_in_self_play_there_is_no_opponent(short):
+    with pytest.raises(InputError, match="never-switch"):
+        SelfPlayMatchVectorEnv(2, opponent="never-switch", **short)
+    with pytest.raises(InputError, match="num_envs is 3"):
+        SelfPlayMatchVectorEnv(3, **short)

@@ -91,6 +91,9 @@ def test_masks_are_asked_for_as_maskable_ppo_does():
     assert env.has_attr("action_masks")
     assert np.stack(env.env_method("action_masks")).shape == (3, 4)
     assert len(env.env_method("action_masks", indices=[1])) == 1
+    match = make_sb3_vec_env("match-self-play", 4, archive="default", **SHORT)
+    match.reset()
+    assert np.stack(match.env_method("action_masks")).shape == (4, match.action_space.n)
     assert not make_sb3_vec_env("drive", 2, opponent=None).has_attr("nothing_like_it")
 
 

@@ -24,10 +24,7 @@ CYCLE = LearnedAxis("toy_cycle", "a cycle", 0.0, (("restraint", 1.0),))
 TOY = LearnedCharacteristics("toy", INPUTS, (RATING, CYCLE), {"seed": 3})
 
 
-@pytest.fixture(autouse=True)
-def own_registry(monkeypatch):
-    """What a test registers is forgotten after it."""
-    monkeypatch.setattr(characteristics, "_registered", dict(characteristics._registered))
+pytestmark = pytest.mark.usefixtures("own_registry")
 
 
 def archive(**changes) -> PolicyArchive:

@@ -1,9 +1,12 @@
 """The benchmark on a small protocol: races, scores, cards, and the leaderboard."""
 
 import json
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from repository import REPOSITORY
 from zoo_games import toy_archive
 
 from pcs_racing import InputError, save_archive
@@ -11,10 +14,11 @@ from pcs_racing_agents.agents import make
 from pcs_racing_agents.agents.sb3_files import load_sb3_policy
 from pcs_racing_agents.benchmark.card import Card, read_card, write_card
 from pcs_racing_agents.benchmark.entrants import load_entrant
-from pcs_racing_agents.benchmark.leaderboard import board_page, board_rows, read_cards
+from pcs_racing_agents.benchmark.leaderboard import BOARD_COLUMNS, board_page, board_rows, read_cards
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import CardScore, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.results.text_table import markdown
 
 SMALL = {
     "race": "paper",
@@ -38,7 +42,7 @@ def protocol():
 
 @pytest.fixture(scope="module")
 def results(protocol):
-    return play_protocol(protocol, make("random-moves", archive="default"))
+    return play_protocol(protocol, [make("random-moves", archive="default")])
 
 
 def test_every_opponent_is_met_on_every_circuit_by_every_arm(protocol, results):
@@ -113,6 +117,15 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
     for text, value in (("brought:nothing", "brought:nothing"), ("nobody", "'nobody'"), ("gone.zip", "gone.zip")):
         with pytest.raises(InputError, match=value):
             load_entrant(text, protocol.setting)
+
+
+def test_a_module_is_found_in_the_working_directory(protocol, tmp_path, monkeypatch):
+    (tmp_path / "beside.py").write_text(
+        "from pcs_racing.game.competitor import SameMove\ndef agent(setting):\n    return SameMove('mine', 1)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", sys.path[:])
+    assert load_entrant("beside:agent", protocol.setting).name == "agent"
 
 
 def test_a_policy_of_stable_baselines3_is_read_without_running_its_code(protocol, tmp_path):
@@ -193,5 +206,27 @@ def test_the_command_writes_a_card_that_the_leaderboard_takes(tmp_path, capsys):
     assert "Adaptivity gain over the best blind strategy (never-switch)" in capsys.readouterr().out
     assert main(["leaderboard", str(out), "--out", str(tmp_path / "board")]) == 0
     assert (tmp_path / "board" / "leaderboard.html").is_file()
+    both = ["random-moves", "pure-pursuit"]
+    assert main(["benchmark", *both, "--protocol", str(file), "--out", str(tmp_path / "two")]) == 0
+    one, two = read_card(out), read_card(tmp_path / "two" / "random-moves")
+    assert replace(two, cost_us=one.cost_us) == one  # an agent drives the same races alone and beside others
+    driver = read_card(tmp_path / "two" / "pure-pursuit")
+    assert driver.score().races == one.score().races  # one policy, so more start lines
+    assert driver.gains == {}  # on other races than those of the blind strategy
+    capsys.readouterr()
+    assert main(["leaderboard", str(tmp_path / "two")]) == 0
+    board = capsys.readouterr().out
+    assert "random-moves" in board
+    assert "pure-pursuit" in board
+    for wrong in (["random-moves", "random-moves"], [*both, "--name", "mine"]):
+        assert main(["benchmark", *wrong, "--protocol", str(file), "--out", str(tmp_path / "none")]) == 2
     assert main(["benchmark", "nobody", "--protocol", str(file), "--out", str(tmp_path / "none")]) == 2
     assert not (tmp_path / "none" / "card.json").exists()
+
+
+def test_the_leaderboard_of_the_docs_is_that_of_the_shipped_cards():
+    cards = read_cards([REPOSITORY / "benchmarks" / "bench_v1"])
+    assert {card.protocol_sha256 for card in cards} == {load_protocol().content_hash}
+    page = (REPOSITORY / "docs" / "benchmark.md").read_text(encoding="utf-8")
+    assert "\n".join(markdown([BOARD_COLUMNS, *board_rows(cards)])) in page
+    assert (REPOSITORY / "docs" / "static" / "leaderboard.html").read_text(encoding="utf-8") == board_page(cards)

@@ -7,7 +7,6 @@ import pytest
 from zoo_games import toy_archive
 
 from pcs_racing import InputError, get_planner, load_archive, load_race_config, make_game, parse_policy, save_archive
-from pcs_racing.game import characteristics
 from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics, LearnedInput
 from pcs_racing.game.learned_files import load_learned, save_learned
 from pcs_racing_agents.cli.main import main
@@ -29,9 +28,7 @@ TOY = LearnedCharacteristics(
 FEW = ApplySettings(opponents=2, starts=1, explored_opponents=1)
 
 
-@pytest.fixture(autouse=True)
-def own_registry(monkeypatch):
-    monkeypatch.setattr(characteristics, "_registered", dict(characteristics._registered))
+pytestmark = pytest.mark.usefixtures("own_registry")
 
 
 def test_every_piece_of_every_race_is_measured():

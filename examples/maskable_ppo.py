@@ -1,0 +1,88 @@
+"""MaskablePPO of sb3-contrib on what the benchmark lets agents train on, and its entry into the benchmark.
+
+    python examples/maskable_ppo.py
+    pcs-racing benchmark examples.maskable_ppo:make_agent --weights out/maskable_ppo/model.zip --out out/cards/maskable
+
+Two moves that lead to the same policy are one choice. In training the second one is masked, so that the network learns
+nothing about it; when the agent races, the mask is worked out from the observation. The second command is typed in the
+folder that holds ``examples``. Run with sb3-contrib 2.9.2.
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcs_racing.game.moves import duplicate_moves
+from pcs_racing_agents.agents.observing import own
+from pcs_racing_agents.agents.setting import Setting
+
+try:
+    from sb3_contrib import MaskablePPO
+
+    from pcs_racing.envs.sb3 import make_sb3_vec_env
+except ModuleNotFoundError as error:
+    raise SystemExit(f'this example needs {error.name}: pip install ".[learning]" sb3-contrib') from None
+
+WORLD = {"archive": "contest", "race": "contest"}
+"""Archive and rules of the benchmark."""
+CIRCUITS = ["Brackwater", "Pipkin"]
+"""The circuits that it lets agents train on."""
+OPPONENTS = ["never-switch", "random-moves"]
+"""The opponents that it lets them train against: one keeps its policy, one draws every move."""
+
+
+@dataclass(frozen=True, eq=False)
+class MaskedAgent:
+    """A model of sb3-contrib that races without its environment: it works out the mask from the observation."""
+
+    policy: Any  # the model's network: its weights tell the agent from others
+    setting: Setting
+    name: str = "maskable-ppo"
+
+    def predict(self, observation: np.ndarray, state: Any = None, episode_start: Any = None, deterministic=True):
+        """The most probable move of those that are not masked."""
+        archive = self.setting.archive
+        driven = archive.nearest(own(observation, len(archive.characteristics)))  # the own policy, exactly
+        masks = ~duplicate_moves(self.setting.table[:, : self.setting.offered])[driven]
+        return self.policy.predict(observation, deterministic=True, action_masks=masks)[0], None
+
+
+def make_agent(setting: Setting, weights: Path) -> MaskedAgent:
+    """What the benchmark calls."""
+    return MaskedAgent(MaskablePPO.load(weights, device="cpu").policy, setting)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=60_000, help="moves to learn from")
+    parser.add_argument("--seed", type=int, default=0, help="root of everything random")
+    parser.add_argument("--out", type=Path, default=Path("out/maskable_ppo"), help="folder for model.zip")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    envs = make_sb3_vec_env("duel", 64, track=CIRCUITS, opponent=OPPONENTS, mask_duplicates=True, **WORLD)
+    model = MaskablePPO(
+        "MlpPolicy",
+        envs,
+        seed=given.seed,
+        learning_rate=lambda left: left * 1e-3,
+        n_steps=16,
+        batch_size=256,
+        n_epochs=8,
+        gamma=1.0,
+        ent_coef=0.01,
+        policy_kwargs={"net_arch": [64, 64]},
+        stats_window_size=2000,  # games in the figure below
+        device="cpu",
+    )
+    model.learn(given.steps)
+    games = [episode["r"] for episode in model.ep_info_buffer]
+    print(f"return of the last {len(games)} games of the training: {np.mean(games):+.3f}")
+    model.save(given.out / "model.zip")
+    print(given.out / "model.zip")
+
+
+if __name__ == "__main__":
+    main()
