@@ -28,6 +28,7 @@ from pcs_racing import (
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.view import OWN_D, OWN_PSI, OWN_S
 from pcs_racing.race.driving import _pieces, pad_parameters
 from pcs_racing.race.races import start_lines, starts_of
@@ -166,9 +167,10 @@ def test_a_python_driver_can_be_stopped_and_continued(oval):
     assert_same(continued, whole)
 
 
-def test_the_number_of_a_car_does_not_matter(oval):
+@pytest.mark.parametrize("planner", [LATTICE, PURE_PURSUIT])
+def test_the_number_of_a_car_does_not_matter(oval, planner):
     """The same two drivers in the same places, numbered the other way round, drive the same race."""
-    slow, fast = lattice(pace=0.3), lattice(pace=0.8)
+    slow, fast = lattice(pace=0.3), planner.policy({"pace": 0.8})
     starts = draw_starts(oval, SHORT, 6, seed=0)
     mirrored = Starts(starts.s, 1 - starts.side)
     one = run_races(oval, [slow] * 6, fast, SHORT, starts=starts)
