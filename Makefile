@@ -3,7 +3,7 @@
 PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
-PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
+PIP := $(RUN) -m pip --disable-pip-version-check install --quiet --no-compile
 
 # The tests start some hundred processes. Without bytecode on disk each of them would compile all of our files again.
 unexport PYTHONDONTWRITEBYTECODE

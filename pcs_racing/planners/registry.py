@@ -5,9 +5,11 @@ declares it in the entry point group ``pcs_racing.planners``, or a program calls
 imported when its name is used for the first time.
 """
 
+import copyreg
 from functools import lru_cache
 from importlib.metadata import entry_points
 from pkgutil import resolve_name
+from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.planner import Planner, Policy
@@ -136,3 +138,13 @@ def _declared() -> dict[str, str]:
 @lru_cache(maxsize=1)
 def _entry_points() -> dict[str, str]:
     return {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+
+
+def _by_place(planner: Planner) -> Any:
+    """Copy and pickle a planner that has a place by this place: numba would copy, and compile again, its functions."""
+    if _planners.get(planner.name) is planner and planner.name in _declared():
+        return resolve_name, (_declared()[planner.name],)
+    return planner.__reduce_ex__(2)
+
+
+copyreg.pickle(Planner, _by_place)  # type: ignore[arg-type]

@@ -1,4 +1,7 @@
+import copy
+import pickle
 import sys
+from dataclasses import replace
 from pkgutil import resolve_name
 from types import ModuleType
 
@@ -66,6 +69,21 @@ def test_a_place_without_a_planner_is_one_clear_error():
     register_planner("math:pi", name="pi")
     with pytest.raises(InputError, match="planner 'pi': math:pi is of type float"):
         get_planner("pi")
+
+
+@pytest.mark.parametrize("name", registry.SHIPPED)
+def test_a_planner_with_a_place_is_the_same_one_in_a_copy_and_in_another_process(name):
+    """A copy of its functions would be compiled again in every process."""
+    policy = parse_policy(name)
+    assert pickle.loads(pickle.dumps(policy)).planner is policy.planner
+    assert copy.deepcopy(policy).planner is policy.planner
+    assert len(pickle.dumps(policy)) < 2000
+
+
+def test_another_planner_is_pickled_with_all_that_it_holds():
+    mine = replace(get_planner("pure-pursuit"), name="pursuit of mine")
+    found = pickle.loads(pickle.dumps(mine))
+    assert (found.name, found.parameters) == (mine.name, mine.parameters)
 
 
 def test_an_unknown_name_lists_the_names_and_the_nearest():
