@@ -37,7 +37,7 @@ demo: $(VENV)/base.stamp
 test: export OMP_NUM_THREADS = 1
 test: export OPENBLAS_NUM_THREADS = 1
 test: kernels
-	$(RUN) -m pytest -n 2 --dist worksteal
+	$(RUN) -m pytest -n 3 --dist worksteal
 
 kernels: $(VENV)/test.stamp
 	$(VENV)/bin/pcs-racing compile

@@ -147,4 +147,4 @@ def _by_place(planner: Planner) -> Any:
     return planner.__reduce_ex__(2)
 
 
-copyreg.pickle(Planner, _by_place)  # type: ignore[arg-type]
+copyreg.pickle(Planner, _by_place)
