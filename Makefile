@@ -33,7 +33,8 @@ demo: $(VENV)/base.stamp
 	$(VENV)/bin/pcs-racing study quick --out out/demo
 
 # The kernels are compiled once before the tests begin, rather than by every worker at the same time. Linear algebra keeps
-# to one thread: several in each of two workers, and in the processes that these start, would fight for two cores.
+# to one thread: several in each worker, and in the processes that these start, would fight for two cores. Of three
+# workers one usually waits for a cluster, a browser or a killed process.
 test: export OMP_NUM_THREADS = 1
 test: export OPENBLAS_NUM_THREADS = 1
 test: kernels
