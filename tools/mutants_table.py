@@ -106,14 +106,14 @@ MODULES = {
         """
         drive_kernel: drive_kernel; drive
         drive_batch: drive_kernel; drive variety
-        drive_courses: drive_kernel; drive /pcs_racing_agents/agents/opponents
+        drive_courses: drive_kernel; moving_opponents drive
         drive: ; drive defaults
         moving_opponents: ; moving_opponents drive
         game_batch circuit_games: game_batch; duel variety
         opponents: game_batch; duel drive /pcs_racing_agents/agents/opponents
         duel: ; duel defaults
         scalar vector: ; vector
-        over_batch: ; vector drive
+        over_batch: ; vector drive duel
         reset_options: ; reset_options
         head_to_head: ; head_to_head defaults
         match head_to_head_match: ; match defaults
@@ -145,7 +145,7 @@ MODULES = {
         """
         diverse: diverse
         evaluate scenarios: ; evaluate
-        indicators: indicators
+        indicators: indicators; /packaging
         selection: selection
         pareto_archive: pareto_archive
         mo_cma_es: mo_cma_es; synthesize

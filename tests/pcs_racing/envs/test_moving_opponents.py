@@ -6,6 +6,7 @@ import numpy as np
 
 from pcs_racing import make_game
 from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.race.state import ITTC_SAMPLES
 
 STEP = 8.0  # s between two moves
 
@@ -51,6 +52,7 @@ def test_what_it_observes_and_drives_is_what_a_game_says():
             break
     assert race is not None, "every race ends in a crash"
     states, parameters = race
+    assert (states[-1].sums[0, :, ITTC_SAMPLES] > 0.0).all()  # restraint is measured while such an opponent drives
     index = {element.name: i for i, element in enumerate(game.observation_elements)}
     axes = [axis.name for axis in game.characteristics]
     for step, (before, after) in enumerate(pairwise(states)):

@@ -286,6 +286,19 @@ def test_the_noise_of_the_lidar_is_drawn_for_each_episode(oval):
     assert np.corrcoef(spread, infos["lidar_noise"])[0, 1] > 0.95
 
 
+@KINDS
+def test_a_restored_moment_brings_back_what_was_drawn(single, vector, usual, oval, wide):
+    env = single(**varied(usual, oval, wide))
+    env.reset(seed=0)
+    kept, drawn = env.get_state(), env.unwrapped.batch.variety
+    before = {name: values.copy() for name, values in drawn.drawn.items()}
+    env.reset(seed=1)
+    assert any((drawn.drawn[name] != before[name]).any() for name in before)
+    env.set_state(kept)
+    for name, values in before.items():
+        np.testing.assert_array_equal(drawn.drawn[name], values)
+
+
 # Obstacles
 
 
