@@ -89,6 +89,10 @@ NEEDS = {
     "a picture of a circuit": ('main(["track", "show", "Pipkin", "--out", "out.png"])', "plots"),
     "a picture": ("from pcs_racing_agents.pictures.style import picture; picture(print)()", "plots"),
     "the command synthesize": ('main(["synthesize", "--out", "archive"])', "synthesis"),
+    "a hypervolume": (
+        "from pcs_racing_agents.synthesis.indicators import hypervolume; hypervolume([[0.5, 0.5]], 0.0)",
+        "synthesis",
+    ),
     "a new circuit": ('main(["track", "generate", "--seed", "7", "--out", "circuit"])', "mapping"),
     "a map without lines": ("pcs_racing.load_track('map')", "mapping"),
     "a data frame": ("pcs_racing.load_archive('default').to_dataframe()", "tables"),
