@@ -15,9 +15,9 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, dataclass, fields, replace
 from functools import partial
-from inspect import get_annotations
+from inspect import cleandoc, get_annotations
 from pathlib import Path
-from textwrap import indent, wrap
+from textwrap import wrap
 from typing import Any, TypeVar, get_origin
 
 from pcs_racing.base.checks import (
@@ -184,7 +184,8 @@ class Settings:
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        cls.__doc__ = f"{cls.__dict__.get('__doc__') or ''}".rstrip() + "\n\n" + _attributes(cls)
+        own = cleandoc(cls.__dict__.get("__doc__") or "")  # from Python 3.13 on it is not indented anyway
+        cls.__doc__ = f"{own}\n\n{_attributes(cls)}"
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -314,9 +315,7 @@ def _attributes(cls: type[Settings]) -> str:
     lines = ["Attributes", "----------"]
     for name, (kind, field) in _declared(cls).items():
         lines += [f"{name} : {kind}", *wrap(_sentence(field), 108, initial_indent="    ", subsequent_indent="    ")]
-    return indent(
-        "\n".join([*lines, "", "Raises", "------", "ConfigError", "    If a value is out of its range.", ""]), "    "
-    )
+    return "\n".join([*lines, "", "Raises", "------", "ConfigError", "    If a value is out of its range.", ""])
 
 
 def _declared(cls: type) -> dict[str, tuple[str, "Field[Any]"]]:

@@ -194,7 +194,8 @@ def test_the_next_circuit_is_built_while_this_one_is_driven(ovals):
         if len(ovals) >= 4:
             break
         time.sleep(0.01)
-    assert ovals[:3] == [0, info["track"], later["track"]]  # number 0 says what the environment looks like
+    assert ovals[0] == 0  # number 0 says what the environment looks like
+    assert set(ovals[1:3]) == {info["track"], later["track"]}  # built side by side
     assert len(ovals) == 4  # and the one that comes next
     env.close()
 
