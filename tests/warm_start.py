@@ -16,7 +16,7 @@ from functools import cache
 from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from subprocess import CompletedProcess
+from subprocess import CompletedProcess, TimeoutExpired
 from typing import Any
 
 IMPORTED = ["pcs_racing", "pcs_racing_agents.cli.main", "pcs_racing_agents.tournament", "pcs_racing_agents.trees"]
@@ -64,11 +64,14 @@ def start_python(
 def call_python(
     *arguments: object, cwd: Path | None = None, env: Mapping[str, str] | None = None
 ) -> CompletedProcess[str]:
-    """Run ``python ARGUMENTS`` to its end and return its exit code and output."""
+    """Run ``python ARGUMENTS`` to its end, which must come within five minutes; return its exit code and output."""
     with tempfile.TemporaryDirectory() as folder:
         stdout, stderr = Path(folder, "stdout"), Path(folder, "stderr")
         process = start_python(*arguments, cwd=cwd, env=env, stdout=stdout, stderr=stderr)
-        process.join()
+        process.join(300)
+        if process.is_alive():
+            kill(process)
+            raise TimeoutExpired(arguments, 300)
         said = [file.read_text() if file.exists() else "" for file in (stdout, stderr)]
         return CompletedProcess(arguments, process.exitcode or 0, *said)
 

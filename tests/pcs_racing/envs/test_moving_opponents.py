@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+from slow_follower import slow_follower
 
 from pcs_racing import make_game
 from pcs_racing.envs.drive import DriveEnv
@@ -22,12 +23,6 @@ class Watcher:
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         self.seen.append(observation[0].copy())
         return np.ones(len(observation), np.int64), None
-
-
-def slow_follower(env):
-    """Steering back to the race line at a walking pace, and out of the opponent's way."""
-    seen = env._observation()
-    return np.array([(0.6 * -seen[7] - 0.35 * seen[6] + 0.33 * seen[12]) / 0.4189, -0.6], np.float32)
 
 
 def race_of(env, seed, seconds):

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, UnknownNameError, draw_starts, load_race_config, load_track
-from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import (
     Characteristic,
     Segment,
@@ -99,8 +98,8 @@ def test_the_check_finds_what_is_wrong(evaluate, message):
         check_characteristic(Characteristic("mine", "m", "wrong", evaluate))
 
 
-def test_a_characteristic_is_known_by_its_name(monkeypatch):
-    monkeypatch.setattr(characteristics, "_registered", dict(characteristics._registered))
+@pytest.mark.usefixtures("own_registry")
+def test_a_characteristic_is_known_by_its_name():
     mine = Characteristic("mine", "m", "half the progress", lambda segment: 0.5 * segment.progress)
     register_characteristic(mine)
     register_characteristic(mine)  # again: nothing happens

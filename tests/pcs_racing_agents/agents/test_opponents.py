@@ -6,6 +6,7 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
+from slow_follower import slow_follower
 
 import pcs_racing_agents
 from pcs_racing import UnknownNameError, make_game
@@ -78,12 +79,6 @@ def test_an_agent_moves_in_a_drive_as_in_a_game(game):
     for _ in range(4):
         expected.append(moves[expected[-1]])
     assert policies == [*expected, expected[-1]]
-
-
-def slow_follower(env):
-    """Steering back to the race line at a walking pace, and out of the opponent's way."""
-    seen = env._observation()
-    return np.array([(0.6 * -seen[7] - 0.35 * seen[6] + 0.33 * seen[12]) / 0.4189, -0.6], np.float32)
 
 
 def test_a_drive_against_an_agent_is_the_same_in_a_batch_and_after_a_copy():

@@ -453,6 +453,7 @@ with open_job(sys.argv[1], "k", {}) as job:
         print(error)
 """
     done = call_python("-c", code, tmp_path)
+    assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(
         f"can't write {tmp_path}/chunks/large-00001.npz: File too large; what is done is kept"
     )
