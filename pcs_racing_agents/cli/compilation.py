@@ -19,7 +19,7 @@ from pcs_racing_agents.cli.options import Commands, add_command
 __all__ = ["add", "compile_kernels"]
 
 TRACK = "Pipkin"
-PLANNERS = ("lane-switcher:3", "pure-pursuit", "gap-follower")
+PLANNERS = ("lattice", "lane-switcher:3", "pure-pursuit", "gap-follower")
 
 
 def add(commands: Commands) -> None:
@@ -43,12 +43,24 @@ def run(arguments: argparse.Namespace) -> None:
 def compile_kernels() -> None:
     """Compile what commands, environments and tests need most, in two processes.
 
-    Every function is compiled by one process only: what is in the second row calls what is in the first.
+    The tasks of a row take about as long as each other and share few functions, since what two processes compile at the
+    same time is compiled twice. What is in a row may call what is in the rows above.
     """
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        for row in ((_races, _solvers), (_environments, _circuits)):
+        for row in ((_tracks, _planners), (_races, _solvers_and_circuits), (_environments,)):
             for task in [pool.submit(function) for function in row]:
                 task.result()
+
+
+def _tracks() -> None:
+    """What builds a track."""
+    load_track(TRACK)
+
+
+def _planners() -> None:
+    """The planners, without a race."""
+    for text in PLANNERS:
+        parse_policy(text).planner.pointers()
 
 
 def _races() -> None:
@@ -63,13 +75,17 @@ def _races() -> None:
     game.observation(game.step(game.reset(games=2, seed=0), np.zeros((2, 2), int)))
 
 
-def _solvers() -> None:
-    """Solvers of games."""
+def _solvers_and_circuits() -> None:
+    """Solvers of games, a generated circuit, and a lidar on a shipped one."""
+    from pcs_racing.track.mapping.circuits import generate_circuit
     from pcs_racing_agents.solvers import GameTree, cfr, exploitability, solve_exact
 
     tree = GameTree.from_payoffs(np.random.default_rng(0).normal(size=(2, 2, 2, 2)))
     solve_exact(tree)
     exploitability(tree, cfr(tree, 2).average)
+    with suppress(ModuleNotFoundError):  # the libraries of the extra mapping may be missing
+        generate_circuit(7)
+    Lidar(load_track(TRACK), 8).scan(np.zeros((2, 3)))
 
 
 def _environments() -> None:
@@ -81,12 +97,3 @@ def _environments() -> None:
         env.reset(seed=0)
         env.step(np.zeros((2, 2), np.float32))
         env.close()
-
-
-def _circuits() -> None:
-    """A generated circuit, and a lidar on one."""
-    from pcs_racing.track.mapping.circuits import generate_circuit
-
-    with suppress(ModuleNotFoundError):  # the libraries of the extra mapping may be missing
-        generate_circuit(7)
-    Lidar(load_track(TRACK), 8).scan(np.zeros((2, 3)))
