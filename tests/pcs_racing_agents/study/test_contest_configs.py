@@ -21,10 +21,12 @@ def test_they_race_on_two_circuits_that_were_learned_on_and_one_that_nothing_was
 
 def test_the_second_is_the_main_table_of_the_first_with_an_archive_that_exists(studies):
     first, second = studies
-    for key in ("game", "circuits", "responses", "response_pool", "best", "sampled_cfr", "self_play", "robust", "psro"):
+    for key in ("game", "circuits", "responses", "response_pool", "best", "sampled_cfr", "fitting_games"):
         assert getattr(first, key) == getattr(second, key), key
-    assert second.tables["main"] == first.tables["main"]
     assert list(second.tables) == ["main"]
+    for key in ("tracks", "opponents", "egos", "variants", "lines"):
+        assert getattr(first, key) == getattr(second, key), key
+    assert set(second.arms) < set(first.arms)
     assert (second.synthesis, second.archive, second.pairs) == (None, "contest", 0)
 
 
