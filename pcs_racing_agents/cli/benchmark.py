@@ -178,7 +178,8 @@ def _best_reply(
         progress=show_progress("best reply"),
     )
     loss = reply.loss
-    return {"loss": loss.mean, "low": loss.low, "high": loss.high, "starts": settings.starts, "races": loss.units}
+    budget = {"starts": settings.starts, "rounds": settings.rounds}
+    return {"loss": loss.mean, "low": loss.low, "high": loss.high, **budget, "races": loss.units}
 
 
 def run_board(arguments: argparse.Namespace) -> None:
