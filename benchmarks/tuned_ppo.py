@@ -309,10 +309,11 @@ def judge_drive(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[
 
 
 def judge_drive_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[tuple[str, ...]]:
-    """PPO and random actions against planners that it never met."""
+    """PPO and random actions against planners that it never met, in races as long as those of the rules."""
     del choices
-    drivers = ("lattice:pace=0.3", "lattice:pace=0.8", "pure-pursuit")
-    return drive_rows({name: {**tuned.arguments, "opponent": name} for name in drivers}, ppo, games)
+    drivers = ("lattice:pace=0.3", "lattice:pace=0.8", "pure-pursuit", "lattice")
+    whole = {**tuned.arguments, "duration": None}
+    return drive_rows({name: {**whole, "opponent": name} for name in drivers}, ppo, games)
 
 
 def drive_rows(tasks: dict[str, Any], ppo: Player, games: int) -> list[tuple[str, ...]]:

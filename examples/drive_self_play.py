@@ -29,9 +29,10 @@ try:
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
+    from stable_baselines3.common.vec_env import VecNormalize
 
     from pcs_racing.envs.sb3 import SB3VecEnv
+    from pcs_racing_agents.learning.ppo.unequal_cars import UnequalCars
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
@@ -65,47 +66,6 @@ class Arguments:
     """threads of torch"""
     seed: int = 0
     """root of everything random"""
-
-
-class UnequalCars(VecEnvWrapper):
-    """Self-play in which one car of each race is slower, and in half of the races blind; drawn anew for each race."""
-
-    def __init__(self, envs: SB3VecEnv, slowest: float, seed: int) -> None:
-        super().__init__(envs)
-        names = [element.name for element in envs.get_attr("elements", 0)[0]]
-        self.about_opponent = np.array([name == "lead" or name.startswith("opponent") for name in names])
-        self.slowest, self.rng = slowest, np.random.default_rng(seed)
-        self.speed, self.blind = np.ones(envs.num_envs), np.zeros(envs.num_envs, bool)
-
-    def draw(self, races: np.ndarray) -> None:
-        """Draw which car is slower, by how much, and whether it is blind."""
-        slow = 2 * races + self.rng.integers(2, size=len(races))
-        both = np.concatenate([2 * races, 2 * races + 1])
-        self.speed[both], self.blind[both] = 1.0, False
-        self.speed[slow] = self.rng.uniform(self.slowest, 1.0, len(races))
-        self.blind[slow] = self.rng.random(len(races)) < 0.5
-
-    def reset(self) -> np.ndarray:
-        """Begin new races, each with its own slower car."""
-        self.draw(np.arange(self.num_envs // 2))
-        return self.hide(self.venv.reset())
-
-    def step_async(self, actions: np.ndarray) -> None:
-        """Hand on the actions, each car's speed multiplied by its share."""
-        speed = self.speed * (1.0 + np.clip(actions[:, 1], -1.0, 1.0)) - 1.0
-        self.venv.step_async(np.stack([actions[:, 0], speed], axis=1))
-
-    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Make the step; where a race has ended, another car may be the slower one."""
-        observations, rewards, done, infos = self.venv.step_wait()
-        for i in np.flatnonzero(done & self.blind):
-            infos[i]["terminal_observation"] = np.where(self.about_opponent, 0.0, infos[i]["terminal_observation"])
-        self.draw(np.flatnonzero(done[::2]))
-        return self.hide(observations), rewards, done, infos
-
-    def hide(self, observations: np.ndarray) -> np.ndarray:
-        """Set the numbers about the opponent to 0 where a car is blind."""
-        return np.where(self.blind[:, None] & self.about_opponent, np.float32(0.0), observations)
 
 
 class Progress(BaseCallback):

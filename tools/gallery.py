@@ -166,7 +166,7 @@ def gallery_page(clips: list[Clip]) -> str:
         blocks += [f"## {scene.title}", scene.rule]
         for clip in (clip for clip in clips if clip.kind == kind):
             blocks += [
-                f"![{scene.title[:-1]} on {clip.circuit}, seen from above]({clip.path})",
+                f"![{kind.capitalize()} on {clip.circuit}, seen from above]({clip.path})",
                 f"{clip.circuit}, race {clip.race}, around {clip.time:.1f} s. How the race ended: {clip.outcome}.",
             ]
     blocks.append(END.strip())

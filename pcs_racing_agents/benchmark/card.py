@@ -39,7 +39,7 @@ class Card:
     cost_us : float, optional
         Microseconds of a decision.
     best_reply : dict, optional
-        Loss to a learned best reply: ``loss``, ``low``, ``high``, ``starts``, ``races``.
+        Loss to a learned best reply: ``loss``, ``low``, ``high``, the learner's ``starts`` and ``rounds``, ``races``.
     """
 
     protocol: str
@@ -148,7 +148,8 @@ def fact_lines(card: Card) -> list[str]:
     if card.best_reply is not None:
         reply = card.best_reply
         lines.append(
-            f"Loss to a learned best reply ({reply['starts']} starts): {reply['loss']:+.3f} "
+            f"Loss to a learned best reply ({reply['starts']} starts, {reply['rounds']} "
+            f"{'round' if reply['rounds'] == 1 else 'rounds'}): {reply['loss']:+.3f} "
             f"[{reply['low']:+.3f}, {reply['high']:+.3f}]."
         )
     if card.rating is not None:

@@ -66,7 +66,9 @@ def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
                 f"{card.score('all', 'unseen').score:.3f}",
                 f"{whole.own_crash:.1%}",
                 "" if gain is None else f"{gain['gain']:+.3f}",
-                "" if reply is None else f"{reply['loss']:+.3f}",
+                "not measured"
+                if reply is None
+                else f"{reply['loss']:+.3f} [{reply['low']:+.3f}, {reply['high']:+.3f}]",
                 "" if card.cost_us is None else f"{card.cost_us:.0f}",
             )
         )

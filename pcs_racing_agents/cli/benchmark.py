@@ -109,14 +109,12 @@ def run(arguments: argparse.Namespace) -> None:
         announce(seconds, cores_of(arguments))
         with open_job(arguments.out, "benchmark", settings) as job:
             results = play_protocol(protocol, agents, job=job, executor=executor, progress=show_progress("races"))
-            replies = [
-                _best_reply(protocol, agent, job, "" if alone else f"agent-{i}-", executor) if arguments.full else None
-                for i, agent in enumerate(agents)
-            ]
-    for agent, digest, reply in zip(agents, digests, replies, strict=True):
-        name = competitor_name(agent)
-        folder = arguments.out if alone else output_folder(arguments.out / re.sub(r"[^\w.+-]", "_", name))
-        _write(protocol, agent, digest, results, reply, folder)
+            for i, (agent, digest) in enumerate(zip(agents, digests, strict=True)):
+                part = "" if alone else f"agent-{i}-"
+                reply = _best_reply(protocol, agent, job, part, executor) if arguments.full else None
+                folder = re.sub(r"[^\w.+-]", "_", competitor_name(agent))
+                own_folder = arguments.out if alone else output_folder(arguments.out / folder)
+                _write(protocol, agent, digest, results, reply, own_folder)
 
 
 def _write(
@@ -180,7 +178,8 @@ def _best_reply(
         progress=show_progress("best reply"),
     )
     loss = reply.loss
-    return {"loss": loss.mean, "low": loss.low, "high": loss.high, "starts": settings.starts, "races": loss.units}
+    budget = {"starts": settings.starts, "rounds": settings.rounds}
+    return {"loss": loss.mean, "low": loss.low, "high": loss.high, **budget, "races": loss.units}
 
 
 def run_board(arguments: argparse.Namespace) -> None:

@@ -3,12 +3,13 @@
     python benchmarks/command_rates.py
 
 measures all rates below and prints them in this order. They are processor seconds on two cores of an AMD EPYC that were
-shared with other work; an idle machine is faster (races take 0.6 of the time, ``benchmarks/race_speed.py`` in
-README.md). Compilation is not included.
+shared with other work; an idle machine is faster (a race takes 3.1 ms, ``benchmarks/race_speed.py`` in README.md).
+Compilation is not included.
 """
 
 import argparse
 import sys
+from dataclasses import replace
 
 from pcs_racing.game.config import GameConfig
 from pcs_racing.race.driving import default_threads
@@ -42,7 +43,7 @@ __all__ = [
     "tree_seconds",
 ]
 
-RACING = 1.5e-4
+RACING = 9e-5
 """Processor seconds for a second of a race between two cars of the lattice planner."""
 TREE_SEGMENT = 2.6e-4
 """For a step of 8 s of a game tree, counting every joint history once (most of them need not be driven)."""
@@ -161,8 +162,18 @@ def response_seconds(settings: ResponseSettings, config: GameConfig, moves: int,
         Number of circuits times number of opponents.
     """
     racing = _branching(settings.starts * settings.rounds * games, config, moves)
-    networks = 2 * settings.rounds * config.moves + settings.members
-    return racing + networks * training_seconds(settings.train_settings(0))
+    fits = settings.rounds * config.moves
+    # Two networks after every step, all members after the last one, each on the rows of all steps so far.
+    networks = [2] * (fits - 1) + [settings.members]
+    return racing + sum(
+        count * _fitting(settings, settings.starts * games * (i + 1)) for i, count in enumerate(networks)
+    )
+
+
+def _fitting(settings: ResponseSettings, rows: int) -> float:
+    """Estimate the processor seconds of a network that learns from so many rows: at most all of them in an epoch."""
+    train = settings.train_settings(0)
+    return training_seconds(replace(train, rows_per_epoch=min(train.rows_per_epoch, rows)))
 
 
 def _branching(games: int, config: GameConfig, moves: int) -> float:

@@ -19,6 +19,9 @@ __all__ = ["TUNED_FILE", "TunedPPO", "tuned_environments", "tuned_ppo"]
 TUNED_FILE = shipped_configs("sb3")["ppo"]
 """The file with the settings of all environments, in the format of rl_zoo3."""
 
+UNEQUAL_CARS = "pcs_racing_agents.learning.ppo.unequal_cars.UnequalCars"
+"""The wrapper that a ``vec_env_wrapper`` of the file may name."""
+
 LINEAR = "lin_"
 """What precedes a learning rate that falls linearly to 0, in the format of rl_zoo3."""
 
@@ -39,6 +42,8 @@ class TunedPPO:
         Steps of the training, over all environments.
     normalize : bool
         Whether observations and rewards are normalised by ``VecNormalize``.
+    unequal_cars : Mapping, optional
+        Arguments of :class:`pcs_racing_agents.learning.ppo.unequal_cars.UnequalCars`, if the environments are in it.
     settings : Mapping
         Arguments of ``PPO``; the learning rate as a number, or as text such as "lin_1e-3": it falls linearly to 0.
     """
@@ -48,10 +53,11 @@ class TunedPPO:
     num_envs: int
     steps: int
     normalize: bool = False
+    unequal_cars: Mapping[str, Any] | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def make_envs(self, num_envs: int | None = None) -> "VecEnv":
-        """Return compiled environments of the task for Stable-Baselines3, without normalisation.
+        """Return compiled environments of the task for Stable-Baselines3, as they are before they are wrapped.
 
         Parameters
         ----------
@@ -76,6 +82,10 @@ class TunedPPO:
         from stable_baselines3.common.vec_env import VecNormalize
 
         envs = self.make_envs()
+        if self.unequal_cars is not None:
+            from pcs_racing_agents.learning.ppo.unequal_cars import UnequalCars
+
+            envs = UnequalCars(envs, seed=seed, **self.unequal_cars)
         if self.normalize:
             envs = VecNormalize(envs, gamma=float(self.settings.get("gamma", 0.99)))
         settings = {**self.settings, "learning_rate": learning_rate(self.settings.get("learning_rate", 3e-4))}
@@ -115,6 +125,7 @@ def tuned_ppo(environment: str) -> TunedPPO:
         num_envs=values.pop("n_envs"),
         steps=values.pop("n_timesteps"),
         normalize=values.pop("normalize", False),
+        unequal_cars=values.pop("vec_env_wrapper", {}).get(UNEQUAL_CARS),
         settings=values,
     )
 

@@ -123,19 +123,41 @@ def branch_games(
     state = take_games(state, running)
     observations, opponent_policy = game.observation(state)[:, 0], state.policy[:, 1].copy()
     opponent_moves = ask_moves(opponent, game, state, 1)
-    branch_moves = np.tile(np.arange(count), len(running))
-    state = take_games(state, np.repeat(np.arange(len(running)), count))
-    state = game.step(state, np.stack([branch_moves, np.repeat(opponent_moves, count)], axis=1))
+    rows, moves, branch = _different_branches(game, state, count)
+    state = take_games(state, rows)
+    state = game.step(state, np.stack([moves, opponent_moves[rows]], axis=1))
     while not game.done(state).all():
         moves = ask_moves(continuation, game, state, 0)
         state = game.step(state, np.stack([moves, ask_moves(opponent, game, state, 1)], axis=1))
-    shape = len(running), count
     return Branches(
         observations=observations,
-        outcomes=outcome(game, state, worth).reshape(shape),
+        outcomes=outcome(game, state, worth)[branch],
         game=running,
         behaviour=behaviour_of[running],
         opponent_policy=opponent_policy,
-        leads=np.asarray(state.race.lead, np.float64).reshape(shape),
-        crashed=state.race.crashed.reshape(shape),
+        leads=np.asarray(state.race.lead, np.float64)[branch],
+        crashed=state.race.crashed[branch],
     )
+
+
+def _different_branches(
+    game: RaceGame, state: GameState, count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the branches to drive: of several moves of car 0 that lead to the same policy only the first one.
+
+    The others would be the same race to the last bit: a game goes on from where the cars are and from their policies,
+    and keeps no record of the moves.
+
+    Returns
+    -------
+    rows, moves : ndarray, shape (N,)
+        Game and move of each branch.
+    branch : ndarray, shape (R, count)
+        Index of the branch in which each game goes on after each move.
+    """
+    after = game.next_policy(state.policy[:, :1], np.arange(count))
+    first = np.argmax(after[:, :, None] == after[:, None, :], axis=2)
+    driven = first == np.arange(count)
+    rows, moves = np.nonzero(driven)
+    number = np.cumsum(driven).reshape(driven.shape) - 1
+    return rows, moves, np.take_along_axis(number, first, axis=1)

@@ -193,6 +193,32 @@ def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
             read_cards([*good, folder(name, value)])
 
 
+def test_the_leaderboard_says_what_was_lost_to_a_best_reply_and_what_was_not_measured():
+    reply = {"loss": 0.123, "low": 0.1, "high": 0.15, "starts": 8, "rounds": 1, "races": 40}
+    measured, other = board_rows([card("a", best_reply=reply), card("b")])
+    column = BOARD_COLUMNS.index("best reply")
+    assert (measured[column], other[column]) == ("+0.123 [+0.100, +0.150]", "not measured")
+
+
+def test_a_full_card_has_the_loss_to_a_best_reply(tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    save_archive(toy_archive(), tmp_path / "toy")
+    small = {**SMALL, "archive": str(tmp_path / "toy"), "agents": ["random-moves"], "blind": ["never-switch"]}
+    settings = {key: list(value) if isinstance(value, tuple) else value for key, value in small.items()}
+    (tmp_path / "protocol.yaml").write_text(json.dumps(settings))
+    (tmp_path / "learner.yaml").write_text("starts: 8\nrounds: 1\nmembers: 1\nepochs: 2\nhidden: [4]\n")
+    monkeypatch.setattr("pcs_racing_agents.cli.benchmark.LEARNER", str(tmp_path / "learner.yaml"))
+    monkeypatch.setattr("pcs_racing_agents.cli.benchmark.REPLY_RACES", 40)
+    out = tmp_path / "card"
+    protocol_file = str(tmp_path / "protocol.yaml")
+    assert main(["benchmark", "always-restraint+", "--full", "--protocol", protocol_file, "--out", str(out)]) == 0
+    reply = read_card(out).best_reply
+    assert {reply[key] for key in ("starts", "rounds")} == {8, 1}
+    assert reply["low"] <= reply["loss"] <= reply["high"]
+    assert -0.5 <= reply["loss"] <= 0.5
+    assert "Loss to a learned best reply (8 starts, 1 round)" in (out / "card.md").read_text()
+
+
 def test_the_command_writes_a_card_that_the_leaderboard_takes(tmp_path, capsys):
     archive = toy_archive()
     save_archive(archive, tmp_path / "toy")

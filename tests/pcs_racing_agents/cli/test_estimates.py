@@ -87,8 +87,9 @@ def test_a_network_counts_the_rows_of_all_epochs():
 
 
 def test_an_answer_counts_branches_to_the_end_of_the_game_and_its_networks():
-    settings = load_response_settings("response")
-    networks = (2 * 2 * 4 + settings.members) * estimates.training_seconds(settings.train_settings(0))
+    settings = load_response_settings("response", starts=512, rounds=2, members=4, epochs=60)
+    rows = [min(512 * 9 * fits, 50_000) for fits in range(1, 9)]
+    networks = (2 * sum(rows) + 2 * rows[-1]) * 60 * estimates.ROW
     racing = 512 * 2 * 9 * 8.0 * sum((k + 1) + 4 * (4 - k) for k in range(4))
     assert estimates.response_seconds(settings, PAPER, 4, 9) == pytest.approx(racing * estimates.RACING + networks)
 
@@ -126,7 +127,7 @@ COMMANDS = {
     "synthesize": "pcs_racing_agents.cli.synthesize.make_archive",
     "ppo --config duel-paper": "pcs_racing_agents.learning.ppo.train.train_ppo",
     "study paper": "pcs_racing_agents.study.run_study",
-    "tournament --agents never-switch random-moves response --track Tarnfjord Pipkin --races 2000": (
+    "tournament --agents never-switch random-moves response nash --track Tarnfjord Pipkin --races 2000": (
         "pcs_racing_agents.tournament.play_plan"
     ),
 }

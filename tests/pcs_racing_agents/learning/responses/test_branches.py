@@ -39,6 +39,25 @@ def test_a_branch_is_what_comes_of_playing_its_moves(game, setting):
         np.testing.assert_array_equal(result.outcomes[:, move], game.reward(state)[result.game, 0])
 
 
+def test_moves_that_lead_to_the_same_policy_are_driven_once(game, setting):
+    asked = []
+
+    class Stays:
+        name = "stays"
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            asked.append(len(observation))
+            return np.full(len(observation), len(setting.moves) - 1), None
+
+    keys, stay = race_seeds(3, 12), never_switch(setting)
+    result = branch_games(game, stay, keys, 0, [stay], Stays(), worth="utility")
+    after = game.next_policy(game.reset(keys).policy[:, :1], np.arange(len(game.move_names)))[result.game]
+    assert asked[0] <= sum(len(np.unique(policies)) for policies in after) < after.size
+    for policies, outcomes in zip(after, result.outcomes, strict=True):
+        for policy in np.unique(policies):
+            assert len(np.unique(outcomes[policies == policy])) == 1
+
+
 def test_branches_do_not_depend_on_the_batch(game, setting):
     keys = race_seeds(5, 6)
     rest = ([random_moves(setting), never_switch(setting)], always(setting, "restraint +"))

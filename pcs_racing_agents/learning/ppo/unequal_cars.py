@@ -1,0 +1,77 @@
+"""Self-play of steering and speed between unequal cars, so that one policy learns both to pass and to be passed.
+
+Against nobody but its equal, a policy forgets how to pass: no car is slower, and the other one always makes room. So in
+every race one of the two cars has less speed at its command, and in half of the races that car does not see the other.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.checks import check_number
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+except ImportError as error:
+    raise ImportError('self-play needs Stable-Baselines3: pip install "pcs-racing[learning]"') from error
+
+__all__ = ["UnequalCars"]
+
+
+class UnequalCars(VecEnvWrapper):
+    """Self-play in which one car of each race is slower, and in half of the races blind; drawn anew for each race.
+
+    Parameters
+    ----------
+    venv : VecEnv
+        Races of two cars (``make_sb3_vec_env("drive-self-play", ...)``): environments ``2 i`` and ``2 i + 1`` are the
+        cars of race ``i``.
+    slowest : float
+        Least share of its speed that the slower car of a race has, in (0, 1].
+    seed : int
+        Of what is drawn.
+
+    Raises
+    ------
+    InputError
+        If ``slowest`` is not in its range.
+    """
+
+    def __init__(self, venv: VecEnv, slowest: float = 0.5, seed: int = 0) -> None:
+        super().__init__(venv)
+        self.slowest = check_number("slowest", slowest, 0.01, 1.0)
+        names = [element.name for element in venv.get_attr("elements", 0)[0]]
+        self.about_opponent = np.array([name == "lead" or name.startswith("opponent") for name in names])
+        self.rng = np.random.default_rng(seed)
+        self.speed, self.blind = np.ones(venv.num_envs), np.zeros(venv.num_envs, np.bool_)
+
+    def reset(self) -> NDArray[np.float32]:
+        """Begin new races, each with its own slower car."""
+        self._draw(np.arange(self.num_envs // 2))
+        return self._hide(self.venv.reset())  # type: ignore[arg-type]
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Hand on the actions, each car's speed multiplied by its share."""
+        speed = self.speed * (1.0 + np.clip(actions[:, 1], -1.0, 1.0)) - 1.0
+        self.venv.step_async(np.stack([actions[:, 0], speed], axis=1))
+
+    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Make the step; where a race has ended, another car may be the slower one."""
+        observations, rewards, done, infos = self.venv.step_wait()
+        for i in np.flatnonzero(done & self.blind):
+            infos[i]["terminal_observation"] = np.where(self.about_opponent, 0.0, infos[i]["terminal_observation"])
+        self._draw(np.flatnonzero(done[::2]))
+        return self._hide(observations), rewards, done, infos  # type: ignore[arg-type]
+
+    def _draw(self, races: NDArray[np.int64]) -> None:
+        """Draw which car of each race is slower, by how much, and whether it is blind."""
+        slow = 2 * races + self.rng.integers(2, size=len(races))
+        both = np.concatenate([2 * races, 2 * races + 1])
+        self.speed[both], self.blind[both] = 1.0, False
+        self.speed[slow] = self.rng.uniform(self.slowest, 1.0, len(races))
+        self.blind[slow] = self.rng.random(len(races)) < 0.5
+
+    def _hide(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Set the numbers about the opponent to 0 where a car is blind."""
+        return np.where(self.blind[:, None] & self.about_opponent, np.float32(0.0), observations)
