@@ -212,9 +212,9 @@ def waves(config: StudyConfig, found: Mapping[str, Cost]) -> dict[str, list[Wave
     races = 2 * config.egos * config.variants
     cells = [(len(t) * len(o) * len(a), races * lines) for t, o, a, lines in config.tables.values()]
     stages["races"] = [Wave("games", sum(count * ceil(games / runner.BLOCK) for count, games in cells))]
-    rivals = comb(len(config.rivals), 2)
-    again = Wave("games", rivals, config.rival_races / runner.BLOCK)
-    stages["rivals"] = [again._replace(tasks=rivals * n) for n in (len(config.tracks), circuits)] if rivals else []
+    pairs = comb(len(config.rated), 2)
+    again = Wave("games", pairs, config.rating_races / runner.BLOCK)
+    stages["ratings"] = [again._replace(tasks=pairs * n) for n in (len(config.tracks), circuits)] if pairs else []
     reply = [*_response(config, load_response_settings(config.reply), 1), each._replace(times=1.0)]
     stages["best-replies"] = reply * len(config.replies)
     main = len(config.tracks) * len(config.opponents) * 2 * ceil(1000 / runner.BLOCK)

@@ -77,7 +77,7 @@ class Data:
 
     observations: NDArray[np.float32]
     wins: Floats
-    rival: Floats
+    opponent: Floats
     played: NDArray[np.int64]
     place: NDArray[np.int64]
 
@@ -104,12 +104,12 @@ class BranchTask(NamedTuple):
 
 def branch(setting: Setting, network: RegretNetwork, task: BranchTask) -> Arrays:
     pilots = [random_moves(setting, seed=RANDOM_SEED), follow(network, setting)]
-    rival = opponent_of(task.opponent, setting)
-    arena = game_between(game_on(task.circuit, setting), pilots[0], rival)
+    opponent = opponent_of(task.opponent, setting)
+    arena = game_between(game_on(task.circuit, setting), pilots[0], opponent)
     key = (sum(task.circuit.encode()), OPPONENTS.index(task.opponent), task.step)
     root = int(np.random.SeedSequence(BRANCH_SEED, spawn_key=key).generate_state(1, np.uint64)[0] >> np.uint64(1))
     keys = race_seeds(root, task.last)[task.first :]
-    found = branch_games(arena, rival, keys, task.step, pilots, pilots[1])
+    found = branch_games(arena, opponent, keys, task.step, pilots, pilots[1])
     return {**found._asdict(), "game": found.game + task.first}
 
 
@@ -131,7 +131,7 @@ def branched(options: Options, job: Job, executor: Executor | None) -> tuple[Dat
         where = options.circuits.index(task.circuit), OPPONENTS.index(task.opponent), task.step
         place = [(*where, int(number)) for number in arrays["game"]]
         given = [arrays[key] for key in ("observations", "outcomes")]
-        parts.append((*given, points[arrays["rival"]], arrays["behaviour"], np.reshape(place, (-1, 4))))
+        parts.append((*given, points[arrays["opponent_policy"]], arrays["behaviour"], np.reshape(place, (-1, 4))))
     return Data(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))), network
 
 
@@ -154,7 +154,7 @@ def learner(
     def inputs(data: Data) -> NDArray[np.float32]:
         more = {
             "": np.zeros((len(data.wins), 0)),
-            "opponent": data.rival,
+            "opponent": data.opponent,
             "circuit": np.eye(len(CIRCUITS) + 8)[data.place[:, 0]],
         }[sees]
         shown = np.delete(data.observations, list(unseen), axis=1)

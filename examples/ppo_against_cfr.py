@@ -1,10 +1,10 @@
 """PPO against the agent of counterfactual regret: train it, save it, race it.
 
     python examples/ppo_against_cfr.py
-    python examples/ppo_against_cfr.py --steps 200000 --race contest --archive contest --rival response
+    python examples/ppo_against_cfr.py --steps 200000 --race contest --archive contest --opponent response
 
 PPO learns the game of moves against a mixture of opponents with Stable-Baselines3. What it has learned is saved as
-plain numbers, read again without torch, and raced against the rival and others: every start policy against every
+plain numbers, read again without torch, and raced against the opponent and others: every start policy against every
 opponent, from both sides, in the very races that the agent which never switches drives, too. The default is a look at
 how it works, in about a minute; the weights that come with the package were trained for longer (docs/ppo.md). Stop the
 training and start it again: it goes on where it was.
@@ -38,8 +38,8 @@ def main() -> None:
     parser.add_argument("--race", default="paper", help="rules of the race: paper or contest")
     parser.add_argument("--archive", default="default", help="archive that both move in")
     parser.add_argument("--steps", type=int, default=20_000, help="moves to learn from")
-    parser.add_argument("--rival", default="cfr-argmax", help="agent of the zoo to race against")
-    parser.add_argument("--rival-network", metavar="DIR", help="its network, where none is shipped")
+    parser.add_argument("--opponent", default="cfr-argmax", help="agent of the zoo to race against")
+    parser.add_argument("--opponent-network", metavar="DIR", help="its network, where none is shipped")
     parser.add_argument("--egos", type=int, default=8, help="start policies of each agent")
     parser.add_argument("--variants", type=int, default=8, help="start policies of each opponent")
     parser.add_argument("--seed", type=int, default=0, help="root of everything random")
@@ -48,11 +48,11 @@ def main() -> None:
 
     # 0. Who races; a name that is unknown is told before anything is trained.
     world = {"archive": arguments.archive, "race": arguments.race}
-    options = {"network": arguments.rival_network} if arguments.rival_network else {}
+    options = {"network": arguments.opponent_network} if arguments.opponent_network else {}
     try:
-        rival = make(arguments.rival, **world, **options)
+        opponent = make(arguments.opponent, **world, **options)
     except UnknownNameError as error:
-        raise SystemExit(f"ppo_against_cfr: error: {error}; or race another one with --rival") from None
+        raise SystemExit(f"ppo_against_cfr: error: {error}; or race another one with --opponent") from None
 
     # 1. Train, against opponents that PPO is to beat. The folder keeps checkpoints, curves and weights.
     settings = DuelSettings(
@@ -80,19 +80,19 @@ def main() -> None:
     draws = {"egos": arguments.egos, "opponents": arguments.variants, "lines": 3, "seed": arguments.seed + 1}
     print(f"\n{game.track.name}, rules {arguments.race}: score (a win 1, a tie a half), difference at 95 %")
     print(f"{'against':>24} {'races':>6} {'never-switch':>13} {'ppo':>7} {'difference':>11} {'interval':>18}")
-    for opponent in (rival, never_switch, make("random-moves", **world)):
-        pairings = [cross_pairing(game, ego, opponent, **draws) for ego in (never_switch, ppo)]
+    for other in (opponent, never_switch, make("random-moves", **world)):
+        pairings = [cross_pairing(game, ego, other, **draws) for ego in (never_switch, ppo)]
         base, score = (play_pairing(pairing).score for pairing in pairings)
         egos, opponents = pairings[0].variants.T
         gain = compare(score, base, egos, opponents)  # its interval knows which races share a policy
         interval = f"[{gain.low:+.3f}, {gain.high:+.3f}]"
         figures = f"{base.mean():13.3f} {score.mean():7.3f} {gain.difference:+11.3f} {interval:>18}"
-        print(f"{opponent.name:>24} {len(score):6} {figures}")
+        print(f"{other.name:>24} {len(score):6} {figures}")
 
     # 4. One of these races to watch.
-    pairing = cross_pairing(game, ppo, rival, **draws)
+    pairing = cross_pairing(game, ppo, opponent, **draws)
     best = int(np.argmax(play_pairing(pairing).lead))
-    recording = record_game(game, ppo, rival, **pairing.race_arguments(best))
+    recording = record_game(game, ppo, opponent, **pairing.race_arguments(best))
     print(f"\nto watch: {save_replay(recording.replay, arguments.out / 'race.html')}")
 
 

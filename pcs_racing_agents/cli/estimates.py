@@ -216,8 +216,8 @@ def stage_estimates(config: StudyConfig) -> dict[str, float]:
     robust = None if config.robust is None else load_robust_settings(config.robust)
     psro = None if config.psro is None else load_psro_settings(config.psro)
     reply = response_seconds(load_response_settings(config.reply), game, moves, circuits)
-    pairs = len(config.rivals) * (len(config.rivals) - 1) // 2
-    rivals = pairs * config.rival_races * (len(config.tracks) + len(config.circuits))
+    pairs = len(config.rated) * (len(config.rated) - 1) // 2
+    races = pairs * config.rating_races * (len(config.tracks) + len(config.circuits))
     return {
         "archive": 0.0 if config.synthesis is None else synthesis_seconds(load_archive_config(config.synthesis)),
         "trees": trees,
@@ -229,6 +229,6 @@ def stage_estimates(config: StudyConfig) -> dict[str, float]:
         "psro": 0.0 if psro is None else psro_seconds(psro, game, moves, circuits),
         "ppo": 0.0 if config.ppo is None else ppo_seconds(load_ppo_settings(config.ppo)),
         "races": racing_seconds(tables, game.horizon),
-        "rivals": racing_seconds(rivals, game.horizon),
+        "ratings": racing_seconds(races, game.horizon),
         "best-replies": len(config.replies) * (reply + racing_seconds(config.reply_races, game.horizon)),
     }

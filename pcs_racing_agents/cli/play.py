@@ -44,9 +44,9 @@ def run(arguments: argparse.Namespace) -> None:
 
     check_seed(arguments.seed)
     config, archive = rules(arguments), load_archive(arguments.archive)
-    rival = make(arguments.opponent, archive=archive, race=config, seed=arguments.seed)
+    opponent = make(arguments.opponent, archive=archive, race=config, seed=arguments.seed)
     game = make_game(load_track(arguments.track), archive, config, stay=True)
-    races = PersonRaces(game, rival, arguments.seed)
+    races = PersonRaces(game, opponent, arguments.seed)
     races.situation(0, ())  # a competitor that does not fit is told now, and kernels are compiled before the page opens
     with make_server(play_page(races), races.answer, arguments.port) as server:
         serve(server, "play", open_it=not arguments.no_open)

@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from pcs_racing_agents.cli.options import Commands, add_command
 from pcs_racing_agents.jobs.configuration import shipped_configs
@@ -18,6 +19,7 @@ def add(commands: Commands) -> None:
         "pcs-racing study quick --out out/quick",
         "pcs-racing study paper --out out/paper",
         "pcs-racing study out/my-study.yaml --out out/mine --stage archive trees",
+        "pcs-racing study contest-table --archive out/my-archive --seed 1 --out out/table",
     )
     names = ", ".join(shipped_configs("study"))
     parser.add_argument("config", help=f"settings: {names} or a YAML file")
@@ -31,6 +33,9 @@ def add(commands: Commands) -> None:
     parser.add_argument("--stage", nargs="+", metavar="NAME", help="stages to run (default: all that are not finished)")
     parser.add_argument(
         "--seed", type=int, metavar="N", help="seed of all random draws (default: that of the settings)"
+    )
+    parser.add_argument(
+        "--archive", metavar="ARCHIVE", help="name or folder of an archive to use instead of that of the settings"
     )
     from pcs_racing_agents.jobs.jobs import add_executor_options
 
@@ -46,7 +51,9 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.study.run import stages_to_run
     from pcs_racing_agents.study.stages import stage_seconds
 
-    changes = {} if arguments.seed is None else {"seed": arguments.seed}
+    changes: dict[str, Any] = {} if arguments.seed is None else {"seed": arguments.seed}
+    if arguments.archive is not None:
+        changes |= {"synthesis": None, "archive": arguments.archive}
     config = load_study_config(arguments.config, **changes)
     remaining = {stage.name for stage in stages_to_run(config, arguments.out, arguments.stage)}
     seconds = sum(spent for stage, spent in stage_estimates(config).items() if stage in remaining)

@@ -165,7 +165,7 @@ class Explanation:
 def explain_game(
     game: RaceGame,
     ego: Competitor | Policy,
-    rival: Competitor | Policy,
+    opponent: Competitor | Policy,
     *,
     policies: ArrayLike,
     start: Starts,
@@ -178,7 +178,7 @@ def explain_game(
     Parameters
     ----------
     game : RaceGame
-    ego, rival : Competitor or Policy
+    ego, opponent : Competitor or Policy
         Competitors in car 0 and car 1.
     policies, start, seed, candidates
         As for :func:`pcs_racing_agents.tournament.watching.record_game`.
@@ -192,7 +192,7 @@ def explain_game(
     """
     if car not in (0, 1):
         raise InputError(f"car is {car!r}; it must be 0 or 1")
-    cars = (as_competitor(ego), as_competitor(rival))
+    cars = (as_competitor(ego), as_competitor(opponent))
     competitor = cars[car]
     if isinstance(competitor, Driver):
         raise InputError(

@@ -106,8 +106,10 @@ class StudyConfig(Settings):
     reply_races: int = setting(
         4000, whole(40, 1_000_000), "Races of each agent against its best reply, on all circuits together."
     )
-    rivals: tuple[str, ...] = setting((), names(0), "Agents of the round robin for the ratings.")
-    rival_races: int = setting(100, whole(2, 2000), "Races of each pair of rivals on each circuit of the table; even.")
+    rated: tuple[str, ...] = setting((), names(0), "Agents of the round robin for the ratings.")
+    rating_races: int = setting(
+        100, whole(2, 2000), "Races of each pair of rated agents on each circuit of the table; even."
+    )
     seed: int = setting(0, whole(0, 2**62), "Seed of all random draws.")
 
     def __post_init__(self) -> None:

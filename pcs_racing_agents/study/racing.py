@@ -13,10 +13,10 @@ from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.play import plan_tournament, play_plan, tournament_settings
 from pcs_racing_agents.tournament.runner import play_pairings
 
-__all__ = ["StudyRaces", "race_rivals", "race_tables", "table_races"]
+__all__ = ["StudyRaces", "race_for_ratings", "race_tables", "table_races"]
 
 TABLE_SEED = 0
-RIVAL_SEED = 5_000_000
+RATING_SEED = 5_000_000
 
 
 class StudyRaces(NamedTuple):
@@ -66,19 +66,19 @@ def table_races(study: Study) -> Iterator[StudyRaces]:
             yield StudyRaces(table, pairing, pairing.table(driven))
 
 
-def race_rivals(study: Study) -> None:
-    """Play the tournament of the rivals, for the ratings."""
-    if not study.config.rivals:
+def race_for_ratings(study: Study) -> None:
+    """Play all agents against all others, for the ratings."""
+    if not study.config.rated:
         return
     config = study.config
     plan = plan_tournament(
         [study.track(name) for name in config.tracks],
-        {name: study.agent(name) for name in config.rivals},
+        {name: study.agent(name) for name in config.rated},
         study.config.game,
         archive=study.archive,
-        races_per_pair=config.rival_races,
-        seed=config.seed + RIVAL_SEED,
+        races_per_pair=config.rating_races,
+        seed=config.seed + RATING_SEED,
     )
-    with open_job(study.folder / "rivals", "tournament", tournament_settings(plan)) as job:
-        played = play_plan(plan, job=job, executor=study.executor, progress=study.progress("races of rivals"))
-    write_results(played.races, study.folder / "rivals.csv")
+    with open_job(study.folder / "ratings", "tournament", tournament_settings(plan)) as job:
+        played = play_plan(plan, job=job, executor=study.executor, progress=study.progress("races for the ratings"))
+    write_results(played.races, study.folder / "ratings.csv")

@@ -83,7 +83,7 @@ class ReportContent:
         Losses of agents to learned best replies.
     judged : StudyTable, optional
         The table whose scores are shown with the losses; by default ``table``.
-    rivals : RoundRobin, optional
+    round_robin : RoundRobin, optional
     situations : sequence of Situations
         Moves by situation, for each agent.
     ablations : sequence of TitledTable
@@ -107,7 +107,7 @@ class ReportContent:
     reward_curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)
     losses: Sequence[ReplyLoss] = ()
     judged: StudyTable | None = None
-    rivals: RoundRobin | None = None
+    round_robin: RoundRobin | None = None
     situations: Sequence[Situations] = ()
     ablations: Sequence[TitledTable] = ()
     sheets: Sequence[TitledTable] = ()
@@ -196,22 +196,22 @@ def _total_losses(content: ReportContent) -> Iterator[tuple[str, ...]]:
     """Yield each agent's loss on all circuits, with its score in races and its rating."""
     scores = mean_scores(content.judged or content.table)
     for agent, loss in total_losses(content.losses).items():
-        rating = np.nan if content.rivals is None else content.rivals.rating(agent)[0]
+        rating = np.nan if content.round_robin is None else content.round_robin.rating(agent)[0]
         columns = (f"{scores[agent]:.3f}" if agent in scores else "", "" if np.isnan(rating) else f"{rating:+.0f}")
         yield agent, *columns, *_loss_cells(loss)
 
 
 def _ratings(content: ReportContent) -> Iterator[tuple[str, ...]]:
-    rivals = content.rivals
-    if rivals is None or rivals.ratings is None:
+    round_robin = content.round_robin
+    if round_robin is None or round_robin.ratings is None:
         return
-    for i in np.argsort(-rivals.ratings.strength, kind="stable"):
-        name = rivals.ratings.names[i]
-        rating, low, high = rivals.rating(name)
+    for i in np.argsort(-round_robin.ratings.strength, kind="stable"):
+        name = round_robin.ratings.names[i]
+        rating, low, high = round_robin.rating(name)
         shares = [
-            "" if probabilities is None else f"{probabilities[rivals.names.index(name)]:.2f}"
-            for probabilities in (rivals.equilibrium, rivals.alpha_rank)
+            "" if probabilities is None else f"{probabilities[round_robin.names.index(name)]:.2f}"
+            for probabilities in (round_robin.equilibrium, round_robin.alpha_rank)
         ]
         interval = "" if np.isnan(low) else f"[{low:+.0f}, {high:+.0f}]"
-        counts = (str(rivals.ratings.races[i]), str(rivals.ratings.left_out[i]))
+        counts = (str(round_robin.ratings.races[i]), str(round_robin.ratings.left_out[i]))
         yield name, f"{rating:+.0f}", interval, *counts, *shares

@@ -18,7 +18,7 @@ from pcs_racing_agents.study.family_gains import FAMILY_HEAD, family_gains, fami
 from pcs_racing_agents.study.highlights import KINDS, Highlight, select_highlights, watch_race
 from pcs_racing_agents.study.playing import PLAYING_SEED, REPLY_SEED
 from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
-from pcs_racing_agents.study.racing import RIVAL_SEED, TABLE_SEED, StudyRaces, table_races
+from pcs_racing_agents.study.racing import RATING_SEED, TABLE_SEED, StudyRaces, table_races
 from pcs_racing_agents.study.report import ExplainedRace, ReportContent, TitledTable, write_page
 from pcs_racing_agents.study.report_inputs import ReplyLoss, read_curves, read_losses, software
 from pcs_racing_agents.study.situations import moves_in_situations
@@ -107,7 +107,7 @@ def _content(
         reward_curves=_reward_curves(study),
         losses=_losses(study),
         judged=judged,
-        rivals=_rivals(study),
+        round_robin=_round_robin(study),
         situations=moves_in_situations(study, study_races),
         sheets=sheets,
         races=list(_watched(study, study_races)),
@@ -181,12 +181,12 @@ def _losses(study: Study) -> list[ReplyLoss]:
     return read_losses(file) if file.is_file() else []
 
 
-def _rivals(study: Study) -> RoundRobin | None:
-    """Return the summary of the rivals' tournament."""
-    file = study.folder / "rivals.csv"
+def _round_robin(study: Study) -> RoundRobin | None:
+    """Return the summary of all against all."""
+    file = study.folder / "ratings.csv"
     if not file.is_file():
         return None
-    return round_robin(study.config.rivals, read_results(file), seed=study.config.seed)
+    return round_robin(study.config.rated, read_results(file), seed=study.config.seed)
 
 
 def _seeds(study: Study) -> dict[str, int]:
@@ -203,8 +203,8 @@ def _seeds(study: Study) -> dict[str, int]:
         seeds["robust answers and self-play"] = config.seed + PLAYING_SEED
     if config.replies:
         seeds["best replies"] = config.seed + REPLY_SEED
-    if config.rivals:
-        seeds["all against all"] = config.seed + RIVAL_SEED
+    if config.rated:
+        seeds["all against all"] = config.seed + RATING_SEED
     return seeds
 
 

@@ -103,9 +103,9 @@ STAGES = (
     Stage("psro", ("blind",), "learns answers to answers", playing.learn_psro_agent, _torch_for_playing),
     Stage("ppo", ("archive",), "trains the PPO baseline", preparing.train_ppo_baseline, _ppo),
     Stage("races", LEARNED, "drives the races of the table", racing.race_tables),
-    Stage("rivals", LEARNED, "lets agents race all against all", racing.race_rivals),
+    Stage("ratings", LEARNED, "lets agents race all against all", racing.race_for_ratings),
     Stage("best-replies", LEARNED, "trains a best reply to each agent", playing.measure_replies, _torch_for_playing),
-    Stage("report", ("races", "rivals", "best-replies"), "writes results.csv and report.html", _report, always=True),
+    Stage("report", ("races", "ratings", "best-replies"), "writes results.csv and report.html", _report, always=True),
 )
 """All stages, in the order in which they run."""
 

@@ -60,14 +60,14 @@ class PersonRaces:
     Attributes
     ----------
     game : RaceGame
-    rival : Competitor
+    opponent : Competitor
         In car 1.
     seed : int
         Root of the starts, of the policies that both cars start with, and of the noise.
     """
 
     game: RaceGame
-    rival: Competitor
+    opponent: Competitor
     seed: int = 0
 
     def answer(self, path: str) -> Answer:
@@ -125,7 +125,7 @@ class PersonRaces:
             "outcome": replay.outcome,
             "winner": int(played.winner[0]) if over else None,
             "lead": float(replay.lead[-1]),
-            "rival": replay.car_names[1],
+            "opponent": replay.car_names[1],
             "track": replay.track_name,
             "axes": [{"name": axis.name, "unit": axis.unit, "meaning": axis.meaning} for axis in axes],
             "policies": archive.normalised.tolist(),
@@ -134,17 +134,17 @@ class PersonRaces:
                 {"name": name, "policy": int(game.next_policy(np.array([policy]), np.array([move]))[0])}
                 for move, name in enumerate(game.competitor_moves)
             ],
-            "rival_seen": seen[0],
+            "opponent_seen": seen[0],
             "you_seen": seen[1],
             "history": [self._decision(step, moves[k]) for k, step in enumerate(steps)],
         }
 
     def _decision(self, step: ExplainedDecision, own_move: int) -> dict[str, Any]:
-        """Return what the rival decided in a step, beside the person's move, as plain values."""
+        """Return what the opponent decided in a step, beside the person's move, as plain values."""
         names = self.game.competitor_moves
         return {
             "you": names[own_move],
-            "rival": names[step.move],
+            "opponent": names[step.move],
             "probabilities": None if step.probabilities is None else step.probabilities.tolist(),
             "values": None if step.values is None else step.values.tolist(),
         }
@@ -168,20 +168,20 @@ class PersonRaces:
             if not 0 <= move < len(names):
                 raise InputError(f"move {move} is none of the moves 0 to {len(names) - 1} ({', '.join(names)})")
         person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
-        variants = len(self.rival.policies) if isinstance(self.rival, Driver) else len(game.archive)
+        variants = len(self.opponent.policies) if isinstance(self.opponent, Driver) else len(game.archive)
         draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
         race: dict[str, Any] = {
             "policies": np.array([draw.integers(len(game.archive)), draw.integers(variants)]),
             "start": starts_of(game.track, game.setup.config, [number], self.seed),
             "seed": int(race_seed(self.seed, number)),
         }
-        if isinstance(self.rival, Driver):
-            recording = record_game(game, person, self.rival, **race, candidates=False)
+        if isinstance(self.opponent, Driver):
+            recording = record_game(game, person, self.opponent, **race, candidates=False)
             whole, played = recording.replay, recording.played
             replay = mark_moves(whole, played, recording.game.competitor_moves, game.config.step_seconds)
             steps: tuple[ExplainedDecision, ...] = ()
         else:
-            explanation = explain_game(game, person, self.rival, **race, car=1)
+            explanation = explain_game(game, person, self.opponent, **race, car=1)
             replay, played, steps = explanation.replay, explanation.played, explanation.steps
         if not self._over(played, len(moves)):
             replay = first_frames(replay, self._end(len(moves)))
@@ -213,7 +213,7 @@ def first_frames(replay: Replay, seconds: float) -> Replay:
 
 def play_page(races: PersonRaces) -> str:
     """Return the page on which a person makes the moves; it asks a server for everything else."""
-    title = f"You against {competitor_name(races.rival)}"
+    title = f"You against {competitor_name(races.opponent)}"
     colours = player_parts(template("pcs_racing.race", "replay.html"))["colours"]
     return fill(
         template("pcs_racing_agents.view", "play.html"), {"<!--title-->": html.escape(title), "/*colours*/": colours}

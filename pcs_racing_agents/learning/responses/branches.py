@@ -35,7 +35,7 @@ class Branches(NamedTuple):
         Index of the game; games that were over before are absent.
     behaviour : ndarray, shape (R,), int64
         Index of the behaviour of car 0 before the branching.
-    rival : ndarray, shape (R,), int64
+    opponent_policy : ndarray, shape (R,), int64
         Policy of car 1 at the branching, which car 0 can't observe; -1 for a driver.
     leads : ndarray, shape (R, A)
         Lead of car 0 when the race ended, m.
@@ -47,7 +47,7 @@ class Branches(NamedTuple):
     outcomes: NDArray[np.float64]
     game: NDArray[np.int64]
     behaviour: NDArray[np.int64]
-    rival: NDArray[np.int64]
+    opponent_policy: NDArray[np.int64]
     leads: NDArray[np.float64]
     crashed: NDArray[np.bool_]
 
@@ -121,7 +121,7 @@ def branch_games(
     running = np.flatnonzero(~game.done(state))
     count = len(game.move_names) if count is None else count
     state = take_games(state, running)
-    observations, rival = game.observation(state)[:, 0], state.policy[:, 1].copy()
+    observations, opponent_policy = game.observation(state)[:, 0], state.policy[:, 1].copy()
     opponent_moves = ask_moves(opponent, game, state, 1)
     branch_moves = np.tile(np.arange(count), len(running))
     state = take_games(state, np.repeat(np.arange(len(running)), count))
@@ -135,7 +135,7 @@ def branch_games(
         outcomes=outcome(game, state, worth).reshape(shape),
         game=running,
         behaviour=behaviour_of[running],
-        rival=rival,
+        opponent_policy=opponent_policy,
         leads=np.asarray(state.race.lead, np.float64).reshape(shape),
         crashed=state.race.crashed.reshape(shape),
     )

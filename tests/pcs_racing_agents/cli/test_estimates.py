@@ -117,7 +117,7 @@ def test_a_study_is_estimated_stage_by_stage():
     assert twice["self-play"] == 2 * stages["self-play"]
     doubled = stage_estimates(replace(paper, lines=2 * paper.lines, further_lines=2))
     assert doubled["races"] == 2 * stages["races"]
-    bare = stage_estimates(load_study_config("contest-second"))
+    bare = stage_estimates(load_study_config("contest-table"))
     assert bare["trees"] == bare["networks"] == bare["ppo"] == 0.0
 
 

@@ -174,8 +174,8 @@ def study(saved, tmp_path_factory):
         egos=2,
         variants=2,
         lines=2,
-        rivals=("never-switch", "random-moves"),
-        rival_races=2,
+        rated=("never-switch", "random-moves"),
+        rating_races=2,
         seed=3,
     )
     study = Study(config, place, quiet=True)
@@ -186,10 +186,10 @@ def study(saved, tmp_path_factory):
         # A second table has the same pairs with other lines.
         pairings += [cross_pairing(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)]
         write_results(concatenate_races(map(play_pairing, pairings)), place / "results.csv")
-        rivals = {name: study.agent(name) for name in config.rivals}
-        plan = plan_tournament(load_track("Pipkin"), rivals, config.game, archive=saved, races_per_pair=2, seed=7)
-        with open_job(place / "rivals", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
-            write_results(play_plan(plan, job=job).races, place / "rivals.csv")
+        rated = {name: study.agent(name) for name in config.rated}
+        plan = plan_tournament(load_track("Pipkin"), rated, config.game, archive=saved, races_per_pair=2, seed=7)
+        with open_job(place / "ratings", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
+            write_results(play_plan(plan, job=job).races, place / "ratings.csv")
     return place, pairings
 
 
@@ -210,7 +210,7 @@ def test_races_of_a_study_are_found_again(study, capsys):
 
 def test_races_of_a_studys_ratings_are_found_again(study, capsys):
     place, _ = study
-    assert main(["explain", str(place / "rivals"), "1"]) == 0
+    assert main(["explain", str(place / "ratings"), "1"]) == 0
     assert capsys.readouterr().out.startswith("never-switch (car 0) against random-moves on Pipkin")
 
 

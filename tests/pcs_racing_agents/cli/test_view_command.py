@@ -83,7 +83,7 @@ def test_a_study_and_its_ratings_are_viewed_too(archive, tmp_path, capsys):
     saved = save_archive(archive, tmp_path / "toy")
     config = StudyConfig(
         archive=str(saved), tracks=("Pipkin",), opponents=("lane-switcher",), arms=("never-switch", "random-moves"),
-        best="random-moves", egos=2, variants=2, lines=1, rivals=("never-switch", "random-moves"), rival_races=2,
+        best="random-moves", egos=2, variants=2, lines=1, rated=("never-switch", "random-moves"), rating_races=2,
     )  # fmt: skip
     folder = tmp_path / "study"
     study = Study(config, folder, quiet=True)
@@ -92,15 +92,15 @@ def test_a_study_and_its_ratings_are_viewed_too(archive, tmp_path, capsys):
         size = {"egos": 2, "opponents": 2, "lines": 1, "seed": 3}
         pairings = [cross_pairing(game, study.agent(arm), rival, **size) for arm in config.arms]
         write_results(concatenate_races(map(play_pairing, pairings)), folder / "results.csv")
-        rivals = {name: study.agent(name) for name in config.rivals}
-        plan = plan_tournament(load_track("Pipkin"), rivals, config.game, archive=saved, races_per_pair=2, seed=7)
-        with open_job(folder / "rivals", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
-            write_results(play_plan(plan, job=job).races, folder / "rivals.csv")
+        rated = {name: study.agent(name) for name in config.rated}
+        plan = plan_tournament(load_track("Pipkin"), rated, config.game, archive=saved, races_per_pair=2, seed=7)
+        with open_job(folder / "ratings", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
+            write_results(play_plan(plan, job=job).races, folder / "ratings.csv")
     assert main(["view", str(folder), "--races", "0", "12", "--no-open"]) == 0
     assert "16 races, 2 of them to be watched" in capsys.readouterr().out
-    assert main(["view", str(folder / "rivals.csv"), "--races", "1", "--no-open"]) == 0
+    assert main(["view", str(folder / "ratings.csv"), "--races", "1", "--no-open"]) == 0
     assert "2 races, 1 of them to be watched" in capsys.readouterr().out
-    assert (folder / "rivals-view.html").is_file()
+    assert (folder / "ratings-view.html").is_file()
 
 
 @pytest.mark.parametrize(

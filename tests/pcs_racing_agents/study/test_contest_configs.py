@@ -1,4 +1,4 @@
-"""The configurations of the contest: what the two studies share, so that they can be compared."""
+"""The configurations of the contest: what the two studies share, so that they can be pooled."""
 
 import pytest
 
@@ -9,25 +9,25 @@ from pcs_racing_agents.synthesis.config import load_archive_config
 
 @pytest.fixture(scope="module")
 def studies():
-    return [load_study_config(name) for name in ("contest", "contest-second")]
+    return [load_study_config(name) for name in ("contest", "contest-table")]
 
 
 def test_they_race_on_two_circuits_that_were_learned_on_and_one_that_nothing_was(studies):
+    chosen_on = load_archive_config(studies[0].synthesis).tracks
     for study in studies:
-        learned = {*study.circuits, *load_archive_config(study.synthesis).tracks}
         assert [track in study.circuits for track in study.tracks] == [True, True, False]
-        assert study.tracks[2] not in learned
+        assert study.tracks[2] not in {*study.circuits, *chosen_on}
 
 
-def test_the_second_is_the_first_with_another_archive(studies):
+def test_the_second_is_the_main_table_of_the_first_with_an_archive_that_exists(studies):
     first, second = studies
-    for key in ("game", "circuits", "responses", "response_pool", "tracks", "opponents", "arms", "best"):
+    for key in ("game", "circuits", "responses", "response_pool", "best", "sampled_cfr", "fitting_games"):
         assert getattr(first, key) == getattr(second, key), key
-    archives = [load_archive_config(study.synthesis) for study in studies]
-    changed = {
-        key for key in archives[0].__dataclass_fields__ if getattr(archives[0], key) != getattr(archives[1], key)
-    }
-    assert changed == {"name", "seed"}
+    assert list(second.tables) == ["main"]
+    for key in ("tracks", "opponents", "egos", "variants", "lines"):
+        assert getattr(first, key) == getattr(second, key), key
+    assert set(second.arms) < set(first.arms)
+    assert (second.synthesis, second.archive, second.pairs) == (None, "contest", 0)
 
 
 def test_the_answer_of_the_contest_learns_from_more_games_than_that_of_the_paper(studies):

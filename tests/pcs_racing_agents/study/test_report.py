@@ -47,7 +47,7 @@ def content(archive, watched) -> ReportContent:
         table=table,
         archive=replace(archive, name=NASTY),
         losses=losses,
-        rivals=round_robin(
+        round_robin=round_robin(
             ("a", NASTY),
             race_table(
                 RaceRow(ego="a", opponent=NASTY, winner=winner, start_s=start)
@@ -159,7 +159,7 @@ def test_races_can_be_read_back(tmp_path, parsed, watched):
 def test_strong_and_safe_stand_beside_each_other(content, parsed):
     """The table of losses to best replies tells the score in races, too."""
     judged = replace(content.table, rows=content.table.rows[:1])
-    page = report_page(ReportContent("", losses=content.losses, judged=judged, rivals=content.rivals))
+    page = report_page(ReportContent("", losses=content.losses, judged=judged, round_robin=content.round_robin))
     (score,) = [arm.score for arm in judged.rows[0].arms if arm.arm == "our-best"]
     assert f'<th class="name">our-best</th><td>{score:.3f}</td>' in page
     assert "<td>+0.200</td><td>[+0.100, +0.300]</td><td>400</td>" in page

@@ -65,8 +65,8 @@ TINY = load_study_config(
     reply=LEARNER,
     reply_races=40,
     ppo=str(HERE / "ppo_tiny.yaml"),
-    rivals=("never-switch", "cfr-argmax", "ppo", "lane-switcher"),
-    rival_races=2,
+    rated=("never-switch", "cfr-argmax", "ppo", "lane-switcher"),
+    rating_races=2,
 )
 
 NAMES = [stage.name for stage in STAGES]
@@ -163,7 +163,7 @@ def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
         "table.csv",
         "best_replies.csv",
         "families.csv",
-        "rivals.csv",
+        "ratings.csv",
         "networks/ppo/curve.csv",
     } < set(one)
     assert [name for name in sorted({*one, *two}) if one.get(name) != two.get(name)] == []
@@ -270,7 +270,7 @@ def test_impossible_studies_are_refused(changes, message):
         load_study_config("quick", **changes)
 
 
-@pytest.mark.parametrize("name", ["quick", "paper", "contest", "contest-second"])
+@pytest.mark.parametrize("name", ["quick", "paper", "contest", "contest-table"])
 def test_shipped_studies_load_and_have_the_blind_agents_in_their_main_table(name):
     config = load_study_config(name)
     assert {config.best, *BEST_BLIND} <= set(config.arms)

@@ -311,7 +311,7 @@ def test_a_configuration_from_a_file(tmp_path):
 
 
 def test_the_shipped_configurations():
-    assert list_archive_configs() == ["contest", "contest-second", "default"]
+    assert list_archive_configs() == ["contest", "default"]
     for name in list_archive_configs():
         config = load_archive_config(name)
         assert config.name == name
@@ -353,8 +353,5 @@ def test_the_command(tmp_path, capsys):
     assert main([*arguments, "--config", str(settings), "--name", "other"]) == 2
     assert "its name is 'small', not 'other'" in capsys.readouterr().err
     assert main(["synthesize", "--config", "nothing", "--out", str(tmp_path / "b")]) == 2
-    assert (
-        "archive settings 'nothing' are unknown; use contest, contest-second, default or the path"
-        in capsys.readouterr().err
-    )
+    assert "archive settings 'nothing' are unknown; use contest, default or the path" in capsys.readouterr().err
     assert not (tmp_path / "b").exists()

@@ -64,7 +64,7 @@ def test_a_race_to_its_end_is_that_of_a_tournament(races):
     again = play_games(
         races.game,
         Person(),
-        races.rival,
+        races.opponent,
         policies=np.array([start]),
         starts=starts_of(races.game.track, races.game.setup.config, [2], races.seed),
         seeds=np.array([race_seed(races.seed, 2)]),
@@ -76,7 +76,7 @@ def test_drivers_can_be_raced_too(races):
     driven = PersonRaces(races.game, make("lattice:pace=0.3", archive=races.game.archive, race=CONFIG))
     told = driven.situation(0, (1,))
     assert told["history"] == []
-    assert told["rival"] == "lattice:pace=0.3"
+    assert told["opponent"] == "lattice:pace=0.3"
 
 
 @pytest.mark.parametrize(

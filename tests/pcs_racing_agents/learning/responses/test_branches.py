@@ -69,7 +69,7 @@ def test_branches_tell_who_played_and_how_the_race_ended(game, setting):
     pilots = [random_moves(setting), never_switch(setting)]
     result = branch_games(game, always(setting, "restraint +"), race_seeds(5, 6), 1, pilots, pilots[1])
     np.testing.assert_array_equal(result.behaviour, result.game % 2)
-    assert ((result.rival >= 0) & (result.rival < len(game.archive))).all()
+    assert ((result.opponent_policy >= 0) & (result.opponent_policy < len(game.archive))).all()
     won = np.where(result.leads > TIE_WITHIN, 1.0, np.where(result.leads < -TIE_WITHIN, 0.0, 0.5))
     assert (result.outcomes == won)[~result.crashed].all()
     assert (result.outcomes == 0.0)[result.crashed].all()  # by the paper's rule a crash pays nobody
