@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.planners.view import (
     OWN_BETA,
@@ -79,7 +79,7 @@ def calm_speed(v, speed):  # type: ignore[no-untyped-def]
     return speed, min(10.0 * (speed - v), 9.5)
 
 
-@inner_kernel(forceinline=True)
+@kernel(forceinline=True)
 def _share_of_gap(before, after, distance):  # type: ignore[no-untyped-def]
     """How far between two points a distance from the car is reached, in [0, 1], from the squares of their distances."""
     before = np.sqrt(before)

@@ -292,7 +292,7 @@ def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # ty
     return best_s, best_d
 
 
-@inner_kernel
+@kernel
 def locate(track, x, y):  # type: ignore[no-untyped-def]
     """Frenet coordinates of a point anywhere near the track, without a hint.
 
