@@ -170,17 +170,17 @@ def check_moves(
     given = as_array(moves)
     if isinstance(moves, list | tuple) and any(is_flag(move) for move in moves):
         given = given.astype(np.bool_)  # among whole numbers numpy would take them for 0 and 1
+    fits = given.shape == shape and given.dtype.kind in "iu"
+    if fits and (given.size == 0 or (given.min() >= 0 and given.max() < len(names))):
+        return given.astype(np.int64)
     by = f"{player}: " if player else ""
     listed = f" ({', '.join(names)})" if len(names) <= MOST_NAMES else ""
     known = f"from 0 to {len(names) - 1}{listed}"
-    if given.shape != shape or given.dtype.kind not in "iu":
+    if not fits:
         wanted = f"whole numbers of shape {shape}" if shape else "a whole number"
         found = f"{moves!r:.60}, of shape {given.shape} and type {given.dtype}"
         raise InputError(f"{by}moves are {found}; they must be {wanted}, {known}")
-    wrong = (given < 0) | (given >= len(names))
-    if wrong.any():
-        at = tuple(int(i) for i in np.argwhere(wrong)[0])
-        index = at if rows is None else (int(rows[at[0]]), *at[1:])
-        where = ", ".join(f"{axis} {i}" for axis, i in zip(axes, index, strict=False))
-        raise InputError(f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}")
-    return given.astype(np.int64)
+    at = tuple(int(i) for i in np.argwhere((given < 0) | (given >= len(names)))[0])
+    index = at if rows is None else (int(rows[at[0]]), *at[1:])
+    where = ", ".join(f"{axis} {i}" for axis, i in zip(axes, index, strict=False))
+    raise InputError(f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}")

@@ -213,6 +213,7 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
     """Air beside each spiral's points, from the distance field."""
     distance = track.distance
     height, width = distance.shape
+    cells = distance.reshape(height * width)
     per_cell = 1.0 / track.cell
     first_x = -track.origin_x * per_cell
     first_y = -track.origin_y * per_cell
@@ -220,7 +221,10 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
         # The outermost cells of the field are wall, like everything beyond them.
         col = min(max(int(scratch[spiral.POINT_X + k] * per_cell + first_x), 0), width - 1)
         row = min(max(int(scratch[spiral.POINT_Y + k] * per_cell + first_y), 0), height - 1)
-        scratch[_AIR - GOALS + k] = distance[row, col]
+        scratch[_AIR - GOALS + k] = row * width + col
+    # In a loop of its own, which is so short that the processor waits for many cells of the field at the same time.
+    for k in range(GOALS, GOALS * (SEGMENTS + 1)):
+        scratch[_AIR - GOALS + k] = cells[np.uint64(int(scratch[_AIR - GOALS + k]))]
     for g in range(GOALS):
         nearest = 1e9
         total = 0.0

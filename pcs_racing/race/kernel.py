@@ -214,9 +214,10 @@ def advance_races(  # type: ignore[no-untyped-def]
     crash, fault, leader, overtakes, laps = state.crash, state.fault, state.leader, state.overtakes, state.laps
     commands, disturbances, paths, memories = state.command, state.disturbance, state.path, state.memory
     noise_share = np.sqrt(1.0 - settings.noise_keep * settings.noise_keep)
+    work[:LANES_SIZE] = 0.0  # numbers left over from elsewhere may be so small that arithmetic with them is slow
     for start in range(first, last, GROUP):
         stop = min(start + GROUP, last)
-        lanes = LANES if stop - start > 1 else 2  # the cars of a single race are done sooner one by one
+        lanes = 2 * (stop - start)
         for race in range(start, stop):
             crashed = crash[race, 0] != 0 or crash[race, 1] != 0
             work[_LEFT + race - start] = 0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])

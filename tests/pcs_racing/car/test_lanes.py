@@ -23,7 +23,7 @@ def _drive(lanes, states, params, targets, steps):  # type: ignore[no-untyped-de
     for _ in range(steps):
         for lane in range(states.shape[0]):
             slow[lane] = step_slow_car(lanes, lane, states[lane], params[lane], 0.01)
-        step_lanes(lanes, LANES if states.shape[0] > 2 else states.shape[0], 0.01)
+        step_lanes(lanes, states.shape[0], 0.01)
         for lane in range(states.shape[0]):
             if slow[lane]:
                 load_car(lanes, lane, states[lane], params[lane])
@@ -33,7 +33,7 @@ def _drive(lanes, states, params, targets, steps):  # type: ignore[no-untyped-de
     return taken
 
 
-@pytest.mark.parametrize("cars", [1, 2, LANES])
+@pytest.mark.parametrize("cars", [1, 2, 5, LANES])
 def test_cars_in_lanes_drive_as_alone(cars):
     vehicles = [replace(F1TENTH, mu=0.8 + 0.05 * k, m=3.0 + 0.3 * k) for k in range(cars)]
     states = np.zeros((cars, 7))
