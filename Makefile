@@ -11,7 +11,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: help demo test kernels compare clients machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
 
 help:
-	@echo "make demo        the paper's study in small: trees, networks, races, a report to look at (under 5 minutes)"
+	@echo "make demo        a race to watch, then the paper's study in small: trees, networks, races, a report (under 5 minutes)"
 	@echo "make test        the test suite"
 	@echo "make kernels     compile what races and environments need, which the tests do first"
 	@echo "make compare     comparisons with other libraries (Gambit, pymoo, CMA-MAE and others), which it installs"
@@ -29,7 +29,9 @@ help:
 	@echo "make wheel-test  the wheel in a clean environment: base, extras, the quick study (some minutes)"
 	@echo "make clean       remove results and caches, but not $(VENV)"
 
+# A race comes first: a minute after the installation began there is something to watch, and the study needs the same kernels.
 demo: $(VENV)/base.stamp
+	$(VENV)/bin/pcs-racing race --replay out/race.html
 	$(VENV)/bin/pcs-racing study quick --out out/demo
 
 # The kernels are compiled once before the tests begin, rather than by every worker at the same time. Linear algebra keeps
