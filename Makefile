@@ -31,6 +31,7 @@ help:
 
 # A race comes first: a minute after the installation began there is something to watch, and the study needs the same kernels.
 demo: $(VENV)/base.stamp
+	mkdir -p out
 	$(VENV)/bin/pcs-racing race --replay out/race.html
 	$(VENV)/bin/pcs-racing study quick --out out/demo
 
