@@ -29,7 +29,7 @@ help:
 	@echo "make wheel-test  the wheel in a clean environment: base, extras, the quick study (some minutes)"
 	@echo "make clean       remove results and caches, but not $(VENV)"
 
-# A race comes first: a minute after the installation began there is something to watch, and the study needs the same kernels.
+# A race comes first: within two minutes there is something to watch, and the study needs the same kernels.
 demo: $(VENV)/base.stamp
 	mkdir -p out
 	$(VENV)/bin/pcs-racing race --replay out/race.html
