@@ -203,10 +203,9 @@ class GameBatch:
             if self.opponents:
                 drawn[i] = draw_opponent(self._edges, generator)
             drivers.append(self.opponents[drawn[i]].draw_policy(generator) if self.opponents else None)
-        groups = self.variety.groups(rows)
         if self.state is None:
             self.state = self._empty()
-        for circuit, some in groups:
+        for circuit, some in self.variety.groups(rows):
             fresh = self._games.on(circuit)[0].reset(
                 keys[some],
                 policies=policies[some],
@@ -214,10 +213,7 @@ class GameBatch:
                 opponents=[drivers[i] for i in some],
                 conditions=self.variety.conditions(rows[some]),
             )
-            if len(groups) == 1 and np.array_equal(rows, np.arange(self.episodes)):
-                self.state = fresh
-            else:
-                put_games(self.state, rows[some], fresh)
+            put_games(self.state, rows[some], fresh)
         self.drawn[rows], self.moves[rows] = drawn, NO_MOVE
         for i, row in enumerate(rows):
             self.memories[row] = None

@@ -171,7 +171,8 @@ def check_moves(
     if isinstance(moves, list | tuple) and any(is_flag(move) for move in moves):
         given = given.astype(np.bool_)  # among whole numbers numpy would take them for 0 and 1
     fits = given.shape == shape and given.dtype.kind in "iu"
-    if fits and (given.size == 0 or (given.min() >= 0 and given.max() < len(names))):
+    wrong = (given < 0) | (given >= len(names)) if fits else np.True_
+    if not wrong.any():
         return given.astype(np.int64)
     by = f"{player}: " if player else ""
     listed = f" ({', '.join(names)})" if len(names) <= MOST_NAMES else ""
@@ -180,7 +181,7 @@ def check_moves(
         wanted = f"whole numbers of shape {shape}" if shape else "a whole number"
         found = f"{moves!r:.60}, of shape {given.shape} and type {given.dtype}"
         raise InputError(f"{by}moves are {found}; they must be {wanted}, {known}")
-    at = tuple(int(i) for i in np.argwhere((given < 0) | (given >= len(names)))[0])
+    at = tuple(int(i) for i in np.argwhere(wrong)[0])
     index = at if rows is None else (int(rows[at[0]]), *at[1:])
     where = ", ".join(f"{axis} {i}" for axis, i in zip(axes, index, strict=False))
     raise InputError(f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}")

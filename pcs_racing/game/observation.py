@@ -108,10 +108,7 @@ def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indi
     parts[:, 0, :, -2] = lead
     parts[:, 1, :, -2] = -lead
     parts[..., -1] = 1.0
-    first = step[0] if games else 0
-    if (step == first).all():  # as in a single game, in a fraction of the time
-        parts[:, :, first + 1 :] = 0.0
-    else:
-        parts.transpose(0, 2, 1, 3)[np.arange(steps) > step[:, None]] = 0.0
+    unseen = np.arange(steps) > step[:, None]
+    parts.transpose(0, 2, 1, 3)[unseen] = 0.0
     observation[..., -1] = (step / (steps - 1))[:, None]
     return observation
