@@ -1,10 +1,11 @@
 """``pcs-racing study``: run a study, from the search for policies to the report."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pcs_racing_agents.cli.options import Commands, add_command
+from pcs_racing_agents.cli.options import TRACK_HELP, Commands, add_command
 from pcs_racing_agents.jobs.configuration import shipped_configs
 
 __all__ = ["add"]
@@ -20,6 +21,7 @@ def add(commands: Commands) -> None:
         "pcs-racing study paper --out out/paper",
         "pcs-racing study out/my-study.yaml --out out/mine --stage archive trees",
         "pcs-racing study contest-table --archive out/my-archive --seed 1 --out out/table",
+        "pcs-racing study contest-wide --unseen maps/Monza maps/Spielberg --out out/wide",
     )
     names = ", ".join(shipped_configs("study"))
     parser.add_argument("config", help=f"settings: {names} or a YAML file")
@@ -36,6 +38,9 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument(
         "--archive", metavar="ARCHIVE", help="name or folder of an archive to use instead of that of the settings"
+    )
+    parser.add_argument(
+        "--unseen", nargs="+", default=[], metavar="T", help=f"further circuits of the main table: {TRACK_HELP}"
     )
     from pcs_racing_agents.jobs.jobs import add_executor_options
 
@@ -55,6 +60,8 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.archive is not None:
         changes |= {"synthesis": None, "archive": arguments.archive}
     config = load_study_config(arguments.config, **changes)
+    if arguments.unseen:
+        config = replace(config, tracks=(*config.tracks, *arguments.unseen))
     remaining = {stage.name for stage in stages_to_run(config, arguments.out, arguments.stage)}
     seconds = sum(spent for stage, spent in stage_estimates(config).items() if stage in remaining)
     with executor_from(arguments) as executor:

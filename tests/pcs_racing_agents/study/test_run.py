@@ -270,7 +270,7 @@ def test_impossible_studies_are_refused(changes, message):
         load_study_config("quick", **changes)
 
 
-@pytest.mark.parametrize("name", ["quick", "paper", "contest", "contest-table"])
+@pytest.mark.parametrize("name", ["quick", "paper", "contest", "contest-table", "contest-wide"])
 def test_shipped_studies_load_and_have_the_blind_agents_in_their_main_table(name):
     config = load_study_config(name)
     assert {config.best, *BEST_BLIND} <= set(config.arms)
