@@ -102,7 +102,7 @@ def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: 
 
     none = take(parents, rows[:0]), np.zeros((0, 2, len(game.characteristics)))
     races, estimates = zip(none, *_in_chunks(game, len(rows), drive), strict=True)
-    return concatenate(races), np.concatenate(estimates)
+    return concatenate(list(races)), np.concatenate(estimates)
 
 
 def drive_to_the_end(

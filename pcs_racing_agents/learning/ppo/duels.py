@@ -50,6 +50,8 @@ class DuelTask:
         Games of the evaluation.
     overrides : mapping
         Rules in place of those of the settings, as plain values by name.
+    threads : int or None
+        Threads that drive the games of training; None for all cores. They do not change the results.
     """
 
     settings: DuelSettings
@@ -59,6 +61,7 @@ class DuelTask:
     mixtures: tuple[tuple[tuple[int, str], ...], ...]
     batches: Mapping[Matchup, GameBatch] = field(repr=False)
     overrides: Mapping[str, Any] = field(default_factory=dict)
+    threads: int | None = 1
 
     activation = "relu"
     limit = 1e6
@@ -81,7 +84,7 @@ class DuelTask:
                 race=self.game.config,
                 opponent=list(mixture),
                 autoreset_mode=AutoresetMode.SAME_STEP,
-                threads=1,
+                threads=self.threads,
             )
             for track in self.tracks
             for share, mixture in zip(shares, self.mixtures, strict=True)
@@ -121,7 +124,10 @@ class DuelTask:
 
 
 def make_duel_task(
-    settings: DuelSettings, archive: PolicyArchive | None = None, rules: GameConfig | None = None
+    settings: DuelSettings,
+    archive: PolicyArchive | None = None,
+    rules: GameConfig | None = None,
+    threads: int | None = 1,
 ) -> DuelTask:
     """Load circuits, archive, rules and opponents, and check that they fit together.
 
@@ -132,6 +138,8 @@ def make_duel_task(
         In place of the one that the settings name.
     rules : GameConfig, optional
         In place of the race and the size of moves that the settings name.
+    threads : int, optional
+        Threads that drive the games; None for all cores. They do not change the results.
 
     Raises
     ------
@@ -150,13 +158,13 @@ def make_duel_task(
     each = max(2, settings.evaluation_races // len(settings.opponents))
     batches = {
         Matchup(track.name, games[0].config.race.name, name): GameBatch(
-            each, track=track, archive=archive, race=rules, opponent=name, threads=1
+            each, track=track, archive=archive, race=rules, opponent=name, threads=threads
         )
         for track in tracks
         for name in settings.opponents
     }
     mixtures = tuple(tuple(mixture) for mixture in by_planner.values())
-    return DuelTask(settings, archive, tracks, games[0], mixtures, batches, overrides)
+    return DuelTask(settings, archive, tracks, games[0], mixtures, batches, overrides, threads)
 
 
 def play_duels(batch: GameBatch, network: RegretNetwork, seed: int) -> MatchupScore:

@@ -134,9 +134,11 @@ def train_ppo(
     if isinstance(settings, DuelSettings):
         settings = _named(settings, policies, rules)
     check_packages()
-    task = make_task(settings, archive=policies, rules=rules)
-    identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **task.identity}
     elsewhere = in_other_processes(executor)
+    # Trainings side by side share the cores; a single one, or one after the other, may use all of them.
+    threads = 1 if elsewhere is not None and len(settings.seeds) > 1 else None
+    task = make_task(settings, archive=policies, rules=rules, threads=threads)
+    identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **task.identity}
     steps = dict.fromkeys(settings.seeds, 0)
 
     def report(record: SeedRecord) -> None:
@@ -179,7 +181,11 @@ def train_ppo(
 
 
 def make_task(
-    settings: PPOSettings, *, archive: PolicyArchive | None = None, rules: GameConfig | None = None
+    settings: PPOSettings,
+    *,
+    archive: PolicyArchive | None = None,
+    rules: GameConfig | None = None,
+    threads: int | None = 1,
 ) -> LearningTask:
     """Load circuits, archive and opponents, and check that they fit together.
 
@@ -188,6 +194,8 @@ def make_task(
     settings : PPOSettings
     archive, rules : optional
         Those of the game, in place of what the settings of a duel name.
+    threads : int, optional
+        Threads that drive the games of a duel; None for all cores. They do not change the results.
 
     Raises
     ------
@@ -195,7 +203,7 @@ def make_task(
         If one of them is unknown, or they do not fit, or a drive is given an archive or the rules of a game.
     """
     if isinstance(settings, DuelSettings):
-        return make_duel_task(settings, archive, rules)
+        return make_duel_task(settings, archive, rules, threads)
     if archive is not None or rules is not None:
         raise InputError("settings of level drive know no archive and no game; give settings of level duel")
     assert isinstance(settings, DriveSettings)
