@@ -1,10 +1,12 @@
 """How many times as fast two threads are as one: races, environments and branched games.
 
-    python benchmarks/two_threads.py                     # on 2 free cores; takes about two minutes
+    python benchmarks/two_threads.py                     # on 2 free cores; takes about four minutes
     python benchmarks/two_threads.py --rounds 10 --only races duels
 
 Wall time, because processor time does not show whether threads wait: one thread and two take turns, and the best round
-of each counts. On a machine that does something else, too, the ratio is too small; the load is printed.
+of each counts. Two processes that do the same work side by side share nothing but the machine (its cache, memory and
+clock): what they gain is what threads could gain at most. On a machine that does something else, too, all ratios are
+too small; the load is printed.
 """
 
 import argparse
@@ -12,6 +14,8 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing import get_context
+from threading import Barrier
 
 import numpy as np
 
@@ -73,6 +77,25 @@ WORKS: dict[str, Callable[[str, int], Work]] = {
 }
 
 
+def seconds_beside(name: str, track: str, rounds: int, both: Barrier) -> float:
+    """Mean time of a round with one thread, while another process does the same, s."""
+    work = WORKS[name](track, 1)
+    work()  # compiles, and warms the caches
+    both.wait()
+    start = time.perf_counter()
+    for _ in range(rounds):
+        work()
+    return (time.perf_counter() - start) / rounds
+
+
+def two_processes(name: str, track: str, rounds: int) -> float:
+    """Mean time of a round in two processes that work side by side, s."""
+    context = get_context("spawn")
+    with context.Manager() as manager, context.Pool(2) as pool:
+        both = manager.Barrier(2)
+        return float(np.mean(pool.starmap(seconds_beside, [(name, track, rounds, both)] * 2, chunksize=1)))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default="Tarnfjord", help="name or folder of a circuit")
@@ -90,7 +113,11 @@ def main() -> None:
                 start = time.perf_counter()
                 work()
                 best[i] = min(best[i], time.perf_counter() - start)
-        print(f"{name:20} {1e3 * best[0]:8.0f} ms with one thread, {best[0] / best[1]:.2f} times as fast with two")
+        limit = 2.0 * best[0] / two_processes(name, given.track, given.rounds)
+        print(
+            f"{name:20} {1e3 * best[0]:8.0f} ms with one thread, {best[0] / best[1]:.2f} times as fast with two, "
+            f"{limit:.2f} in two processes"
+        )
 
 
 if __name__ == "__main__":
