@@ -19,6 +19,9 @@ from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, ope
 
 __all__ = ["add"]
 
+MOST = 16
+"""Policies of a pool whose size is not given: all pairs of them race in less than a minute a circuit."""
+
 
 def add(commands: Commands) -> None:
     """Add the command."""
@@ -35,9 +38,9 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--size",
         type=int,
-        default=16,
         metavar="N",
-        help="policies of the pool, evenly spaced in the order of the archive's first axis (default: 16)",
+        help="policies of the pool, evenly spaced in the order of the archive's first axis "
+        f"(default: {MOST}, or all if the archive has fewer)",
     )
     parser.add_argument(
         "--policies", nargs="+", metavar="POLICY", help=f"a pool of your own instead of an archive: {POLICY_HELP}"
@@ -85,7 +88,9 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.policies:
         names, policies = list(arguments.policies), tuple(parse_policy(text) for text in arguments.policies)
     else:
-        names, policies = spanning_policies(load_archive(arguments.archive), arguments.size)
+        archive = load_archive(arguments.archive)
+        size = min(MOST, len(archive)) if arguments.size is None else arguments.size
+        names, policies = spanning_policies(archive, size)
     tracks = tuple(load_track(name) for name in arguments.track)
     pool = PolicyPool(policies, tracks, rules(arguments), races=arguments.races, seed=arguments.seed)
     settings = {

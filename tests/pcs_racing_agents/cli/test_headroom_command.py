@@ -4,6 +4,7 @@ import csv
 
 import pytest
 
+from pcs_racing.game.archive_files import save_archive
 from pcs_racing_agents.cli.main import main
 
 POOL = ["--policies", "lattice:pace=0.2", "lattice:pace=0.5", "lattice:pace=1.0"]
@@ -25,6 +26,13 @@ def test_it_prints_the_table_and_writes_files_and_a_picture(tmp_path, capsys):
     assert len(payoffs) == 6
     assert payoffs["lattice:pace=1.0", "lattice:pace=0.2"] == -payoffs["lattice:pace=0.2", "lattice:pace=1.0"] > 0.0
     assert (out / "Tarnfjord.png").stat().st_size > 10_000
+
+
+def test_without_a_size_a_small_archive_races_as_a_whole(archive, tmp_path):
+    folder = save_archive(archive, tmp_path / "toy")
+    assert main(["headroom", "--archive", str(folder), *SHORT, "--out", str(tmp_path / "headroom")]) == 0
+    with open(tmp_path / "headroom" / "payoffs.csv", newline="") as file:
+        assert len({line["policy"] for line in csv.DictReader(file)}) == len(archive)
 
 
 def test_lead_plans_are_raced_when_asked_for(tmp_path, capsys):
