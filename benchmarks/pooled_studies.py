@@ -5,6 +5,9 @@
 Each folder is that of a finished `pcs-racing study` with an archive and a seed of its own. A gain is the score of an
 agent minus that of the blind agent which won most training races *of its study*. The mean over the studies comes with a
 95 % interval by Student's t over them: it covers what depends on archive, seed of training and races.
+
+With --headroom it also prints how much knowing the opponent's policy is worth on the same circuits, and what share of
+that the agents gain.
 """
 
 import argparse
@@ -40,21 +43,51 @@ def read_table(folder: Path) -> Table:
     return Table(blind, seen, scores)
 
 
-def gain(tables: list[Table], cells: list[Cell], arm: str) -> str:
-    """Mean gain of an agent over some cells, pooled over studies."""
-    gains = [np.mean([table.scores[cell, arm] - table.scores[cell, table.blind] for cell in cells]) for table in tables]
-    found = clustered_mean(gains, np.arange(len(gains)))
+def pooled(numbers: list[float]) -> str:
+    """Mean over the studies, with its interval."""
+    found = clustered_mean(numbers, np.arange(len(numbers)))
     return f"{found.mean:+.3f} [{found.low:+.3f}, {found.high:+.3f}]"
+
+
+def gains(tables: list[Table], cells: list[Cell], arm: str) -> list[float]:
+    """Mean gain of an agent over some cells, in each study."""
+    return [
+        float(np.mean([table.scores[cell, arm] - table.scores[cell, table.blind] for cell in cells]))
+        for table in tables
+    ]
+
+
+def read_headroom(folders: list[Path]) -> dict[str, float]:
+    """Headroom of a study's archive by circuit, from the folders of `pcs-racing headroom`."""
+    found = {}
+    for folder in folders:
+        with open(folder / "headroom.csv", newline="", encoding="utf-8") as file:
+            found |= {row["track"]: float(row["H"]) for row in csv.DictReader(file)}
+    return found
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="finished studies, at least two")
-    folders = parser.parse_args().folders
+    parser.add_argument(
+        "--headroom",
+        nargs="+",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="FOLDER",
+        help="folders of `pcs-racing headroom` for the archive of a study; once for each study, in their order",
+    )
+    given = parser.parse_args()
+    folders = given.folders
     if len(folders) < 2:
         parser.error("give at least two studies: the interval is over them")
-    if missing := [str(folder) for folder in folders if not (folder / "table.csv").is_file()]:
-        parser.error(f"no table.csv in {', '.join(missing)}; give folders of finished studies")
+    if given.headroom and len(given.headroom) != len(folders):
+        parser.error(f"--headroom is given {len(given.headroom)} times for {len(folders)} studies; once for each")
+    files = [folder / "table.csv" for folder in folders]
+    files += [folder / "headroom.csv" for group in given.headroom for folder in group]
+    if missing := [str(file) for file in files if not file.is_file()]:
+        parser.error(f"there is no {', '.join(missing)}")
     tables = [read_table(folder) for folder in folders]
     cells = [cell for cell in tables[0].seen if all(cell in table.seen for table in tables)]
     arms = list(dict.fromkeys(arm for (_, arm) in tables[0].scores))
@@ -63,14 +96,35 @@ def main() -> None:
     print("| study | best blind agent in training |\n|---|---|")
     for folder, table in zip(folders, tables, strict=True):
         print(f"| {folder.name} | {table.blind} |")
-    groups = {f"{track}, {opponent}": [(track, opponent)] for track, opponent in cells}
+    groups: dict[str, list[Cell]] = {}
     for opponent in dict.fromkeys(opponent for _, opponent in cells):
         for seen, what in ((True, "learning circuits"), (False, "unseen circuits")):
             some = [cell for cell in cells if cell[1] == opponent and tables[0].seen[cell] == seen]
-            groups |= {f"*{what}, {opponent}*": some} if some else {}
+            groups |= {f"{what}, {opponent}": some} if some else {}
     print(f"\n| agent | {' | '.join(groups)} |\n|---|{'---|' * len(groups)}")
     for arm in arms:
-        print(f"| {arm} | {' | '.join(gain(tables, some, arm) for some in groups.values())} |")
+        print(f"| {arm} | {' | '.join(pooled(gains(tables, some, arm)) for some in groups.values())} |")
+    print(f"\n| circuit | opponent | {' | '.join(arms)} |\n|---|---|{'---|' * len(arms)}")
+    for cell in cells:
+        print(f"| {' | '.join(cell)} | {' | '.join(pooled(gains(tables, [cell], arm)) for arm in arms)} |")
+    if given.headroom:
+        print_shares(tables, [read_headroom(group) for group in given.headroom], groups, arms)
+
+
+def print_shares(
+    tables: list[Table], rooms: list[dict[str, float]], groups: dict[str, list[Cell]], arms: list[str]
+) -> None:
+    """Print the headroom of each group, and the share of it that agents gain: the ratio of the means over the studies."""
+    of_groups = {
+        name: [float(np.mean([room[track] for track, _ in some])) for room in rooms]
+        for name, some in groups.items()
+        if all(track in room for track, _ in some for room in rooms)
+    }
+    print(f"\n| | {' | '.join(of_groups)} |\n|---|{'---|' * len(of_groups)}")
+    print(f"| headroom | {' | '.join(pooled(values) for values in of_groups.values())} |")
+    for arm in arms:
+        shares = [np.mean(gains(tables, groups[name], arm)) / np.mean(values) for name, values in of_groups.items()]
+        print(f"| {arm}, share of it | {' | '.join(f'{share:.0%}' for share in shares)} |")
 
 
 if __name__ == "__main__":
