@@ -114,7 +114,7 @@ def main() -> None:
 def print_shares(
     tables: list[Table], rooms: list[dict[str, float]], groups: dict[str, list[Cell]], arms: list[str]
 ) -> None:
-    """Print the headroom of each group, and the share of it that agents gain: the ratio of the means over the studies."""
+    """Print the headroom of each group, and what share of it agents gain: the ratio of the means over studies."""
     of_groups = {
         name: [float(np.mean([room[track] for track, _ in some])) for room in rooms]
         for name, some in groups.items()
