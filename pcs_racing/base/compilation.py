@@ -1,6 +1,5 @@
 """Compilation with numba: decorators for compiled functions, and a message when compilation takes a while."""
 
-import gc
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
@@ -10,6 +9,7 @@ from typing import Any
 from numba import njit
 from numba.core.registry import CPUDispatcher
 
+from pcs_racing.base import faster_numba  # noqa: F401  (importing it is what counts)
 from pcs_racing.base.code_cache import forget_stale_code
 
 __all__ = ["compiled", "compiled_for", "first_call", "inner_kernel", "kernel"]
@@ -151,20 +151,7 @@ def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
             _wait_for_turn(turn, dispatcher, what)
         if not _on_disk(dispatcher):
             _say(f"compiling {what} (about {seconds} s, once; it is cached on disk)")
-        turn.enter_context(_without_collector())
         yield True
-
-
-@contextmanager
-def _without_collector() -> Iterator[None]:
-    """Let Python's collector rest: it would spend a fifteenth of the compilation on objects that all stay in use."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
 
 
 def _wait_for_turn(turn: ExitStack, dispatcher: Any, what: str) -> None:

@@ -15,7 +15,7 @@ References
 
 import numpy as np
 
-from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 
 __all__ = [
     "arcsine",
@@ -122,7 +122,7 @@ def arcsine(x):  # type: ignore[no-untyped-def]
     return arctangent2(x, np.sqrt((1.0 - x) * (1.0 + x)))
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _power_of_two(n):  # type: ignore[no-untyped-def]
     """2.0**n for whole n in [-1022, 1023]."""
     return np.int64((n + 1023) << 52).view(np.float64)

@@ -398,7 +398,7 @@ def _write_path(line, per_ds, view, scratch, g, kappa0, course, at_scale, scale,
         path[j, _view.PATH_KAPPA] = kappa
 
 
-@kernel
+@inner_kernel
 def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[no-untyped-def]
     """Choose a candidate and write its path.
 
@@ -524,6 +524,12 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     _search(track, theta, view, memory, scratch, path, 0.0)
 
 
+@kernel
+def _weigh_all(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Do as ``plan``, and leave the whole cost of every candidate in the scratch."""
+    _search(track, theta, view, memory, scratch, path, np.inf)
+
+
 def candidates(
     track: _frenet.TrackArrays, theta: NDArray[np.float64], view: NDArray[np.float64], memory: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -537,7 +543,7 @@ def candidates(
         Weighted cost; infinite where the candidate is rejected.
     """
     scratch = np.zeros(SCRATCH)
-    _search(track, theta, view, memory.copy(), scratch, np.zeros((PATH_POINTS, 4)), np.inf)
+    _weigh_all(track, theta, view, memory.copy(), scratch, np.zeros((PATH_POINTS, 4)))
     shape = (SEGMENTS + 1, GOALS)
     x = scratch[spiral.POINT_X : spiral.POINT_X + shape[0] * GOALS].reshape(shape)
     y = scratch[spiral.POINT_Y : spiral.POINT_Y + shape[0] * GOALS].reshape(shape)

@@ -138,7 +138,7 @@ def _cubic(line, ds, i):  # type: ignore[no-untyped-def]
     return qx, qy, 3.0 * dx - 2.0 * qx - ex, 3.0 * dy - 2.0 * qy - ey, qx + ex - 2.0 * dx, qy + ey - 2.0 * dy
 
 
-@kernel
+@inner_kernel
 def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
     """Compute `project` on single arrays."""
     n = line.shape[0]
@@ -223,7 +223,7 @@ def project(track, x, y, hint):  # type: ignore[no-untyped-def]
     return foot(track.line, track.ds, track.length, x, y, hint)
 
 
-@kernel
+@inner_kernel
 def offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
     """Compute `to_cartesian` on single arrays."""
     at = _wrap(length, s) / ds
@@ -292,7 +292,7 @@ def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # ty
     return best_s, best_d
 
 
-@kernel
+@inner_kernel
 def locate(track, x, y):  # type: ignore[no-untyped-def]
     """Frenet coordinates of a point anywhere near the track, without a hint.
 
@@ -315,7 +315,7 @@ def locate(track, x, y):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel
+@inner_kernel
 def interpolate(distance, u, v):  # type: ignore[no-untyped-def]
     """Compute `wall_distance` for a point in cells from the centre of cell [0, 0]."""
     rows, cols = distance.shape
