@@ -123,7 +123,7 @@ def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore
         leader[race] = ahead
 
 
-@kernel
+@kernel(forceinline=True)
 def measure_ittc(  # type: ignore[no-untyped-def]
     walls, seen_start, seen, seen_distance, seen_middle, seen_stretch, cars, frenet, sums, race, vehicles, horizon
 ):
