@@ -115,7 +115,7 @@ def _wall_in_rectangle(walls, seen_start, seen, distance, middle, stretch, x, y,
     return False
 
 
-@inner_kernel
+@inner_kernel(forceinline=True)
 def hits_wall(  # type: ignore[no-untyped-def]
     distance,
     origin_x,

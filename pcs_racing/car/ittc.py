@@ -89,7 +89,7 @@ def outside_circle(ax, ay, bx, by, cx, cy, square):  # type: ignore[no-untyped-d
     return (end > square) & ((along <= 0.0) | (along >= length) | (cross * cross > square * length))
 
 
-@inner_kernel
+@inner_kernel(forceinline=True)
 def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
     """Return the smaller of ``best`` and the minimum time to collision with the walls visible from a stretch."""
     speed = np.sqrt(vx * vx + vy * vy)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.compilation import compiled
+from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car.collision import inside_wall
 from pcs_racing.track.frenet import wrap_s
@@ -23,6 +23,8 @@ __all__ = ["WORK_SHAPE", "Beams", "scan_into"]
 # Neighbouring beams lie on two sides of an edge if their ranges differ by this much in m and as a share of the nearer.
 JUMP = 1.0
 JUMP_SHARE = 0.2
+
+RUN = 64  # beams that are searched for jumps at once
 
 # How well the grid and the buffer must agree, in m, for the search beside an edge to end.
 AGREEMENT = 0.5
@@ -54,7 +56,7 @@ class Beams(NamedTuple):
     sin: NDArray[np.float64]
 
 
-@compiled(forceinline=True)
+@kernel(forceinline=True)
 def _angle(x, y):  # type: ignore[no-untyped-def]
     """Direction of (x, y) in rad to 2e-8 (Abramowitz and Stegun 1964, 4.4.49); free of branches, to be vectorised."""
     ax = abs(x)
@@ -69,14 +71,15 @@ def _angle(x, y):  # type: ignore[no-untyped-def]
     return -a if y < 0.0 else a
 
 
-@compiled(forceinline=True)
+@kernel(forceinline=True)
 def _faces_lidar(ax, ay, bx, by):  # type: ignore[no-untyped-def]
     """Whether a segment has the lidar on its left and spans an angle (3e-7 rad) well above the error of `_angle`."""
     across = ax * by - ay * bx
-    return across > 0.0 and across * across > 1e-13 * (ax * ax + ay * ay) * (bx * bx + by * by)
+    # Both are computed: half of all segments face away, and nobody can predict which.
+    return (across > 0.0) & (across * across > 1e-13 * (ax * ax + ay * ay) * (bx * bx + by * by))
 
 
-@compiled
+@kernel
 def _gather(walls, seen, x, y, work):  # type: ignore[no-untyped-def]
     """Copy the ends, relative to the lidar, of the segments that face it; returns how many there are."""
     count = 0
@@ -94,7 +97,7 @@ def _gather(walls, seen, x, y, work):  # type: ignore[no-untyped-def]
     return count
 
 
-@compiled
+@kernel
 def _to_beams(beams, cos, sin, ax, ay, bx, by, count):  # type: ignore[no-untyped-def]
     """Turn ends of segments, in place, into their span of beams and the two coefficients of their inverse range.
 
@@ -122,7 +125,7 @@ def _to_beams(beams, cos, sin, ax, ay, bx, by, count):  # type: ignore[no-untype
         by[k] = (ux - vx) * scale
 
 
-@compiled
+@kernel
 def _fill(cos, sin, p, q, first, last, out):  # type: ignore[no-untyped-def]
     """Draw an inverse range into a run of beams; the larger wins."""
     # Unsigned: an index that might be negative (counted from the end, in Python) keeps the loop from being vectorised.
@@ -132,7 +135,7 @@ def _fill(cos, sin, p, q, first, last, out):  # type: ignore[no-untyped-def]
         out[k] = inverse if inverse > before else before
 
 
-@compiled
+@kernel
 def _draw(beams, work, count, out):  # type: ignore[no-untyped-def]
     """Draw the segments that `_to_beams` has prepared."""
     last = out.shape[0] - 1.0
@@ -154,7 +157,7 @@ def _draw(beams, work, count, out):  # type: ignore[no-untyped-def]
         _fill(beams.cos, beams.sin, work[2, k], work[3, k], int(work[0, k]), int(work[1, k]), out)
 
 
-@compiled
+@kernel
 def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-untyped-def]
     """Draw the walls that can be seen from arc length s into a buffer of inverse ranges."""
     stretch = int(wrap_s(track, s) / track.seen_stretch) % (track.seen_start.shape[0] - 1)
@@ -166,7 +169,7 @@ def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-
         _draw(beams, work, count, out)
 
 
-@compiled
+@kernel
 def _draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):  # type: ignore[no-untyped-def]
     """Draw a rectangle, centred at (x, y) relative to the lidar, into a buffer of inverse ranges."""
     s, c = sine_cosine(psi)
@@ -188,7 +191,7 @@ def _draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, o
     _draw(beams, work, count, out)
 
 
-@compiled
+@kernel
 def _follow(track, beams, x, y, cos, sin, k, reach):  # type: ignore[no-untyped-def]
     """Range of beam k in m, at most ``reach``, by following it through the cells of the grid."""
     c = cos * beams.cos[k] - sin * beams.sin[k]
@@ -199,7 +202,7 @@ def _follow(track, beams, x, y, cos, sin, k, reach):  # type: ignore[no-untyped-
     return min(cells * track.cell, reach) if cells < reach / track.cell else reach
 
 
-@compiled(forceinline=True)
+@kernel(forceinline=True)
 def _stands_out(out, k):  # type: ignore[no-untyped-def]
     """Whether the jump behind beam k is no mere slope: along a wall seen at a grazing angle ranges grow steadily."""
     before = abs(out[k] - out[max(k - 1, 0)])
@@ -207,7 +210,24 @@ def _stands_out(out, k):  # type: ignore[no-untyped-def]
     return abs(out[k + 1] - out[k]) > 2.0 * max(before, after)
 
 
-@compiled
+@kernel(forceinline=True)
+def _jumps(out, k):  # type: ignore[no-untyped-def]
+    """Whether there is a jump behind beam k."""
+    far = min(out[k], out[k + 1])
+    near = max(out[k], out[k + 1])
+    return near - far > max(JUMP * near, JUMP_SHARE) * far
+
+
+@kernel
+def _smooth(out, first, last):  # type: ignore[no-untyped-def]
+    """Whether there is no jump behind any of a run of beams. Written for the compiler to vectorise."""
+    jumps = 0
+    for k in range(np.uint64(first), np.uint64(last)):
+        jumps += _jumps(out, k)
+    return jumps == 0
+
+
+@kernel
 def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped-def]
     """Follow the beams on both sides of every jump, outwards from it, until the grid agrees with the buffer.
 
@@ -216,28 +236,30 @@ def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped
     last = out.shape[0] - 1
     k = 0
     while k < last:
-        far = min(out[k], out[k + 1])
-        near = max(out[k], out[k + 1])
-        if near - far > max(JUMP * near, JUMP_SHARE) * far and _stands_out(out, k):
-            passed = min(1.0 / near + JUMP, beams.max_range)
-            for step in (-1, 1):
-                j = k if step < 0 else k + 1
-                while 0 <= j <= last:
-                    drawn = 1.0 / out[j]
-                    true = _follow(track, beams, x, y, cos, sin, j, passed)
-                    if true >= passed:
-                        if drawn >= passed:
+        stop = min(k + RUN, last)
+        if _smooth(out, k, stop):
+            k = stop
+        while k < stop:
+            if _jumps(out, k) and _stands_out(out, k):
+                passed = min(1.0 / max(out[k], out[k + 1]) + JUMP, beams.max_range)
+                for step in (-1, 1):
+                    j = k if step < 0 else k + 1
+                    while 0 <= j <= last:
+                        drawn = 1.0 / out[j]
+                        true = _follow(track, beams, x, y, cos, sin, j, passed)
+                        if true >= passed:
+                            if drawn >= passed:
+                                break
+                            true = _follow(track, beams, x, y, cos, sin, j, beams.max_range)
+                        out[j] = 1.0 / true
+                        if abs(true - drawn) <= AGREEMENT:
                             break
-                        true = _follow(track, beams, x, y, cos, sin, j, beams.max_range)
-                    out[j] = 1.0 / true
-                    if abs(true - drawn) <= AGREEMENT:
-                        break
-                    j += step
-            k = max(k, j - 1)
-        k += 1
+                        j += step
+                k = max(k, j - 1)
+            k += 1
 
 
-@compiled
+@kernel
 def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out):  # type: ignore[no-untyped-def]
     """Write one scan, without allocating anything.
 

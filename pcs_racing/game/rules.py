@@ -38,7 +38,7 @@ from pcs_racing.game.observation import (
 )
 from pcs_racing.game.reward import reward
 from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, game_keys, random_bits
-from pcs_racing.game.state import GameState, empty_game, put_games
+from pcs_racing.game.state import GameState, begun_game, put_games
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.conditions import RaceConditions
@@ -329,8 +329,7 @@ class RaceGame:
     def empty_state(self, races: RaceState) -> GameState:
         """Games of which these races are on the grid and nothing else is known yet."""
         setup, axes = self.setup, len(self.characteristics)
-        games = empty_game(races.races, setup.memory_size, setup.theta_size, self.config.moves + 1, axes)
-        return games._replace(race=races)
+        return begun_game(races, setup.theta_size, self.config.moves + 1, axes)
 
     # Moves
 

@@ -48,9 +48,9 @@ def check_policies(archive: PolicyArchive, policies: ArrayLike | None, games: in
         return np.full((games, 2), DRAW, np.int64)
     given = check_whole_array("policies", policies, (2,), (games, 2))
     indices = np.array(np.broadcast_to(given, (games, 2)))
-    wrong = np.argwhere((indices < DRAW) | (indices >= len(archive)))
-    if len(wrong):
-        game, car = (int(i) for i in wrong[0])
+    wrong = (indices < DRAW) | (indices >= len(archive))
+    if wrong.any():
+        game, car = (int(i) for i in np.argwhere(wrong)[0])
         raise InputError(
             f"game {game}, car {car}: policy {indices[game, car]} is not in archive {archive.name!r}; it must lie in 0 "
             f"to {len(archive) - 1}, or be -1 to be drawn"

@@ -13,7 +13,7 @@ from pcs_racing.base.reading import read_limited, unpack_arrays
 from pcs_racing.race.state import MAX_BYTES, RaceState, empty_state
 from pcs_racing.race.state import take as take_races
 
-__all__ = ["GameState", "empty_game", "load_game", "put_games", "save_game", "take_games"]
+__all__ = ["GameState", "begun_game", "empty_game", "load_game", "put_games", "save_game", "take_games"]
 
 
 class GameState(NamedTuple):
@@ -59,10 +59,11 @@ class GameState(NamedTuple):
         return GameState(self.race.copy(), *(array.copy() for array in rest))
 
 
-def empty_game(games: int, memory: int, parameters: int, steps: int, axes: int) -> GameState:
-    """Return the state of a batch of games in which every number is 0 and nobody leads."""
+def begun_game(races: RaceState, parameters: int, steps: int, axes: int) -> GameState:
+    """Return the state of a batch of games of which the races are known and every other number is 0."""
+    games = races.races
     return GameState(
-        race=empty_state(games, memory),
+        race=races,
         step=np.zeros(games, np.int64),
         policy=np.zeros((games, 2), np.int64),
         theta=np.zeros((games, 2, parameters)),
@@ -70,6 +71,11 @@ def empty_game(games: int, memory: int, parameters: int, steps: int, axes: int) 
         estimates=np.zeros((games, 2, steps, axes)),
         leads=np.zeros((games, steps)),
     )
+
+
+def empty_game(games: int, memory: int, parameters: int, steps: int, axes: int) -> GameState:
+    """Return the state of a batch of games in which every number is 0 and nobody leads."""
+    return begun_game(empty_state(games, memory), parameters, steps, axes)
 
 
 def take_games(state: GameState, indices: ArrayLike) -> GameState:
@@ -84,9 +90,8 @@ def take_games(state: GameState, indices: ArrayLike) -> GameState:
 def put_games(state: GameState, indices: ArrayLike, values: GameState) -> None:
     """Overwrite some games of a batch, in place, with the games of another."""
     chosen = np.asarray(indices)
-    new = _flatten(values)
-    for name, array in _flatten(state).items():
-        array[chosen] = new[name]
+    for array, new in zip((*state.race, *state[1:]), (*values.race, *values[1:]), strict=True):
+        array[chosen] = new
 
 
 def save_game(state: GameState, path: str | Path) -> None:

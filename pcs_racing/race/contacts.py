@@ -51,7 +51,7 @@ def _touch(cars, race, vehicles):  # type: ignore[no-untyped-def]
     )
 
 
-@inner_kernel
+@inner_kernel(forceinline=True)
 def collide(  # type: ignore[no-untyped-def]
     distance,
     origin_x,

@@ -71,6 +71,13 @@ def _fill_fixed(own, opponent, settings, view):  # type: ignore[no-untyped-def]
     view[_view.SPEED_HIGH] = settings.speed_high
 
 
+@inner_kernel(forceinline=True)
+def _part_at(s, size, parts):  # type: ignore[no-untyped-def]
+    """Index of the part of the line, all of one size, in which an arc length in [0, length) lies."""
+    i = int(s / size)
+    return i if i < parts else 0  # rounding can lead beyond the last; a remainder would take a division
+
+
 @inner_kernel
 def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view):  # type: ignore[no-untyped-def]
     """Write what changes from step to step into a view."""
@@ -92,7 +99,7 @@ def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view):  # ty
     view[_view.OPP_BETA] = cars[race, other, _vehicle.BETA]
     view[_view.OPP_S] = frenet[race, other, 0]
     view[_view.OPP_D] = frenet[race, other, 1]
-    i = int(frenet[race, other, 0] / ds) % line.shape[0]
+    i = _part_at(frenet[race, other, 0], ds, line.shape[0])
     sine, cosine = sine_cosine(cars[race, other, _vehicle.PSI] + cars[race, other, _vehicle.BETA])
     view[_view.OPP_D_DOT] = cars[race, other, _vehicle.V] * (sine * line[i, COS] - cosine * line[i, SIN])
     view[_view.GAP] = progress[race, other] - progress[race, car]
@@ -116,7 +123,7 @@ def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore
         leader[race] = ahead
 
 
-@kernel
+@kernel(forceinline=True)
 def measure_ittc(  # type: ignore[no-untyped-def]
     walls, seen_start, seen, seen_distance, seen_middle, seen_stretch, cars, frenet, sums, race, vehicles, horizon
 ):
@@ -133,7 +140,7 @@ def measure_ittc(  # type: ignore[no-untyped-def]
         y = cars[race, car, _vehicle.Y]
         vx = v0x if car == 0 else v1x
         vy = v0y if car == 0 else v1y
-        stretch = int(frenet[race, car, 0] / seen_stretch) % seen_middle.shape[0]
+        stretch = _part_at(frenet[race, car, 0], seen_stretch, seen_middle.shape[0])
         time = walls_ittc(walls, seen_start, seen, seen_distance, seen_middle, stretch, x, y, vx, vy, horizon)
         time = rectangle_ittc(
             cars[race, other, _vehicle.X] - x,
@@ -154,7 +161,7 @@ def _measure_speed(line, ds, speed_high, frenet, progress, sums, race, before0, 
     """Add the time that the profile of pace 1 takes for what a control period drove, from the progress before it."""
     for car in range(2):
         driven = progress[race, car] - (before0 if car == 0 else before1)
-        i = int(frenet[race, car, 0] / ds) % line.shape[0]
+        i = _part_at(frenet[race, car, 0], ds, line.shape[0])
         sums[race, car, _state.PROFILE] += driven / (speed_high * line[i, SPEED])
 
 

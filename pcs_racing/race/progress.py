@@ -34,7 +34,7 @@ def count_crossing(length, before, driven, tick, laps, race, car):  # type: igno
         laps[race, car, _state.CROSSINGS] -= 1.0
 
 
-@kernel
+@kernel(forceinline=True)
 def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race):  # type: ignore[no-untyped-def]
     """Project both cars onto the race line and add what they drove; crossing s = 0 only counts for the laps.
 

@@ -89,24 +89,24 @@ def place_on_grid(
     neither = (starts.side != 0) & (starts.side != 1)
     if neither.any():
         raise InputError(f"start sides must be 0 or 1; found {starts.side[neither][0]}")
-    races = len(starts)
-    state = empty_state(races, memory_size)
-    rows = np.arange(races)
-    for place in range(2):  # 0: left or front, 1: right or rear
-        car = np.where(starts.side == 0, place, 1 - place)
-        behind = 0.0 if config.start == "side-by-side" else place * config.start_gap
-        s = np.mod(starts.s - behind, arrays.length)
-        sample = arrays.line[(s / arrays.ds).astype(np.intp) % len(arrays.line)]
-        middle = 0.5 * (sample[:, LEFT] - sample[:, RIGHT])
-        d = middle + (0.5 if place == 0 else -0.5) * spacing
-        pose = track.to_cartesian(np.stack([s, d], axis=-1))
-        profile = slowest * sample[:, SPEED]
-        speed = profile if config.start == "rolling" else np.minimum(config.start_speed, profile)
-        state.cars[rows, car, X] = pose[:, 0]
-        state.cars[rows, car, Y] = pose[:, 1]
-        state.cars[rows, car, _vehicle.V] = speed
-        state.cars[rows, car, _vehicle.PSI] = np.mod(pose[:, 2], 2.0 * np.pi)
-        state.progress[rows, car] = -behind
+    state = empty_state(len(starts), memory_size)
+    # A row for each race, and in it the left or front place, then the right or rear one.
+    car = np.stack([starts.side, 1 - starts.side], axis=1)
+    race = np.arange(len(starts))[:, None]
+    behind = np.zeros(2) if config.start == "side-by-side" else np.array([0.0, config.start_gap])
+    s = np.mod(starts.s[:, None] - behind, arrays.length)
+    sample = arrays.line[(s / arrays.ds).astype(np.intp) % len(arrays.line)]
+    middle = 0.5 * (sample[..., LEFT] - sample[..., RIGHT])
+    d = middle + np.array([0.5, -0.5]) * spacing
+    pose = track.to_cartesian(np.stack([s, d], axis=-1))
+    profile = slowest * sample[..., SPEED]
+    state.cars[race, car, X] = pose[..., 0]
+    state.cars[race, car, Y] = pose[..., 1]
+    state.cars[race, car, _vehicle.V] = (
+        profile if config.start == "rolling" else np.minimum(config.start_speed, profile)
+    )
+    state.cars[race, car, _vehicle.PSI] = np.mod(pose[..., 2], 2.0 * np.pi)
+    state.progress[race, car] = -behind
     settle(track, vehicles, state, conditions)
     return state
 
