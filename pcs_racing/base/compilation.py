@@ -9,7 +9,7 @@ from typing import Any
 from numba import njit
 from numba.core.registry import CPUDispatcher
 
-from pcs_racing.base import faster_numba  # noqa: F401  (importing it is what counts)
+from pcs_racing.base import shorter_compilation  # noqa: F401 - it listens to numba from its import on
 from pcs_racing.base.code_cache import forget_stale_code
 
 __all__ = ["compiled", "compiled_for", "first_call", "inner_kernel", "kernel"]
