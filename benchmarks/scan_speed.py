@@ -3,8 +3,8 @@
     python benchmarks/scan_speed.py [--track NAME_OR_FOLDER] [--reference FOLDER] [--json]
 
 Scans are taken from poses all around a circuit, without an opponent and with one ahead, behind and beside. The median
-over the rounds is reported for each, in microseconds of the thread's own time. With the reference data at hand (and the circuit it was made on),
-the errors against exact cell traversal are printed too.
+over the rounds is reported for each, in microseconds of the thread's own time. With the reference data at hand (and the
+circuit it was made on), the errors against exact cell traversal are printed too.
 """
 
 import argparse
