@@ -90,7 +90,7 @@ def take_games(state: GameState, indices: ArrayLike) -> GameState:
 def put_games(state: GameState, indices: ArrayLike, values: GameState) -> None:
     """Overwrite some games of a batch, in place, with the games of another."""
     chosen = np.asarray(indices)
-    for array, new in zip((*state.race, *state[1:]), (*values.race, *values[1:]), strict=True):
+    for array, new in zip(_arrays(state), _arrays(values), strict=True):
         array[chosen] = new
 
 
@@ -131,6 +131,11 @@ def load_game(path: str | Path) -> GameState:
             raise InputError(f"{path}: {name} holds NaN or infinity")
     race = RaceState(**{name: arrays[f"race.{name}"] for name in RaceState._fields})
     return GameState(race, **{name: arrays[name] for name in GameState._fields[1:]})
+
+
+def _arrays(state: GameState) -> list[NDArray[Any]]:
+    rest: Any = state[1:]
+    return [*state.race, *rest]
 
 
 def _flatten(state: GameState) -> dict[str, NDArray[Any]]:
