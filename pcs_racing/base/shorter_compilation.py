@@ -90,7 +90,7 @@ _REPLACED = (
 )
 
 
-class ShorterCompilation(event.Listener):  # type: ignore[misc]
+class ShorterCompilation(event.Listener):
     """Replaces some methods of numba while it compiles a function of these packages, with all that it calls.
 
     Numba compiles in one thread at a time.

@@ -7,10 +7,10 @@ from numba import njit, types
 from numba.core import event, ir
 from numba.core.compiler import Flags
 from numba.core.registry import cpu_target
-from numba.core.targetconfig import TargetConfig
+from numba.core.types import BaseFunction
 from numba.extending import overload
 
-from pcs_racing.base import faster_numba
+from pcs_racing.base import shorter_compilation
 from pcs_racing.base.compilation import compiled
 
 
@@ -35,14 +35,9 @@ CHOICES = [
 @pytest.mark.parametrize("one", CHOICES)
 @pytest.mark.parametrize("other", CHOICES)
 def test_options_are_equal_where_numba_says_so(one, other):
-    equal = TargetConfig.__eq__(one, other)
-    assert (one == other) is equal
-    assert (hash(one) == hash(other)) >= equal
-    assert one != "no options"
-
-
-def test_options_of_python_and_of_compiled_code_differ_in_their_hash():
-    assert hash(flags(no_cpython_wrapper=True)) != hash(flags())
+    assert shorter_compilation.same_options(one, other) is (one == other)
+    assert shorter_compilation.hash_of_options(one) == hash(one)
+    assert shorter_compilation.same_options(one, "no options") is NotImplemented
 
 
 def twice(a):
@@ -74,65 +69,80 @@ def context():
 def test_a_type_found_again_is_the_one_that_numba_finds(context, name):
     function, *arguments = CALLS[name]
     called = context.resolve_value_type(function)
-    found = [called.get_call_type(context, tuple(arguments), {}) for _ in range(2)]
-    assert found == [faster_numba._numba_finds_type(called, context, tuple(arguments), {})] * 2
+    found = [shorter_compilation.find_type(called, context, tuple(arguments), {}) for _ in range(2)]
+    assert found == [called.get_call_type(context, tuple(arguments), {})] * 2
 
 
 @pytest.mark.parametrize(("name", "kept"), [("numbers", True), ("compiled", False)])
 def test_what_numba_has_to_compile_for_a_call_is_not_kept(context, name, kept):
     function, *arguments = CALLS[name]
     called = context.resolve_value_type(function)
-    called.get_call_type(context, tuple(arguments), {})
-    assert any(which is called for which, _ in faster_numba._types_found.values()) is kept
+    shorter_compilation.find_type(called, context, tuple(arguments), {})
+    assert any(which is called for which, _ in shorter_compilation._types_found.values()) is kept
 
 
-def test_the_variables_of_a_statement_are_those_in_all_its_parts():
+def test_the_variables_of_a_statement_are_those_that_numba_finds():
     here = ir.Loc("nowhere", 1)
     scope = ir.Scope(None, here)
     a, b, c, d = (ir.Var(scope, name, here) for name in "abcd")
     call = ir.Expr.call(a, [b, a], (("named", c),), here)
-    assert call.list_vars() == [a, b, a, c]
-    assert ir.Assign(call, d, here).list_vars() == [a, b, a, c, d]
-    assert ir.Expr.build_map([(a, b), (c, d)], 2, {}, {}, here).list_vars() == [a, b, c, d]
-    assert ir.Assign(ir.Const(1, here), d, here).list_vars() == [d]
-    assert ir.Del("a", here).list_vars() == []
+    for part in (call, [call, d], {"one": (a, [b]), "two": c}, a, "text", ir.Const(1, here)):
+        assert shorter_compilation.list_variables(call, part) == call._rec_list_vars(part)
 
 
 class _Watch(event.Listener):
+    """Notes, in every pass of a compilation, whether numba is changed and whether the collector of garbage works."""
+
     def __init__(self):
-        self.collects = []
+        self.changed, self.collects = set(), set()
 
     def on_start(self, event):
-        self.collects.append(gc.isenabled())
+        self.changed.add(BaseFunction.get_call_type is shorter_compilation.find_type)
+        self.collects.add(gc.isenabled())
 
     def on_end(self, event):
-        self.collects.append(gc.isenabled())
+        self.on_start(event)
+
+
+def add(a):
+    return a + 1
 
 
 @pytest.mark.parametrize("collects", [True, False])
-def test_the_collector_rests_while_numba_compiles(collects):
-    def function(a):
-        return a + 1
-
-    watch = _Watch()
-    was = gc.isenabled()
+@pytest.mark.parametrize(("module", "shorter"), [("pcs_racing.own", True), ("other", False)])
+def test_numba_is_changed_while_own_functions_are_compiled(monkeypatch, module, shorter, collects):
+    monkeypatch.setattr(add, "__module__", module)
+    own = {(owner, name): vars(owner).get(name) for owner, name, _ in shorter_compilation._REPLACED}
+    watch, was = _Watch(), gc.isenabled()
     (gc.enable if collects else gc.disable)()
     try:
         with event.install_listener("numba:run_pass", watch):
-            assert njit(function)(1) == 2
+            assert njit(add)(1) == 2
         assert gc.isenabled() is collects
     finally:
         (gc.enable if was else gc.disable)()
-    assert watch.collects
-    assert not any(watch.collects)
+    assert watch.changed == {shorter}
+    assert watch.collects == {collects and not shorter}
+    assert {(owner, name): vars(owner).get(name) for owner, name, _ in shorter_compilation._REPLACED} == own
+    assert not shorter_compilation._types_found
 
 
-def test_a_failed_compilation_wakes_the_collector():
+def test_after_a_compilation_that_failed_numba_is_as_before():
     @compiled
     def wrong(a):
         return a.missing
 
+    wrong.py_func.__module__ = "pcs_racing.own"
+    own = BaseFunction.get_call_type
     assert gc.isenabled()
     with pytest.raises(Exception, match="missing"):
         wrong(1.0)
     assert gc.isenabled()
+    assert BaseFunction.get_call_type is own
+
+
+def test_without_the_methods_that_it_knows_numba_is_left_alone(monkeypatch):
+    monkeypatch.setattr(shorter_compilation, "_REPLACED", ((Flags, "a method of another version", None),))
+    monkeypatch.setattr(add, "__module__", "pcs_racing.own")
+    assert njit(add)(1) == 2
+    assert not hasattr(Flags, "a method of another version")
