@@ -30,6 +30,18 @@ def test_the_second_is_the_main_table_of_the_first_with_an_archive_that_exists(s
     assert (second.synthesis, second.archive, second.pairs) == (None, "contest", 0)
 
 
+def test_the_wide_one_learns_on_four_circuits_from_as_many_games_and_is_judged_on_four_others():
+    table, wide = (load_study_config(name) for name in ("contest-table", "contest-wide"))
+    assert set(wide.tracks[:4]) == set(wide.circuits) > set(table.circuits)
+    assert not set(wide.tracks[4:]) & set(wide.circuits)
+    for key in ("game", "response_pool", "opponents", "egos", "variants"):
+        assert getattr(wide, key) == getattr(table, key), key
+    games = [study.fitting_games * len(study.circuits) for study in (table, wide)]
+    starts = [load_response_settings(study.best).starts * len(study.circuits) for study in (table, wide)]
+    assert games[0] == games[1]
+    assert starts[0] == starts[1]
+
+
 def test_the_answer_of_the_contest_learns_from_more_games_than_that_of_the_paper(studies):
     settings = [load_response_settings(name) for name in (studies[0].best, "response")]
     assert settings[0].starts > settings[1].starts
