@@ -75,7 +75,8 @@ def _fill_fixed(own, opponent, settings, view):  # type: ignore[no-untyped-def]
 def _part_at(s, size, parts):  # type: ignore[no-untyped-def]
     """Index of the part of the line, all of one size, in which an arc length in [0, length) lies."""
     i = int(s / size)
-    return i if i < parts else 0  # rounding can lead beyond the last; a remainder would take a division
+    # Rounding can lead beyond the last, and a state from elsewhere anywhere; a remainder would take a division.
+    return i if 0 <= i < parts else 0
 
 
 @inner_kernel

@@ -108,7 +108,7 @@ class RaceState(NamedTuple):
     @property
     def crashed(self) -> NDArray[np.bool_]:
         """Whether a race ended in a crash, shape (B,)."""
-        return (self.crash[:, 0] | self.crash[:, 1]) != NO_CRASH
+        return (self.crash[:, 0] | self.crash[:, 1]) != NO_CRASH  # which is 0
 
     @property
     def lap_count(self) -> NDArray[np.int64]:

@@ -3,7 +3,7 @@
     python benchmarks/command_rates.py
 
 measures all rates below and prints them in this order. They are processor seconds on two cores of an AMD EPYC that were
-shared with other work; an idle machine is faster (a race takes 3.1 ms, ``benchmarks/race_speed.py`` in README.md).
+shared with other work; an idle machine is faster (a race takes 2.8 ms, ``benchmarks/race_speed.py`` in README.md).
 Compilation is not included.
 """
 
