@@ -1,13 +1,12 @@
 """Shorter compilation: what numba works out again and again while it compiles, worked out once.
 
-Four fifths of the processor time that numba takes to compile the kernels of a race is spent in its own Python code, not
-in LLVM. A third of the whole goes into a few things that have no say in the machine code, and for which numba has no
-setting. :class:`ShorterCompilation` replaces them while kernels of these packages are compiled, and puts numba's own
-back afterwards:
+Most of the processor time that numba takes to compile the kernels of a race is spent in its own Python code, not in
+LLVM, and much of that in a few things that have no say in the machine code, and for which numba has no setting.
+:class:`ShorterCompilation` replaces them while kernels of these packages are compiled, and puts numba's own back
+afterwards:
 
 * Numba looks up its own helper functions by the types of their arguments and by the options (`Flags`) of the caller.
-  All options have the same hash, and two of them are compared by two dictionaries of all their values, 70,000 times
-  before the first race.
+  All options have the same hash, and two of them are compared by two dictionaries of all their values.
 * An addition, a comparison or an index is given its type anew wherever it stands in a kernel: all ways in which numba
   knows to add (numbers, strings, lists, arrays, ...) are tried until one fits the types.
 * The variables of each statement are listed again after every pass, which calls a method for each part of it.
@@ -24,7 +23,7 @@ from numba.core import compiler, event, ir, types
 
 __all__ = ["ShorterCompilation"]
 
-_find_type = getattr(types.BaseFunction, "get_call_type", None)
+_find_type = types.BaseFunction.get_call_type
 
 _types_found: dict[tuple[Any, ...], tuple[Any, Any]] = {}
 """Of a function (by its id, as its hash is slow), a context and argument types: the function, and the signature."""
@@ -53,7 +52,6 @@ def find_type(function: Any, context: Any, arguments: Any, named: Any) -> Any:
 
     What numba has to compile for a call depends on the options of the caller, too.
     """
-    assert _find_type is not None
     if named:
         return _find_type(function, context, arguments, named)
     key = id(function), id(context), tuple(arguments)

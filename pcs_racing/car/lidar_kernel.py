@@ -228,11 +228,33 @@ def _smooth(out, first, last):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped-def]
-    """Follow the beams on both sides of every jump, outwards from it, until the grid agrees with the buffer.
+def _settle_jump(track, beams, x, y, cos, sin, k, out):  # type: ignore[no-untyped-def]
+    """Follow the beams on both sides of the jump behind beam k; returns the last beam that needs no more search.
 
     A beam that passes the nearer thing has agreed: how far it goes then was not in doubt.
     """
+    last = out.shape[0] - 1
+    passed = min(1.0 / max(out[k], out[k + 1]) + JUMP, beams.max_range)
+    j = k
+    for step in (-1, 1):
+        j = k if step < 0 else k + 1
+        while 0 <= j <= last:
+            drawn = 1.0 / out[j]
+            true = _follow(track, beams, x, y, cos, sin, j, passed)
+            if true >= passed:
+                if drawn >= passed:
+                    break
+                true = _follow(track, beams, x, y, cos, sin, j, beams.max_range)
+            out[j] = 1.0 / true
+            if abs(true - drawn) <= AGREEMENT:
+                break
+            j += step
+    return max(k, j - 1)
+
+
+@kernel
+def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped-def]
+    """Follow the beams on both sides of every jump, outwards from it, until the grid agrees with the buffer."""
     last = out.shape[0] - 1
     k = 0
     while k < last:
@@ -241,21 +263,7 @@ def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped
             k = stop
         while k < stop:
             if _jumps(out, k) and _stands_out(out, k):
-                passed = min(1.0 / max(out[k], out[k + 1]) + JUMP, beams.max_range)
-                for step in (-1, 1):
-                    j = k if step < 0 else k + 1
-                    while 0 <= j <= last:
-                        drawn = 1.0 / out[j]
-                        true = _follow(track, beams, x, y, cos, sin, j, passed)
-                        if true >= passed:
-                            if drawn >= passed:
-                                break
-                            true = _follow(track, beams, x, y, cos, sin, j, beams.max_range)
-                        out[j] = 1.0 / true
-                        if abs(true - drawn) <= AGREEMENT:
-                            break
-                        j += step
-                k = max(k, j - 1)
+                k = _settle_jump(track, beams, x, y, cos, sin, k, out)
             k += 1
 
 
