@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pcs_racing_agents.results.text_table import with_interval
 from pcs_racing_agents.tournament.statistics import clustered_mean
 
 Cell = tuple[str, str]  # circuit and opponent
@@ -46,7 +47,7 @@ def read_table(folder: Path) -> Table:
 def pooled(numbers: list[float]) -> str:
     """Mean over the studies, with its interval."""
     found = clustered_mean(numbers, np.arange(len(numbers)))
-    return f"{found.mean:+.3f} [{found.low:+.3f}, {found.high:+.3f}]"
+    return with_interval(found.mean, found.low, found.high)
 
 
 def gains(tables: list[Table], cells: list[Cell], arm: str) -> list[float]:

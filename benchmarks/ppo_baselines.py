@@ -22,6 +22,7 @@ from pcs_racing_agents import make
 from pcs_racing_agents.agents import as_competitor
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, read_evaluations
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
+from pcs_racing_agents.results.text_table import with_interval
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
@@ -161,7 +162,7 @@ def race_agent(baseline: Shipped, tracks: list[str], arguments: argparse.Namespa
 
             def gain(key: str, over: str, cells=cells, groups=groups, same=same) -> str:
                 found = compare(cells[key].score, cells[over].score, *groups, same_pool=same)
-                return f"{found.difference:+.3f} [{found.low:+.3f}, {found.high:+.3f}]"
+                return with_interval(found.difference, found.low, found.high)
 
             texts = [f"{cells['never-switch'].score.mean():.3f}"]
             texts += [f"{cells[key].score.mean() - cells['never-switch'].score.mean():+.3f}" for key in (moving, *ARMS)]

@@ -32,7 +32,7 @@ from pcs_racing_agents.agents.blind import walk_to
 from pcs_racing_agents.agents.zoo import make
 from pcs_racing_agents.learning.ppo.tuned import TunedPPO, tuned_environments, tuned_ppo
 from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import markdown
+from pcs_racing_agents.results.text_table import markdown, with_interval
 from pcs_racing_agents.tournament.statistics import clustered_mean
 
 CHOOSING, JUDGING = 50_000_000, 90_000_000  # seeds of the starts; those of trainings are small
@@ -173,7 +173,7 @@ class Arena:
         """Name, whether it looks, mean return, and gain over the best blind player with its interval."""
         mean = clustered_mean(returns, self.opponents)
         gain = clustered_mean(returns - blind, self.opponents)
-        interval = "" if returns is blind else f"{gain.mean:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]"
+        interval = "" if returns is blind else with_interval(gain.mean, gain.low, gain.high)
         return name, looks, f"{mean.mean:.3f} +- {mean.se:.3f}", interval
 
 
@@ -278,7 +278,7 @@ def judge_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> l
         found = [arena.returns(player) for player in players]
         gain = clustered_mean(found[2] - found[0], arena.opponents)
         means = (f"{returns.mean():+.3f}" for returns in found)
-        rows.append((opponent, *means, f"{gain.mean:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]"))
+        rows.append((opponent, *means, with_interval(gain.mean, gain.low, gain.high)))
     return rows
 
 
@@ -294,7 +294,7 @@ def judge_match_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int
         found = [arena.returns(player) for player in players]
         gain = clustered_mean(found[2] - found[0], arena.opponents)
         means = (f"{returns.mean():.3f}" for returns in found)
-        rows.append((opponent, *means, f"{gain.mean:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]"))
+        rows.append((opponent, *means, with_interval(gain.mean, gain.low, gain.high)))
     return rows
 
 

@@ -11,7 +11,7 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.benchmark.scoring import CardScore
-from pcs_racing_agents.results.text_table import markdown
+from pcs_racing_agents.results.text_table import markdown, with_interval
 from pcs_racing_agents.study.report import page_environment
 
 __all__ = ["Card", "card_markdown", "card_page", "read_card", "write_card"]
@@ -141,16 +141,16 @@ COLUMNS = ("opponents", "circuits", "score", "95 % interval", "own crashes", "ot
 def fact_lines(card: Card) -> list[str]:
     """Return the other results as sentences."""
     lines = [
-        f"Adaptivity gain over the best blind strategy ({gain['over']}), {circuits} circuits: {gain['gain']:+.3f} "
-        f"[{gain['low']:+.3f}, {gain['high']:+.3f}]."
+        f"Adaptivity gain over the best blind strategy ({gain['over']}), {circuits} circuits: "
+        f"{with_interval(gain['gain'], gain['low'], gain['high'])}."
         for circuits, gain in card.gains.items()
     ]
     if card.best_reply is not None:
         reply = card.best_reply
         lines.append(
             f"Loss to a learned best reply ({reply['starts']} starts, {reply['rounds']} "
-            f"{'round' if reply['rounds'] == 1 else 'rounds'}): {reply['loss']:+.3f} "
-            f"[{reply['low']:+.3f}, {reply['high']:+.3f}]."
+            f"{'round' if reply['rounds'] == 1 else 'rounds'}): "
+            f"{with_interval(reply['loss'], reply['low'], reply['high'])}."
         )
     if card.rating is not None:
         lines.append(f"Rating among the zoo: {card.rating:+.0f}.")

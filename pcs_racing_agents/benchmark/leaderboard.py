@@ -5,6 +5,7 @@ from pathlib import Path
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.benchmark.card import Card, read_card, render
+from pcs_racing_agents.results.text_table import with_interval
 
 __all__ = ["BOARD_COLUMNS", "board_page", "board_rows", "read_cards"]
 
@@ -66,9 +67,7 @@ def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
                 f"{card.score('all', 'unseen').score:.3f}",
                 f"{whole.own_crash:.1%}",
                 "" if gain is None else f"{gain['gain']:+.3f}",
-                "not measured"
-                if reply is None
-                else f"{reply['loss']:+.3f} [{reply['low']:+.3f}, {reply['high']:+.3f}]",
+                "not measured" if reply is None else with_interval(reply["loss"], reply["low"], reply["high"]),
                 "" if card.cost_us is None else f"{card.cost_us:.0f}",
             )
         )

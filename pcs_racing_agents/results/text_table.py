@@ -3,12 +3,22 @@
 import re
 from collections.abc import Iterable, Sequence
 
-__all__ = ["aligned", "is_number", "markdown"]
+__all__ = ["aligned", "interval_text", "is_number", "markdown", "with_interval"]
 
 
 def is_number(cell: str) -> bool:
     """Whether a cell begins like a number, an interval or a bound."""
     return bool(re.match(r"[-+\[<]?\s?[-+]?[0-9]", cell))
+
+
+def interval_text(low: float, high: float) -> str:
+    """Return an interval of shares of races as text: ``"[-0.012, +0.034]"``."""
+    return f"[{low:+.3f}, {high:+.3f}]"
+
+
+def with_interval(value: float, low: float, high: float) -> str:
+    """Return a difference in shares of races with its interval: ``"+0.011 [-0.012, +0.034]"``."""
+    return f"{value:+.3f} {interval_text(low, high)}"
 
 
 def aligned(rows: Iterable[Sequence[str]], *, left: int | None = None) -> list[str]:

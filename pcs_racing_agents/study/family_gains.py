@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pcs_racing_agents.agents.families import FAMILIES, OpponentFamily, family_of
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.results.text_table import interval_text
 from pcs_racing_agents.study.table import matched_scores
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
@@ -87,7 +88,7 @@ def family_rows(gains: Sequence[FamilyGain]) -> list[tuple[str, ...]]:
             ", ".join(gain.tracks),
             str(gain.gain.units),
             f"{gain.gain.mean:+.3f}",
-            f"[{gain.gain.low:+.3f}, {gain.gain.high:+.3f}]",
+            interval_text(gain.gain.low, gain.gain.high),
         )
         for gain in gains
     ]

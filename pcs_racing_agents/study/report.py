@@ -16,7 +16,7 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.replay_files import replay_page
 from pcs_racing_agents.explain.situations import Situations, situations_text
 from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.text_table import is_number
+from pcs_racing_agents.results.text_table import interval_text, is_number
 from pcs_racing_agents.study.highlights import ExplainedRace
 from pcs_racing_agents.study.report_inputs import ReplyLoss, mean_scores, scores_and_losses, total_losses
 from pcs_racing_agents.study.table import StudyTable
@@ -189,7 +189,7 @@ def _plain(value: Any) -> str:
 
 def _loss_cells(loss: ReplyLoss) -> tuple[str, ...]:
     shares = (f"{loss.reply_won:.3f}", f"{loss.agent_won:.3f}", f"{loss.agent_own_crash:.1%}")
-    return f"{loss.loss:+.3f}", f"[{loss.low:+.3f}, {loss.high:+.3f}]", str(loss.races), *shares
+    return f"{loss.loss:+.3f}", interval_text(loss.low, loss.high), str(loss.races), *shares
 
 
 def _total_losses(content: ReportContent) -> Iterator[tuple[str, ...]]:

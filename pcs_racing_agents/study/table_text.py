@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned, markdown
+from pcs_racing_agents.results.text_table import aligned, interval_text, markdown, with_interval
 from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
 from pcs_racing_agents.tournament.statistics import Comparison
 
@@ -38,7 +38,8 @@ def p_text(p: float) -> str:
 
 def difference_text(difference: Difference) -> str:
     """Return a difference with its interval."""
-    return f"{difference.result.difference:+.3f} [{difference.result.low:+.3f}, {difference.result.high:+.3f}]"
+    result = difference.result
+    return with_interval(result.difference, result.low, result.high)
 
 
 def paper_text(row: TableRow) -> str:
@@ -175,7 +176,7 @@ def _starred(difference: Difference) -> str:
 
 def _columns(difference: Difference) -> tuple[str, ...]:
     result = difference.result
-    interval = f"[{result.low:+.3f}, {result.high:+.3f}]"
+    interval = interval_text(result.low, result.high)
     p_values = (p_text(result.p_clustered), p_text(difference.p_holm), p_text(result.p_paired_t))
     return (f"{result.difference:+.3f}", interval, *p_values)
 

@@ -9,10 +9,10 @@ from pcs_racing_agents.learning.responses.best_reply import BestReply, excess_es
 from pcs_racing_agents.learning.responses.learner import ResponseSettings
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.text_table import aligned, interval_text
 from pcs_racing_agents.tournament.statistics import Estimate
 
-__all__ = ["REPLY_HEAD", "REPLY_NOTE", "interval_text", "reply_rows", "reply_text", "write_replies"]
+__all__ = ["REPLY_HEAD", "REPLY_NOTE", "reply_rows", "reply_text", "write_replies"]
 
 ALL = "all"
 REPLY_HEAD = ("agent", "circuit", "loss", "95 % interval", "races", "reply won", "agent won", "agent's own crashes")
@@ -42,7 +42,7 @@ def reply_rows(replies: Mapping[str, BestReply]) -> list[tuple[str, ...]]:
                     agent,
                     track,
                     f"{loss.mean:+.3f}",
-                    interval_text(loss),
+                    interval_text(loss.low, loss.high),
                     str(loss.units),
                     f"{won:.3f}",
                     f"{lost:.3f}",
@@ -50,11 +50,6 @@ def reply_rows(replies: Mapping[str, BestReply]) -> list[tuple[str, ...]]:
                 )
             )
     return rows
-
-
-def interval_text(estimate: Estimate) -> str:
-    """Return an interval as text."""
-    return f"[{estimate.low:+.3f}, {estimate.high:+.3f}]"
 
 
 def write_replies(replies: Mapping[str, BestReply], path: Path) -> Path:

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pcs_racing_agents.learning.responses.reply_report import interval_text
 from pcs_racing_agents.learning.robust.curve import CurvePoint
 from pcs_racing_agents.pictures.style import COLOURS, SOFT, new_figure, picture, tidy
 from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.text_table import aligned, interval_text
 
 __all__ = ["curve_picture", "curve_text", "write_curve"]
 
@@ -24,9 +23,9 @@ def curve_text(points: Sequence[CurvePoint], baseline: str) -> str:
         (
             f"{point.pool_share:g}",
             f"{point.gain.mean:+.3f}",
-            interval_text(point.gain),
+            interval_text(point.gain.low, point.gain.high),
             f"{point.loss.mean:+.3f}",
-            interval_text(point.loss),
+            interval_text(point.loss.low, point.loss.high),
             str(point.gain.units),
             str(len(point.networks.networks)),
         )
