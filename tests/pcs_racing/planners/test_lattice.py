@@ -6,6 +6,7 @@ from pcs_racing import (
     RaceConfig,
     Starts,
     UnknownNameError,
+    draw_starts,
     list_tracks,
     load_race_config,
     load_track,
@@ -237,8 +238,10 @@ def test_more_weight_on_the_deviation_keeps_nearer_to_the_line(views):
 def test_a_faster_follower_gets_by_a_slower_car(shipped):
     """It starts 3 m behind a car that drives at 60 % of its speed scale, on five lines of every circuit."""
     config = RaceConfig(duration=20.0, start="rolling", start_gap=3.0, start_spacing=0.0, speed_range=(0.5, 0.85))
-    slow = PURE_PURSUIT.policy({"pace": 0.0})
-    results = [run_races(track, [LATTICE.policy({"pace": 1.0})] * 10, slow, config, seed=1) for track in shipped]
+    slow, fast = PURE_PURSUIT.policy({"pace": 0.0}), [LATTICE.policy({"pace": 1.0})] * 10
+    # From the places of the paper's start, which every circuit brings: those of this one would be found by driving.
+    starts = [draw_starts(track, load_race_config("paper"), 10, seed=1) for track in shipped]
+    results = [run_races(track, fast, slow, config, starts=at) for track, at in zip(shipped, starts, strict=True)]
     behind = np.concatenate([result.starts.side == 1 for result in results])
     crashed = np.concatenate([result.crashed for result in results])[behind]
     passed = np.concatenate([result.lead > 0.0 for result in results])[behind]
