@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import compiled_for, first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import WORK_SHAPE, Beams, Lidar
@@ -311,7 +312,7 @@ class DriveBatch:
         if values.shape != wanted:
             raise InputError(f"action has shape {values.shape}; it must be {wanted}: steering and speed in [-1, 1]")
         values = np.ascontiguousarray(values.reshape(self.episodes, self.players, 2))
-        if not np.isfinite(values).all():
+        if not all_finite(values):
             rows = values.reshape(-1, 2)
             i = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
             where = f" of environment {i}" if shape else ""

@@ -97,10 +97,11 @@ def network_inputs(track, view, out):  # type: ignore[no-untyped-def]
 def _control(hidden: tuple[int, ...], hold: int, frozen: bytes | None) -> Any:
     """Compile a network that decides every ``hold`` steps of 0.01 s, with its own weights or those of ``theta``.
 
-    Sizes and frozen weights are constants of the code.
+    Sizes and frozen weights are constants of the code. Of the sizes as a tuple each number of layers would compile a
+    forward pass of its own.
     """
-    sizes = (len(INPUTS), *hidden, OUTPUTS)
-    widest = max(sizes)
+    sizes = np.array((len(INPUTS), *hidden, OUTPUTS))
+    widest = int(sizes.max())
     odd = len(sizes) % 2 == 0
     constant = np.frombuffer(frozen or b"", np.float64)
     from_theta = frozen is None
