@@ -2,7 +2,7 @@
 
 A call hands over its arguments word by word, and the arrays of a track are 110 words, for each of which the compiler
 writes and optimises code on both sides. Behind a reference a function finds the same attributes, and reads those that
-it uses. A race is no faster for it, but a fifth of its compilation is spared (``benchmarks/start_time.py --against``).
+it uses. A race is no faster for it, but a tenth of the compilation is spared (``benchmarks/start_time.py --against``).
 """
 
 from typing import Any
