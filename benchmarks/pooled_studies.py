@@ -1,10 +1,13 @@
 """What several studies of the same races say together: gains over the blind agent that was best in training.
 
     python benchmarks/pooled_studies.py out/contest out/table-1 out/table-2 out/table-3 out/table-4
+    python benchmarks/pooled_studies.py out/first-0 out/first-1 out/again-0 out/again-1 --archives 0 1 0 1
 
-Each folder is that of a finished `pcs-racing study` with an archive and a seed of its own. A gain is the score of an
-agent minus that of the blind agent which won most training races *of its study*. The mean over the studies comes with a
-95 % interval by Student's t over them: it covers what depends on archive, seed of training and races.
+Each folder is that of a finished `pcs-racing study` with a seed of its own. A gain is the score of an agent minus that
+of the blind agent which won most training races *of its study*. The mean over the studies comes with a 95 % interval by
+Student's t over archives, of which --archives names that of each study (by default each has its own): it covers what
+depends on archive, seed of training and races. Where an archive has several studies, the standard deviation between
+them, and between the means of archives, is printed, too.
 
 With --headroom it also prints how much knowing the opponent's policy is worth on the same circuits, and what share of
 that the agents gain.
@@ -44,10 +47,17 @@ def read_table(folder: Path) -> Table:
     return Table(blind, seen, scores)
 
 
-def pooled(numbers: list[float]) -> str:
-    """Mean over the studies, with its interval."""
-    found = clustered_mean(numbers, np.arange(len(numbers)))
+def pooled(numbers: list[float], archives: list[str]) -> str:
+    """Mean over the studies, with its interval over archives."""
+    found = clustered_mean(numbers, archives)
     return with_interval(found.mean, found.low, found.high)
+
+
+def spread(numbers: list[float], archives: list[str]) -> str:
+    """Standard deviation between studies of one archive, and between the means of archives."""
+    groups = [[number for number, at in zip(numbers, archives, strict=True) if at == name] for name in set(archives)]
+    within = np.sqrt(np.mean([np.var(group, ddof=1) for group in groups if len(group) > 1]))
+    return f"{within:.3f}, {np.std([np.mean(group) for group in groups], ddof=1):.3f}"
 
 
 def gains(tables: list[Table], cells: list[Cell], arm: str) -> list[float]:
@@ -60,7 +70,7 @@ def gains(tables: list[Table], cells: list[Cell], arm: str) -> list[float]:
 
 def read_headroom(folders: list[Path]) -> dict[str, float]:
     """Headroom of a study's archive by circuit, from the folders of `pcs-racing headroom`."""
-    found = {}
+    found: dict[str, float] = {}
     for folder in folders:
         with open(folder / "headroom.csv", newline="", encoding="utf-8") as file:
             found |= {row["track"]: float(row["H"]) for row in csv.DictReader(file)}
@@ -79,10 +89,16 @@ def main() -> None:
         metavar="FOLDER",
         help="folders of `pcs-racing headroom` for the archive of a study; once for each study, in their order",
     )
+    parser.add_argument(
+        "--archives", nargs="+", metavar="NAME", help="archive of each study, in their order (default: each its own)"
+    )
     given = parser.parse_args()
     folders = given.folders
-    if len(folders) < 2:
-        parser.error("give at least two studies: the interval is over them")
+    archives = given.archives or [str(number) for number in range(len(folders))]
+    if len(archives) != len(folders):
+        parser.error(f"--archives names {len(archives)} for {len(folders)} studies; name one for each")
+    if len(set(archives)) < 2:
+        parser.error("give studies of at least two archives: the interval is over them")
     if given.headroom and len(given.headroom) != len(folders):
         parser.error(f"--headroom is given {len(given.headroom)} times for {len(folders)} studies; once for each")
     files = [folder / "table.csv" for folder in folders]
@@ -94,9 +110,9 @@ def main() -> None:
     arms = list(dict.fromkeys(arm for (_, arm) in tables[0].scores))
     arms = [arm for arm in arms if all((cell, arm) in table.scores for table in tables for cell in cells)]
 
-    print("| study | best blind agent in training |\n|---|---|")
-    for folder, table in zip(folders, tables, strict=True):
-        print(f"| {folder.name} | {table.blind} |")
+    print("| study | archive | best blind agent in training |\n|---|---|---|")
+    for folder, archive, table in zip(folders, archives, tables, strict=True):
+        print(f"| {folder.name} | {archive} | {table.blind} |")
     groups: dict[str, list[Cell]] = {}
     for opponent in dict.fromkeys(opponent for _, opponent in cells):
         for seen, what in ((True, "learning circuits"), (False, "unseen circuits")):
@@ -104,16 +120,25 @@ def main() -> None:
             groups |= {f"{what}, {opponent}": some} if some else {}
     print(f"\n| agent | {' | '.join(groups)} |\n|---|{'---|' * len(groups)}")
     for arm in arms:
-        print(f"| {arm} | {' | '.join(pooled(gains(tables, some, arm)) for some in groups.values())} |")
+        print(f"| {arm} | {' | '.join(pooled(gains(tables, some, arm), archives) for some in groups.values())} |")
+    if len(set(archives)) < len(archives):
+        print(f"\n| standard deviation: between studies of an archive, between archives | {' | '.join(groups)} |")
+        print(f"|---|{'---|' * len(groups)}")
+        for arm in arms:
+            print(f"| {arm} | {' | '.join(spread(gains(tables, some, arm), archives) for some in groups.values())} |")
     print(f"\n| circuit | opponent | {' | '.join(arms)} |\n|---|---|{'---|' * len(arms)}")
     for cell in cells:
-        print(f"| {' | '.join(cell)} | {' | '.join(pooled(gains(tables, [cell], arm)) for arm in arms)} |")
+        print(f"| {' | '.join(cell)} | {' | '.join(pooled(gains(tables, [cell], arm), archives) for arm in arms)} |")
     if given.headroom:
-        print_shares(tables, [read_headroom(group) for group in given.headroom], groups, arms)
+        print_shares(tables, archives, [read_headroom(group) for group in given.headroom], groups, arms)
 
 
 def print_shares(
-    tables: list[Table], rooms: list[dict[str, float]], groups: dict[str, list[Cell]], arms: list[str]
+    tables: list[Table],
+    archives: list[str],
+    rooms: list[dict[str, float]],
+    groups: dict[str, list[Cell]],
+    arms: list[str],
 ) -> None:
     """Print the headroom of each group, and what share of it agents gain: the ratio of the means over studies."""
     of_groups = {
@@ -122,7 +147,7 @@ def print_shares(
         if all(track in room for track, _ in some for room in rooms)
     }
     print(f"\n| | {' | '.join(of_groups)} |\n|---|{'---|' * len(of_groups)}")
-    print(f"| headroom | {' | '.join(pooled(values) for values in of_groups.values())} |")
+    print(f"| headroom | {' | '.join(pooled(values, archives) for values in of_groups.values())} |")
     for arm in arms:
         shares = [np.mean(gains(tables, groups[name], arm)) / np.mean(values) for name, values in of_groups.items()]
         print(f"| {arm}, share of it | {' | '.join(f'{share:.0%}' for share in shares)} |")
