@@ -60,8 +60,8 @@ class DuelTask:
     game: RaceGame
     mixtures: tuple[tuple[tuple[int, str], ...], ...]
     batches: Mapping[Matchup, GameBatch] = field(repr=False)
-    overrides: Mapping[str, Any] = field(default_factory=dict)
-    threads: int | None = 1
+    overrides: Mapping[str, Any]
+    threads: int | None
 
     activation = "relu"
     limit = 1e6
@@ -124,10 +124,7 @@ class DuelTask:
 
 
 def make_duel_task(
-    settings: DuelSettings,
-    archive: PolicyArchive | None = None,
-    rules: GameConfig | None = None,
-    threads: int | None = 1,
+    settings: DuelSettings, archive: PolicyArchive | None, rules: GameConfig | None, threads: int | None
 ) -> DuelTask:
     """Load circuits, archive, rules and opponents, and check that they fit together.
 
