@@ -2,9 +2,8 @@
 
     python benchmarks/command_rates.py
 
-measures all rates below and prints them in this order. They are processor seconds on two cores of an AMD EPYC that were
-shared with other work; an idle machine is faster (a race takes 2.8 ms, ``benchmarks/race_speed.py`` in README.md).
-Compilation is not included.
+measures all rates below and prints them in this order. They are processor seconds on a free AMD EPYC; beside other work
+the same took twice as long. Compilation is not included.
 """
 
 import argparse
@@ -43,17 +42,17 @@ __all__ = [
     "tree_seconds",
 ]
 
-RACING = 9e-5
+RACING = 6.4e-5
 """Processor seconds for a second of a race between two cars of the lattice planner."""
-TREE_SEGMENT = 2.6e-4
+TREE_SEGMENT = 1.0e-4
 """For a step of 8 s of a game tree, counting every joint history once (most of them need not be driven)."""
-EGO_SEGMENT = 6.3e-4
+EGO_SEGMENT = 3.0e-4
 """For a step of 8 s of an ego tree, likewise."""
-DUEL_MOVE = 2.1e-3
+DUEL_MOVE = 1.1e-3
 """For a move that PPO learns from, its evaluations included."""
-DRIVE_STEP = 5.4e-5
+DRIVE_STEP = 4.2e-5
 """For a step of driving that PPO learns from, its evaluations included."""
-ROW = 4.3e-6
+ROW = 2.2e-6
 """For a row that a network of two layers of 64 learns from, once."""
 
 AXES_MOVES = 4

@@ -123,7 +123,7 @@ def test_a_study_is_estimated_stage_by_stage():
 
 
 COMMANDS = {
-    "tree --pairs 8": "pcs_racing_agents.cli.tree.build_trees",
+    "tree --pairs 64": "pcs_racing_agents.cli.tree.build_trees",
     "synthesize": "pcs_racing_agents.cli.synthesize.make_archive",
     "ppo --config duel-paper": "pcs_racing_agents.learning.ppo.train.train_ppo",
     "study paper": "pcs_racing_agents.study.run_study",
