@@ -16,7 +16,7 @@ __all__ = ["compiled", "compiled_for", "first_call", "inner_kernel", "kernel"]
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function with numba: cached on disk, without the GIL, with IEEE division.
+    """Compile a function with numba: cached on disk if it has a file, without the GIL, with IEEE division.
 
     Division by zero gives infinity, as in numpy; a check for it would prevent vector instructions. Leave ``fastmath``
     off, and use the elementary functions of :mod:`pcs_racing.base.elementary`. Then a function computes the same bits
@@ -35,8 +35,13 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     def decorate(function: Callable[..., Any]) -> Any:
         # Nobody calls these functions from C: the wrappers for that would be a tenth of the compilation.
         options.setdefault("no_cfunc_wrapper", True)
-        dispatcher = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
         source = Path(function.__code__.co_filename)
+        try:
+            dispatcher = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+        except RuntimeError:  # numba finds no place for the code of a function that was typed at a prompt
+            if source.is_file():
+                raise
+            return njit(nogil=True, error_model="numpy", **options)(function)
         if source not in _sources and hasattr(dispatcher, "stats"):  # without compilation it is the function itself
             _sources.add(source)
             forget_stale_code(source, Path(dispatcher.stats.cache_path))

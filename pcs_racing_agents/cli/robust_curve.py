@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> None:
     )
     from pcs_racing_agents.learning.responses.best_reply import FEWEST
     from pcs_racing_agents.learning.responses.learner import load_response_settings
-    from pcs_racing_agents.learning.robust.curve import robust_curve
+    from pcs_racing_agents.learning.robust.curve import check_shares, robust_curve
     from pcs_racing_agents.learning.robust.curve_report import curve_picture, curve_text, write_curve
     from pcs_racing_agents.learning.robust.settings import load_robust_settings
     from pcs_racing_agents.networks import save_network_set
@@ -90,6 +90,7 @@ def run(arguments: argparse.Namespace) -> None:
     pool = pool_of(arguments, setting)
     baseline = parse_agent(arguments.baseline, setting, seed=arguments.seed)
     check_whole("races", arguments.races, FEWEST * len(games))
+    shares = check_shares(arguments.shares)
     identity = {
         **run_identity(games, setting, [*pool, baseline]),
         "races": arguments.races,
@@ -100,7 +101,7 @@ def run(arguments: argparse.Namespace) -> None:
     each = robust_seconds(settings, config, moves, len(games)) + response_seconds(reply, config, moves, len(games))
     races = racing_seconds(arguments.races * (len(pool) + 1), config.horizon)
     with executor_from(arguments) as executor:
-        announce((each + races) * len(arguments.shares), cores_of(arguments))
+        announce((each + races) * len(shares), cores_of(arguments))
         with open_job(arguments.out, "robust curve", identity) as job:
             points = robust_curve(
                 games,
@@ -110,7 +111,7 @@ def run(arguments: argparse.Namespace) -> None:
                 settings,
                 reply,
                 job,
-                pool_shares=arguments.shares,
+                pool_shares=shares,
                 races=arguments.races,
                 executor=executor,
                 progress=show_progress("tasks"),

@@ -22,7 +22,7 @@ from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
-__all__ = ["CurvePoint", "gain_over", "robust_curve"]
+__all__ = ["CurvePoint", "check_shares", "gain_over", "robust_curve"]
 
 
 class CurvePoint(NamedTuple):
@@ -83,9 +83,7 @@ def robust_curve(
     InputError
         If a share is impossible or there twice, or as for the functions above.
     """
-    shares = [check_number("a share of the pool", share, 0.0, 1.0) for share in pool_shares]
-    if not shares or len(set(shares)) < len(shares):
-        raise InputError(f"pool_shares are {list(pool_shares)}; give at least one, each once")
+    shares = check_shares(pool_shares)
 
     def against_pool(agent: Competitor, label: str) -> list[RaceTable]:
         return [
@@ -133,6 +131,20 @@ def robust_curve(
         )
         points.append(CurvePoint(share, gain, reply.loss, networks))
     return points
+
+
+def check_shares(shares: Sequence[float]) -> list[float]:
+    """Check shares of the pool: numbers from 0 to 1, each once.
+
+    Raises
+    ------
+    InputError
+        If one is impossible or there twice, or there is none.
+    """
+    checked = [check_number("a share of the pool", share, 0.0, 1.0) for share in shares]
+    if not checked or len(set(checked)) < len(checked):
+        raise InputError(f"the shares of the pool are {list(shares)}; give at least one, each once")
+    return checked
 
 
 def gain_over(races: Sequence[RaceTable], baseline: Sequence[RaceTable]) -> Estimate:

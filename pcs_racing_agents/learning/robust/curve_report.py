@@ -50,12 +50,14 @@ def curve_picture(points: Sequence[CurvePoint], baseline: str) -> Any:
     axes = figure.subplots()
     along = sorted(points, key=lambda point: point.pool_share)
     axes.plot([point.loss.mean for point in along], [point.gain.mean for point in along], color=SOFT, lw=0.9, zorder=1)
-    for point in along:
+    for number, point in enumerate(along):
         x, y = point.loss.mean, point.gain.mean
         axes.plot([point.loss.low, point.loss.high], [y, y], color=COLOURS[0], lw=1.2)
         axes.plot([x, x], [point.gain.low, point.gain.high], color=COLOURS[0], lw=1.2)
         axes.plot(x, y, "o", color=COLOURS[0], ms=6)
-        axes.annotate(f"p = {point.pool_share:g}", (x, y), xytext=(6, 6), textcoords="offset points", fontsize=8.5)
+        # Neighbours have their labels on different sides: points of large shares often lie close together.
+        where = {"xytext": (7, -13)} if number % 2 == 0 else {"xytext": (-7, 7), "ha": "right"}
+        axes.annotate(f"p = {point.pool_share:g}", (x, y), textcoords="offset points", fontsize=8.5, **where)
     axes.axhline(0.0, color=SOFT, lw=0.7)
     axes.axvline(0.0, color=SOFT, lw=0.7)
     axes.set_xlabel("loss to a learned best reply, races won; left: harder to exploit")

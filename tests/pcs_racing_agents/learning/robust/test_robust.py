@@ -191,3 +191,12 @@ def test_the_curve_command_prints_the_table_and_draws(learner, tmp_path, capsys)
         assert f"{float(row['loss']):+.3f}" in printed
     assert (out / "curve.png").stat().st_size > 10_000
     assert (out / "p-0.5" / "set.yaml").is_file()
+
+
+@pytest.mark.parametrize(("shares", "message"), [(["0.5", "2"], "is 2.0"), (["0.5", "0.5"], "each once")])
+def test_impossible_shares_are_refused_before_anything_begins(shares, message, tmp_path, capsys):
+    assert main(["robust-curve", *GAME, "--shares", *shares, "--out", str(tmp_path / "curve")]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert "this takes" not in err
+    assert not (tmp_path / "curve").exists()
