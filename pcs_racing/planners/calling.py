@@ -17,7 +17,6 @@ from numba.extending import intrinsic
 from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing.base.errors import InputError
 from pcs_racing.track.frenet import TrackArrays
-from pcs_racing.track.reference import TrackReference
 
 __all__ = ["call_control", "call_plan", "control_address", "plan_address"]
 
@@ -45,8 +44,8 @@ _TRACK = types.NamedTuple(
     TrackArrays,
 )
 
-_PLAN = (TrackReference(_TRACK), _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX)
-"""Of a reference to the track, theta, view, memory, scratch and path."""
+_PLAN = (_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX)
+"""Of track, theta, view, memory, scratch and path."""
 _CONTROL = (*_PLAN, _VECTOR)
 """The same, and of the command to write."""
 

@@ -86,9 +86,8 @@ class Planner:
 
     Notes
     -----
-    ``track`` has the attributes of a :class:`pcs_racing.track.frenet.TrackArrays`, and other compiled functions of a
-    track take it; but it is a reference (:mod:`pcs_racing.track.reference`) with no indices. ``view`` holds the numbers
-    of :data:`pcs_racing.planners.view.VIEW`. All other arguments are float64 arrays. The functions must return nothing,
+    ``track`` is a :class:`pcs_racing.track.frenet.TrackArrays`; ``view`` holds the numbers of
+    :data:`pcs_racing.planners.view.VIEW`. All other arguments are float64 arrays. The functions must return nothing,
     should not raise (what one raises ends all races of the batch), and must depend on nothing but their arguments: that
     is what makes a race a value that can be saved and restored.
     """

@@ -20,7 +20,6 @@ from pcs_racing.race.progress import update_progress
 from pcs_racing.race.rates import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.steering import delayed, steering_noise, steering_sd
 from pcs_racing.track.frenet import COS, SIN, SPEED
-from pcs_racing.track.reference import refer_to
 
 __all__ = ["GROUP", "WORK_SIZE", "KernelSettings", "advance_races", "fill_view", "measure_ittc"]
 
@@ -215,7 +214,6 @@ def advance_races(  # type: ignore[no-untyped-def]
         Scribbled on.
     """
     # Arrays are taken out of their tuples once: handing whole tuples to functions costs more than many of these do.
-    reference = refer_to(track)
     distance, origin_x, origin_y, cell = track.distance, track.origin_x, track.origin_y, track.cell
     walls, seen_start, seen = track.walls, track.seen_start, track.seen
     seen_distance, seen_middle, seen_stretch = track.seen_distance, track.seen_middle, track.seen_stretch
@@ -252,12 +250,12 @@ def advance_races(  # type: ignore[no-untyped-def]
                         _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view)
                         if car == 0:
                             if tick % PLAN_EVERY == 0:
-                                call_plan(plan0, reference, theta[race, 0], view, memory, scratch, path)
-                            call_control(control0, reference, theta[race, 0], view, memory, scratch, path, command)
+                                call_plan(plan0, track, theta[race, 0], view, memory, scratch, path)
+                            call_control(control0, track, theta[race, 0], view, memory, scratch, path, command)
                         else:
                             if tick % PLAN_EVERY == 0:
-                                call_plan(plan1, reference, theta[race, 1], view, memory, scratch, path)
-                            call_control(control1, reference, theta[race, 1], view, memory, scratch, path, command)
+                                call_plan(plan1, track, theta[race, 1], view, memory, scratch, path)
+                            call_control(control1, track, theta[race, 1], view, memory, scratch, path, command)
                         noise_sd = steering_sd(settings, vehicles[race, car])
                         if noise_sd > 0.0:
                             draw = noise_sd * noise_share * steering_noise(state.seed[race], car, tick)
