@@ -2,8 +2,8 @@
 
     python benchmarks/command_rates.py
 
-measures all rates below and prints them in this order. They are processor seconds on a free AMD EPYC, and more where other
-work shares its caches. Compilation is not included.
+measures all rates below and prints them in this order. They are processor seconds on a free AMD EPYC, and more where
+other work shares its caches. Compilation is not included.
 """
 
 import argparse
