@@ -55,7 +55,8 @@ def pooled(numbers: list[float], archives: list[str]) -> str:
 
 def spread(numbers: list[float], archives: list[str]) -> str:
     """Standard deviation between studies of one archive, and between the means of archives."""
-    groups = [[number for number, at in zip(numbers, archives, strict=True) if at == name] for name in set(archives)]
+    pairs = list(zip(numbers, archives, strict=True))
+    groups = [[number for number, at in pairs if at == name] for name in dict.fromkeys(archives)]
     within = np.sqrt(np.mean([np.var(group, ddof=1) for group in groups if len(group) > 1]))
     return f"{within:.3f}, {np.std([np.mean(group) for group in groups], ddof=1):.3f}"
 

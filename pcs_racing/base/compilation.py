@@ -35,14 +35,17 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     def decorate(function: Callable[..., Any]) -> Any:
         # Nobody calls these functions from C: the wrappers for that would be a tenth of the compilation.
         options.setdefault("no_cfunc_wrapper", True)
+        dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
+        if not hasattr(dispatcher, "enable_caching"):  # without compilation it is the function itself
+            return dispatcher
         source = Path(function.__code__.co_filename)
         try:
-            dispatcher = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+            dispatcher.enable_caching()
         except RuntimeError:  # numba finds no place for the code of a function that was typed at a prompt
             if source.is_file():
                 raise
-            return njit(nogil=True, error_model="numpy", **options)(function)
-        if source not in _sources and hasattr(dispatcher, "stats"):  # without compilation it is the function itself
+            return dispatcher
+        if source not in _sources:
             _sources.add(source)
             forget_stale_code(source, Path(dispatcher.stats.cache_path))
         return dispatcher

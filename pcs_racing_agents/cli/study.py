@@ -50,7 +50,6 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run a study, and print the paths of its results."""
-    from pcs_racing.track.loading import load_track
     from pcs_racing_agents.cli.estimates import announce, cores_of, stage_estimates
     from pcs_racing_agents.jobs.jobs import executor_from
     from pcs_racing_agents.study import load_study_config, run_study
@@ -62,8 +61,6 @@ def run(arguments: argparse.Namespace) -> None:
         changes |= {"synthesis": None, "archive": arguments.archive}
     config = load_study_config(arguments.config, **changes)
     if arguments.unseen:
-        for track in arguments.unseen:  # an unknown one is refused before anything is announced
-            load_track(track)
         config = replace(config, tracks=(*config.tracks, *arguments.unseen))
     remaining = {stage.name for stage in stages_to_run(config, arguments.out, arguments.stage)}
     seconds = sum(spent for stage, spent in stage_estimates(config).items() if stage in remaining)

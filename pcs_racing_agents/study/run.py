@@ -13,6 +13,7 @@ import yaml
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.study.clock import seconds_counted
 from pcs_racing_agents.study.config import StudyConfig
@@ -55,8 +56,6 @@ def run_study(
     """
     remaining = stages_to_run(config, folder, only)
     study = Study(config, Path(folder), executor, quiet)
-    for name in config.every_track:
-        study.track(name)  # an unknown circuit is an error before any long work
     with claim_folder(study.folder, "study", plain_settings(config)):
         for stage in remaining:
             _run_stage(study, stage)
@@ -64,7 +63,7 @@ def run_study(
 
 
 def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] | None = None) -> list[Stage]:
-    """Return the stages that are still to be run, in order, after a check of the libraries that they need.
+    """Return the stages that are still to be run, in order, after a check of their libraries and of all circuits.
 
     Parameters
     ----------
@@ -74,7 +73,9 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
     Raises
     ------
     UnknownNameError
-        If there is no such stage.
+        If there is no such stage, or no such circuit.
+    MapError
+        If the map of a circuit can't be used.
     ModuleNotFoundError
         If a library is missing that one of them needs; the message says how to install it.
     """
@@ -89,6 +90,8 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
     ]
     for stage in remaining:
         stage.check_libraries(config)
+    for name in config.every_track:
+        load_track(name)
     return remaining
 
 
