@@ -32,8 +32,10 @@ AGREEMENT = 0.5
 # Segments are drawn this much longer at both ends, in rad, to leave no gap where they meet: more than `_angle` errs.
 _OVERLAP = 1e-7
 
+_RECTANGLE = 16  # corners of a rectangle in both directions, NaN between them, and more of it to fill the vectors
+
 # Shape of the working memory of `scan_into`: longer lists of segments are worked off in parts.
-WORK_SHAPE = (4, 256)
+WORK_SHAPE = (4, 512)
 
 
 class Beams(NamedTuple):
@@ -80,49 +82,41 @@ def _faces_lidar(ax, ay, bx, by):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _gather(walls, seen, x, y, work):  # type: ignore[no-untyped-def]
-    """Copy the ends, relative to the lidar, of the segments that face it; returns how many there are."""
-    count = 0
-    for k in range(seen.shape[0]):
-        i = np.uint32(seen[k])
-        ax = walls[i, 0] - x
-        ay = walls[i, 1] - y
-        bx = walls[i, 2] - x
-        by = walls[i, 3] - y
-        work[0, count] = ax
-        work[1, count] = ay
-        work[2, count] = bx
-        work[3, count] = by
-        count += _faces_lidar(ax, ay, bx, by)
-    return count
+def _find_angles(beams, x, y, cos, sin, px, py, angles):  # type: ignore[no-untyped-def]
+    """Write the angle of each corner, counted counter-clockwise from the first beam, rad in [0, 2 pi].
+
+    Written for the compiler to vectorise, as is `_choose`: no branch, no look-up.
+    """
+    zero = beams.first
+    for k in range(np.uint64(px.shape[0])):
+        ax = px[k] - x
+        ay = py[k] - y
+        angle = _angle(ax * cos + ay * sin, ay * cos - ax * sin) - zero
+        angles[k] = angle + 2.0 * np.pi if angle < 0.0 else angle
+
+
+@kernel(forceinline=True)
+def _span(beams, begin, end):  # type: ignore[no-untyped-def]
+    """Span of a segment between two angles, in beams from the first one; below 0 if it crosses the first direction."""
+    per_step = 1.0 / beams.step
+    margin = _OVERLAP * per_step
+    begin = begin - 2.0 * np.pi if begin > end else begin
+    return begin * per_step - margin, end * per_step + margin
 
 
 @kernel
-def _to_beams(beams, cos, sin, ax, ay, bx, by, count):  # type: ignore[no-untyped-def]
-    """Turn ends of segments, in place, into their span of beams and the two coefficients of their inverse range.
+def _choose(beams, x, y, px, py, angles, last, chosen):  # type: ignore[no-untyped-def]
+    """Mark, by the corner that it begins at, each segment that faces the lidar and is met by a beam.
 
-    The span is counted in beams from the first one and begins below 0 where the segment crosses the first direction.
-    A beam in the direction (c, s) of the car's frame has the inverse range ``p c + q s``. Written for the compiler to
-    vectorise: no branch, no look-up.
+    Half of all segments face away or fall between two beams, and nobody can predict which. What ends or begins at NaN
+    is no segment.
     """
-    per_step = 1.0 / beams.step
-    zero = beams.first
-    margin = _OVERLAP * per_step
-    for k in range(count):
-        ux = ax[k] * cos + ay[k] * sin
-        uy = ay[k] * cos - ax[k] * sin
-        vx = bx[k] * cos + by[k] * sin
-        vy = by[k] * cos - bx[k] * sin
-        begin = _angle(ux, uy) - zero
-        end = _angle(vx, vy) - zero
-        begin = begin + 2.0 * np.pi if begin < 0.0 else begin
-        end = end + 2.0 * np.pi if end < 0.0 else end
-        begin = begin - 2.0 * np.pi if begin > end else begin
-        scale = 1.0 / (ux * vy - uy * vx)
-        ax[k] = begin * per_step - margin
-        ay[k] = end * per_step + margin
-        bx[k] = (vy - uy) * scale
-        by[k] = (ux - vx) * scale
+    for k in range(np.uint64(chosen.shape[0])):
+        after = k + np.uint64(1)
+        faces = _faces_lidar(px[k] - x, py[k] - y, px[after] - x, py[after] - y)
+        begin, end = _span(beams, angles[k], angles[after])
+        met = min(np.floor(end), last) >= max(np.ceil(begin), 0.0)
+        chosen[k] = 1.0 if faces & (met | (begin < 0.0)) else 0.0
 
 
 @kernel
@@ -136,59 +130,68 @@ def _fill(cos, sin, p, q, first, last, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _draw(beams, work, count, out):  # type: ignore[no-untyped-def]
-    """Draw the segments that `_to_beams` has prepared."""
+def _draw(beams, x, y, cos, sin, px, py, work, out):  # type: ignore[no-untyped-def]
+    """Draw the segments between successive corners into a buffer of inverse ranges.
+
+    A beam in the direction (c, s) of the car's frame meets a segment at the inverse range ``p c + q s``.
+    """
+    count = px.shape[0] - 1
     last = out.shape[0] - 1.0
     turn = 2.0 * np.pi / beams.step
+    angles, chosen = work[0], work[1]
+    _find_angles(beams, x, y, cos, sin, px, py, angles[: count + 1])
+    _choose(beams, x, y, px, py, angles, last, chosen[:count])
     kept = 0
-    for k in range(count):
-        begin, p, q = work[0, k], work[2, k], work[3, k]
+    for k in range(np.uint64(count)):
+        is_chosen = chosen[k] > 0.0
+        chosen[np.uint64(kept)] = k
+        kept += is_chosen
+    for i in range(np.uint64(kept)):
+        first = np.uint64(chosen[i])
+        after = first + np.uint64(1)
+        ax = px[first] - x
+        ay = py[first] - y
+        bx = px[after] - x
+        by = py[after] - y
+        ux = ax * cos + ay * sin
+        uy = ay * cos - ax * sin
+        vx = bx * cos + by * sin
+        vy = by * cos - bx * sin
+        scale = 1.0 / (ux * vy - uy * vx)
+        p = (vy - uy) * scale
+        q = (ux - vx) * scale
+        begin, end = _span(beams, angles[first], angles[after])
         if begin < 0.0:
             around = min(max(np.ceil(begin + turn), 0.0), last + 1.0)
             _fill(beams.cos, beams.sin, p, q, int(around), int(last), out)
-        first = min(max(np.ceil(begin), 0.0), last + 1.0)
-        final = min(np.floor(work[1, k]), last)
-        work[0, kept] = first
-        work[1, kept] = final
-        work[2, kept] = p
-        work[3, kept] = q
-        kept += final >= first  # half of them fall between two beams; a branch here would be mispredicted
-    for k in range(kept):
-        _fill(beams.cos, beams.sin, work[2, k], work[3, k], int(work[0, k]), int(work[1, k]), out)
+        begin = min(max(np.ceil(begin), 0.0), last + 1.0)
+        _fill(beams.cos, beams.sin, p, q, int(begin), int(min(np.floor(end), last)), out)
 
 
 @kernel
 def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-untyped-def]
     """Draw the walls that can be seen from arc length s into a buffer of inverse ranges."""
-    stretch = int(wrap_s(track, s) / track.seen_stretch) % (track.seen_start.shape[0] - 1)
-    end = track.seen_start[stretch + 1]
-    for begin in range(track.seen_start[stretch], end, work.shape[1]):
-        seen = track.seen[begin : min(begin + work.shape[1], end)]
-        count = _gather(track.walls, seen, x, y, work)
-        _to_beams(beams, cos, sin, work[0], work[1], work[2], work[3], count)
-        _draw(beams, work, count, out)
+    stretch = int(wrap_s(track, s) / track.seen_stretch) % (track.corners_start.shape[0] - 1)
+    end = track.corners_start[stretch + 1]
+    for begin in range(track.corners_start[stretch], end - 1, work.shape[1] - 1):
+        stop = min(begin + work.shape[1], end)
+        _draw(beams, x, y, cos, sin, track.corners[0, begin:stop], track.corners[1, begin:stop], work, out)
 
 
 @kernel
 def _draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):  # type: ignore[no-untyped-def]
     """Draw a rectangle, centred at (x, y) relative to the lidar, into a buffer of inverse ranges."""
     s, c = sine_cosine(psi)
-    count = 0
-    for k in range(4):
-        u = half_length if k in (0, 3) else -half_length
-        v = half_width if k < 2 else -half_width
-        ax = x + u * c - v * s
-        ay = y + u * s + v * c
-        u, v = (-u, v) if k % 2 == 0 else (u, -v)
-        bx = x + u * c - v * s
-        by = y + u * s + v * c
-        # Near sides run clockwise around a lidar outside, every side counter-clockwise around one inside.
-        if ax * by - ay * bx < 0.0:
-            ax, ay, bx, by = bx, by, ax, ay
-        work[0, count], work[1, count], work[2, count], work[3, count] = ax, ay, bx, by
-        count += _faces_lidar(ax, ay, bx, by)
-    _to_beams(beams, cos, sin, work[0], work[1], work[2], work[3], count)
-    _draw(beams, work, count, out)
+    px, py = work[2, :_RECTANGLE], work[3, :_RECTANGLE]
+    px[:] = np.nan
+    for k in range(5):
+        u = half_length if k % 4 in (0, 3) else -half_length
+        v = half_width if k % 4 in (0, 1) else -half_width
+        # In both directions: near sides run clockwise around a lidar outside, all counter-clockwise around one inside.
+        for at in (k, 10 - k):
+            px[at] = x + u * c - v * s
+            py[at] = y + u * s + v * c
+    _draw(beams, 0.0, 0.0, cos, sin, px, py, work, out)
 
 
 @kernel
@@ -213,8 +216,10 @@ def _stands_out(out, k):  # type: ignore[no-untyped-def]
 @kernel(forceinline=True)
 def _jumps(out, k):  # type: ignore[no-untyped-def]
     """Whether there is a jump behind beam k."""
-    far = min(out[k], out[k + 1])
-    near = max(out[k], out[k + 1])
+    before = np.uint64(k)  # as in `_fill`
+    after = before + np.uint64(1)
+    far = min(out[before], out[after])
+    near = max(out[before], out[after])
     return near - far > max(JUMP * near, JUMP_SHARE) * far
 
 
@@ -289,7 +294,7 @@ def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_lengt
     half_length, half_width : float
         Half the sides of its rectangle, m.
     work : ndarray, shape (4, n), float64
-        Working memory with n >= 4, one for each thread; ``np.empty(WORK_SHAPE)`` will do.
+        Working memory with n >= 16, one for each thread; ``np.empty(WORK_SHAPE)`` will do.
     out : ndarray, shape (beams,)
         Receives the ranges in m, in [0, max_range].
     """

@@ -38,6 +38,8 @@ _TRACK = types.NamedTuple(
         types.Array(types.float32, 1, "C"),  # seen_distance
         _MATRIX,  # seen_middle
         types.float64,  # seen_stretch
+        types.Array(types.int32, 1, "C"),  # corners_start
+        _MATRIX,  # corners
         types.Array(types.int32, 2, "C"),  # lookup
         types.float64,  # lookup_cell
     ),

@@ -73,6 +73,11 @@ class TrackArrays(NamedTuple):
         A point of each stretch, in m, about half way along it and half way between the walls.
     seen_stretch : float
         Length of such a stretch in m (``length / M``).
+    corners_start : ndarray, shape (M + 1,), int32
+        Where the list of each stretch begins in ``corners``.
+    corners : ndarray, shape (2, C), float64
+        For each stretch, x and y in m of the corners of the walls in its list of ``seen``, along the walls: between two
+        successive corners there is a wall segment, between a corner and NaN there is none.
     lookup : ndarray, shape (h, w), int32
         Index of the line sample nearest to the centre of each coarse cell.
     lookup_cell : float
@@ -92,6 +97,8 @@ class TrackArrays(NamedTuple):
     seen_distance: np.ndarray
     seen_middle: np.ndarray
     seen_stretch: float
+    corners_start: np.ndarray
+    corners: np.ndarray
     lookup: np.ndarray
     lookup_cell: float
 

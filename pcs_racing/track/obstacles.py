@@ -9,6 +9,7 @@ from pcs_racing.base.checks import check_array
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import InputError
+from pcs_racing.track.corners import with_sides
 from pcs_racing.track.track import Track
 
 __all__ = ["BOX", "MOST_BOXES", "with_obstacles"]
@@ -84,9 +85,18 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
     start, seen, far = _list_sides(
         arrays.seen_start, arrays.seen, arrays.seen_distance, arrays.seen_middle, sides, len(arrays.walls)
     )
+    corners_start, corners = with_sides(arrays.corners_start, arrays.corners, sides)
     return replace(
         track,
-        arrays=arrays._replace(distance=distance, walls=walls, seen_start=start, seen=seen, seen_distance=far),
+        arrays=arrays._replace(
+            distance=distance,
+            walls=walls,
+            seen_start=start,
+            seen=seen,
+            seen_distance=far,
+            corners_start=corners_start,
+            corners=corners,
+        ),
     )
 
 

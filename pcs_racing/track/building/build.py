@@ -11,6 +11,7 @@ from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.splines import LineSamples, clean_closed, sample_closed
 from pcs_racing.track.building.walls import seen_lists, simplify, trace_outlines
+from pcs_racing.track.corners import corner_lists
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
 from pcs_racing.track.grid import cast, distance_to_walls, flood, lookup_grid, way_out
 
@@ -225,6 +226,8 @@ def build_arrays(
     seen_start, seen, seen_distance = seen_lists(
         drivable, outlines, segments, owner, start, sections, SEEN_RAYS, SEEN_DEPTH
     )
+    walls = segments * resolution + np.tile(corner, 2)
+    corners_start, corners = corner_lists(walls, seen_start, seen)
     block = max(round(LOOKUP_CELL / resolution), 1)
     arrays = TrackArrays(
         length=samples.length,
@@ -234,12 +237,14 @@ def build_arrays(
         origin_x=float(corner[0]),
         origin_y=float(corner[1]),
         cell=resolution,
-        walls=segments * resolution + np.tile(corner, 2),
+        walls=walls,
         seen_start=seen_start,
         seen=seen,
         seen_distance=np.nextafter((seen_distance * resolution).astype(np.float32), np.float32(-1.0)),
         seen_middle=sections[1::2].mean(axis=1) * resolution + corner,
         seen_stretch=samples.length / stretches,
+        corners_start=corners_start,
+        corners=corners,
         lookup=lookup_grid(drivable, x, y, block),
         lookup_cell=block * resolution,
     )

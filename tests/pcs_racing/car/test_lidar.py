@@ -104,7 +104,7 @@ def test_every_beam_is_settled_without_any_list_of_segments(oval):
     out = np.empty(200)
     for x, y, psi in poses_on(oval, 20):
         s = oval.to_frenet([x, y])[0]
-        scan_into(empty, lidar.kernel, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, np.empty((4, 4)), out)
+        scan_into(empty, lidar.kernel, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, np.empty((4, 16)), out)
         error = np.abs(out - lidar.scan([x, y, psi]))
         assert np.median(error) < arrays.cell
         assert (error > 1.0).mean() <= 0.01
@@ -172,7 +172,7 @@ def test_the_working_memory_may_be_small_and_the_output_single_precision(oval):
     for pose, other in zip(poses_on(oval, 10), poses_on(oval, 10, seed=1), strict=True):
         s = oval.to_frenet(pose[:2])[0]
         size = (0.5 * LENGTH, 0.5 * WIDTH)
-        scan_into(oval.arrays, lidar.kernel, *pose, s, True, *other, *size, np.empty((4, 4)), out)
+        scan_into(oval.arrays, lidar.kernel, *pose, s, True, *other, *size, np.empty((4, 16)), out)
         error = np.abs(out - lidar.scan(pose, other))
         assert np.median(error) < 1e-5
         assert (error > 1e-3).sum() <= 2
