@@ -248,8 +248,8 @@ class DriveVectorEnv(BatchVectorEnv):
     max_episode_steps : int, optional
         Steps after which an episode is truncated, in addition to its duration.
     threads : int, optional
-        Threads that share a step; the result does not depend on it. By default as many as there are cores, one for few
-        environments, and one where the opponent is plain Python.
+        Threads that may share a step; the result does not depend on it. By default as many as there are cores. Fewer
+        are used where a step is short (``env.batch.threads``), and one where the opponent is plain Python.
     render_mode, view, render_size, **options
         As for :class:`DriveEnv`; `render` returns a frame for each race.
 

@@ -16,7 +16,7 @@ from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.drive_courses import Courses
 from pcs_racing.envs.drive_kernel import Sight, observe_races, restart, set_commands, step_races
 from pcs_racing.envs.drive_options import SEE_OPPONENT, DriveOptions, drive_elements
-from pcs_racing.envs.infos import Crash, Result, codes, race_info, race_infos
+from pcs_racing.envs.infos import Crash, Result, codes, race_info, race_infos, race_results
 from pcs_racing.envs.moving_opponents import MovingOpponents
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent, drive_opponents, shared_planner
@@ -42,7 +42,8 @@ __all__ = ["EXTERNAL", "DriveBatch"]
 EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND_SLOTS)
 """The planner of a car that is driven from outside: its memory holds the target steering angle and speed."""
 
-RACES_PER_THREAD = 16  # fewer are not worth handing over
+WORTH_A_THREAD = 250.0  # us of work in a step; to hand over less takes longer than to do it
+TICK_US, SCAN_US, BEAM_US = 0.5, 2.5, 0.005  # about what a simulation step, a scan and each of its beams take
 MOST_NUMBERS = 250_000_000  # of all observations together: 1 GB
 
 
@@ -56,7 +57,7 @@ class DriveBatch:
     episodes : int
         Number of races.
     threads : int, optional
-        Threads that share a step; as many as there are cores (and work for) by default.
+        Threads that may share a step; as many as there are cores by default.
     players : int
         2 where both cars are driven by agents; `opponent` is None then.
     **arguments
@@ -70,6 +71,8 @@ class DriveBatch:
     opponents : list of Opponent
     drawn : ndarray of int, shape (episodes,)
         Index of each race's opponent.
+    threads : int
+        Threads that share a step: no more than have enough to do.
     """
 
     reset_options: tuple[str, ...] = ("start", "poses", "obstacles")
@@ -187,13 +190,15 @@ class DriveBatch:
         self._uniform = not variety.circuits.several  # until an obstacle stands somewhere
         self._varied = bool(variety.codes or variety.drawn or variety.obstacles)
         self._in_python = setup.planners[1].drive is not None
-        workers = 1 if self._in_python else min(threads or default_threads(), max(1, races // RACES_PER_THREAD))
+        scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
+        enough_for = int(races * (TICK_US * self._ticks + scans) / WORTH_A_THREAD)
+        self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, setup.planners[1].scratch_size)
         self._buffers = [
             (np.empty(size), np.empty(WORK_SIZE), np.empty(len(self.elements)), np.empty(WORK_SHAPE))
-            for _ in range(workers)
+            for _ in range(self.threads)
         ]
-        self._pool = ThreadPoolExecutor(max(1, workers - 1))  # begins threads when there is work for them
+        self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # begins threads when there is work for them
         self._compiled: Callable[..., None] | None = None
         with first_call(step_races, "the control-level environment", 20) as compiling:
             self._pointers = (*setup.planners[0].pointers(), *setup.planners[1].pointers())
@@ -327,12 +332,12 @@ class DriveBatch:
             set_commands(actions, *self._limits, self.state.memory, 0, races)
             self._advance_in_python(ticks)
             ticks = 0
-        workers = len(self._buffers)
-        edges = [races * k // workers for k in range(workers + 1)]
+        threads = self.threads
+        edges = [races * k // threads for k in range(threads + 1)]
         # This thread does the first part itself: to wake another one takes as long as some races' step.
         parts = [
             self._pool.submit(self._step_part, actions, ticks, edges[k], edges[k + 1], k, results)
-            for k in range(1, workers)
+            for k in range(1, threads)
         ]
         self._step_part(actions, ticks, 0, edges[1], 0, results)
         for part in parts:
@@ -390,34 +395,29 @@ class DriveBatch:
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
-        of_cars = [self._infos_of(car) for car in range(self.players)]
-        if self.players == 1:
-            return of_cars[0]
-        return {name: np.stack([one[name] for one in of_cars], axis=1).reshape(-1) for name in of_cars[0]}
-
-    def _infos_of(self, car: int) -> dict[str, NDArray[Any]]:
-        infos = {
-            **race_infos(self.state, car),
-            "result": self._outcomes(car),
-            "opponent": self.drawn.copy() if self.opponents else np.full(self.episodes, -1),
+        of_races = {
+            "opponent": self.drawn if self.opponents else np.full(self.episodes, -1),
             **self.variety.infos(),
+        }
+        infos = {
+            **race_infos(self.state, self.players),
+            "result": self._outcomes().reshape(-1),
+            **{name: np.repeat(values, self.players) for name, values in of_races.items()},
         }
         if self.alone:
             infos["lead"] = np.zeros(self.episodes)
         return infos
 
-    def _outcomes(self, car: int) -> NDArray[np.int64]:
-        """How each race has ended for a car; alone it races nobody, and the result stays open."""
+    def _outcomes(self) -> NDArray[np.int64]:
+        """How each race has ended for each player, shape (B, players); alone a car races nobody: its result is open."""
         state, config = self.state, self.setup.config
-        result = np.zeros(self.episodes, np.int64)
+        result = np.zeros((self.episodes, self.players), np.int64)
         over = (state.crash[:, 0] != 0) | (state.crash[:, 1] != 0) | (state.tick >= config.ticks)
         if self.alone or not over.any():
             return result
         rows = np.flatnonzero(over)
         ended = take(state, rows)
-        winner = winners(config, ended)
-        found = np.where(winner == car, Result.WIN, np.where(winner == 1 - car, Result.LOSS, Result.TIE))
-        result[rows] = np.where((winner < 0) & ended.crashed, Result.CRASH, found)
+        result[rows] = race_results(winners(config, ended), ended.crashed, self.players)
         return result
 
     def info(self, environment: int) -> dict[str, Any]:
@@ -425,7 +425,7 @@ class DriveBatch:
         race, car = divmod(environment, self.players)
         info = race_info(self.state, race, car)
         over = info["crash"] or info["opponent_crash"] or self.state.tick.item(race) >= self.setup.config.ticks
-        info["result"] = int(self._outcomes(car)[race]) if over else int(Result.RUNNING)
+        info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
         if self.alone:
             info["lead"] = 0.0
@@ -485,4 +485,4 @@ class DriveBatch:
         """Free the threads."""
         self.variety.circuits.close()
         self._pool.shutdown()
-        del self._buffers[1:]  # a step is still possible, on one thread
+        self.threads = 1  # a step is still possible

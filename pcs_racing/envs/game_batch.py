@@ -13,7 +13,7 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.circuit_games import CircuitGames
-from pcs_racing.envs.infos import Crash, Result, codes, race_info, race_infos
+from pcs_racing.envs.infos import Crash, Result, codes, of_players, race_info, race_infos, race_results
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent
 from pcs_racing.envs.reset_options import start_option
@@ -302,12 +302,19 @@ class GameBatch:
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
-        of_cars = [self._infos_of(car) for car in range(self.players)]
-        if self.players == 1:
-            return of_cars[0]
+        state, players = self.started(), self.players
+        # A driver makes no moves, whatever stands in the array of moves.
+        moves = np.where(state.policy == OUTSIDE, NO_MOVE, self.moves)
+        opponents = self.drawn if self.opponents else np.full(self.episodes, -1)
         return {
-            name: np.stack([of_cars[0][name], of_cars[1][name]], axis=1).reshape(-1, *of_cars[0][name].shape[1:])
-            for name in of_cars[0]
+            **race_infos(state.race, players),
+            "result": self._results().reshape(-1),
+            "opponent": np.repeat(opponents, players),
+            "move": of_players(moves, players),
+            "opponent_move": of_players(moves[:, ::-1], players),
+            "policy": of_players(state.policy, players),
+            "action_mask": of_players(self.game.action_mask(state), players).astype(np.int8),
+            **{name: np.repeat(values, players) for name, values in self.variety.infos().items()},
         }
 
     def info(self, environment: int) -> dict[str, Any]:
@@ -315,7 +322,7 @@ class GameBatch:
         state, (row, car) = self.started(), divmod(environment, self.players)
         info = race_info(state.race, row, car)
         over = bool(self.game.done(state)[row])
-        info["result"] = int(self._results(car)[row]) if over else int(Result.RUNNING)
+        info["result"] = int(self._results()[row, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(row) if self.opponents else -1
         for name, each in (("move", car), ("opponent_move", 1 - car)):
             info[name] = NO_MOVE if state.policy.item(row, each) == OUTSIDE else self.moves.item(row, each)
@@ -324,28 +331,11 @@ class GameBatch:
         info.update(self.variety.info(row))
         return info
 
-    def _infos_of(self, car: int) -> dict[str, NDArray[Any]]:
+    def _results(self) -> NDArray[np.int64]:
+        """How each game stands for each player, shape (B, players): :class:`pcs_racing.envs.infos.Result`."""
         state = self.started()
-        # A driver makes no moves, whatever stands in the array of moves.
-        moves = np.where(state.policy == OUTSIDE, NO_MOVE, self.moves)
-        return {
-            **race_infos(state.race, car),
-            "result": self._results(car),
-            "opponent": self.drawn.copy() if self.opponents else np.full(self.episodes, -1),
-            "move": moves[:, car],
-            "opponent_move": moves[:, 1 - car],
-            "policy": state.policy[:, car].copy(),
-            "action_mask": self.game.action_mask(state)[:, car].astype(np.int8),
-            **self.variety.infos(),
-        }
-
-    def _results(self, car: int) -> NDArray[np.int64]:
-        """How each game stands for a car: :class:`pcs_racing.envs.infos.Result`."""
-        state = self.started()
-        winner = self.game.winner(state)
-        result = np.where(winner == car, Result.WIN, np.where(winner == 1 - car, Result.LOSS, Result.TIE))
-        result = np.where((winner < 0) & state.race.crashed, Result.CRASH, result)
-        return np.where(self.game.done(state), result, Result.RUNNING).astype(np.int64)
+        ended = race_results(self.game.winner(state), state.race.crashed, self.players)
+        return np.where(self.game.done(state)[:, None], ended, Result.RUNNING)
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw a game as it stands."""

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from pcs_racing.race.rates import DT
 from pcs_racing.race.state import BEST_LAP, LAP_TIME, MOST_CROSSINGS, NO_LAP, RaceState
 
-__all__ = ["Crash", "Result", "codes", "one_info", "race_info", "race_infos", "words"]
+__all__ = ["Crash", "Result", "codes", "of_players", "one_info", "race_info", "race_infos", "race_results", "words"]
 
 
 class Crash(IntEnum):
@@ -62,25 +62,40 @@ def codes(kind: type[IntEnum]) -> dict[int, str]:
     return {member.value: member.name.lower() for member in kind}
 
 
-def race_infos(races: RaceState, car: int) -> dict[str, NDArray[Any]]:
-    """What is told of a car in all races of a batch, apart from its result."""
-    other = 1 - car
+def of_players(values: NDArray[Any], players: int) -> NDArray[Any]:
+    """Copy what belongs to the players, shape (B * players, ...), out of an array of both cars, shape (B, 2, ...)."""
+    return np.array(values[:, :players]).reshape(-1, *values.shape[2:])
+
+
+def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
+    """What is told of the players' cars in all races of a batch, apart from the result, shape (B * players,)."""
+    own, opponent = races.progress[:, :players], races.progress[:, ::-1][:, :players]
+    crash, laps = races.crash.astype(np.int64), races.laps[:, :players]
+    none = laps[..., MOST_CROSSINGS] <= 1.0
     return {
-        "time": races.tick * DT,
-        "progress": races.progress[:, car].copy(),
-        "lead": races.lead if car == 0 else -races.lead,
-        "crash": races.crash[:, car].astype(np.int64),
-        "opponent_crash": races.crash[:, other].astype(np.int64),
-        "fault": races.fault[:, car].astype(np.int64),
-        "overtakes": races.overtakes[:, car].copy(),
-        "laps": races.lap_count[:, car],
-        "lap_time": races.lap_time[:, car],
-        "best_lap": races.best_lap[:, car],
+        "time": np.repeat(races.tick * DT, players),
+        "progress": own.flatten(),
+        "lead": (own - opponent).reshape(-1),
+        "crash": crash[:, :players].flatten(),
+        "opponent_crash": crash[:, ::-1][:, :players].flatten(),
+        "fault": races.fault[:, :players].astype(np.int64).reshape(-1),
+        "overtakes": races.overtakes[:, :players].flatten(),
+        "laps": np.where(none, 0.0, laps[..., MOST_CROSSINGS] - 1.0).astype(np.int64).reshape(-1),
+        "lap_time": np.where(none, NO_LAP, laps[..., LAP_TIME]).reshape(-1),
+        "best_lap": np.where(none, NO_LAP, laps[..., BEST_LAP]).reshape(-1),
     }
 
 
+def race_results(winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: int) -> NDArray[np.int64]:
+    """How races that are over ended for each player: :class:`Result`, shape (B, players)."""
+    nobody = np.where(crashed, Result.CRASH, Result.TIE)
+    cars = np.arange(players)
+    won = np.where(winner[:, None] == cars, Result.WIN, Result.LOSS)
+    return np.where(winner[:, None] < 0, nobody[:, None], won).astype(np.int64)
+
+
 def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
-    """Return the same of a car in one race, as plain numbers: in a tenth of the time that arrays of one take."""
+    """Return the same of one car in one race, as plain numbers: in a tenth of the time that arrays of one take."""
     other = 1 - car
     progress = races.progress.item(race, car)
     laps = max(int(races.laps.item(race, car, MOST_CROSSINGS)) - 1, 0)

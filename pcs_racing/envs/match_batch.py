@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.game_batch import GameBatch
-from pcs_racing.envs.infos import Result, codes, one_info
+from pcs_racing.envs.infos import Result, codes, of_players, one_info
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent
 from pcs_racing.envs.reset_options import start_option
@@ -235,19 +235,22 @@ class MatchBatch(GameBatch):
             masks[:, :, policies:] = self.game.action_mask(played.game) & played.racing[:, None, None]
         return masks
 
-    def _infos_of(self, car: int) -> dict[str, NDArray[Any]]:
-        infos = super()._infos_of(car)
+    def infos(self) -> dict[str, NDArray[Any]]:
+        """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
+        infos, players = super().infos(), self.players
         played: MatchState = self.played  # type: ignore[assignment]
-        own, other = (played.scores[:, each].sum(axis=1) for each in (car, 1 - car))
+        own = played.scores.sum(axis=2)
+        other = own[:, ::-1]
         result = np.where(own > other, Result.WIN, np.where(own < other, Result.LOSS, Result.TIE))
+        over = self.match.done(played)[:, None]
         return {
             **infos,
-            "result": np.where(self.match.done(played), result, Result.RUNNING).astype(np.int64),
-            "race": played.race.copy(),
+            "result": of_players(np.where(over, result, Result.RUNNING).astype(np.int64), players),
+            "race": np.repeat(played.race, players),
             "race_result": infos["result"],
-            "score": own,
-            "opponent_score": other,
-            "action_mask": self._masks()[:, car].astype(np.int8),
+            "score": of_players(own, players),
+            "opponent_score": of_players(other, players),
+            "action_mask": of_players(self._masks(), players).astype(np.int8),
         }
 
     def info(self, environment: int) -> dict[str, Any]:

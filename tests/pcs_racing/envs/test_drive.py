@@ -11,6 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from pcs_racing import InputError, Lidar, Planner, UnknownNameError, get_planner, load_race_config
+from pcs_racing.envs import drive_batch
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.infos import Crash
 from pcs_racing.envs.registration import register_environments
@@ -132,9 +133,11 @@ def test_alone_means_alone():
         {"race": SHORT, "opponent": None, "normalize": True},
     ],
 )
-def test_vector_and_scalar_environment_agree_to_the_last_bit(arguments):
-    count = 37  # more than one thread's share
+def test_vector_and_scalar_environment_agree_to_the_last_bit(arguments, monkeypatch):
+    monkeypatch.setattr(drive_batch, "WORTH_A_THREAD", 10.0)
+    count = 37
     envs = DriveVectorEnv(count, threads=2, autoreset_mode="SAME_STEP", **arguments)
+    assert envs.batch.threads == 2
     single = [DriveEnv(**arguments) for _ in range(count)]
     batch, info = envs.reset(seed=11)
     alone = [env.reset(seed=11 + i) for i, env in enumerate(single)]
@@ -160,6 +163,20 @@ def test_vector_and_scalar_environment_agree_to_the_last_bit(arguments):
             for name, value in facts.items():
                 assert info[name][i] == value
     assert ends > count
+
+
+def test_threads_share_a_step_that_is_long_enough():
+    for count, threads, arguments, expected in [
+        (64, 4, {}, 1),
+        (1024, 4, {}, 4),
+        (1024, 2, {}, 2),
+        (128, 4, {"beams": 1080}, 4),
+        (64, 4, {"time_step": 0.2}, 2),
+    ]:
+        envs = DriveVectorEnv(count, threads=threads, opponent=None, **{"time_step": 0.02, **arguments})
+        assert envs.batch.threads == expected
+        envs.close()
+        assert envs.batch.threads == 1
 
 
 def test_whole_episodes_repeat():

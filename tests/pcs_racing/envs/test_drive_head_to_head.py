@@ -12,7 +12,7 @@ import pytest
 
 from pcs_racing import InputError, Lidar, UnknownNameError
 from pcs_racing.base.errors import UnknownArgumentError
-from pcs_racing.envs import drive_head_to_head
+from pcs_racing.envs import drive_batch, drive_head_to_head
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_head_to_head import AGENTS, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
 from pcs_racing.envs.drive_options import DriveOptions
@@ -425,7 +425,8 @@ def test_the_same_seed_is_the_same_episode(coarse_oval):
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_batch_drives_the_same_races_to_the_last_bit(coarse_oval, threads):
+def test_a_batch_drives_the_same_races_to_the_last_bit(coarse_oval, threads, monkeypatch):
+    monkeypatch.setattr(drive_batch, "WORTH_A_THREAD", 10.0)
     options = {
         "track": coarse_oval,
         "race": "contest",
@@ -434,7 +435,7 @@ def test_a_batch_drives_the_same_races_to_the_last_bit(coarse_oval, threads):
         "time_step": 0.1,
         "duration": 3.0,
     }
-    count = 37  # more than one thread's share
+    count = 37
     envs = DriveHeadToHeadVectorEnv(2 * count, threads=threads, autoreset_mode="SAME_STEP", **options)
     single = [DriveHeadToHeadEnv(**options) for _ in range(0, count, 6)]
     observations, info = envs.reset(seed=11)
