@@ -1,27 +1,31 @@
 """Batches of games between two competitors, from given starts.
 
-Tournaments, studies and fits all play through :func:`play_games`. The result of a game does not depend on the batch
+Tournaments, studies and fits all play through :func:`play_each`. The result of a game does not depend on the batch
 that it is played in, on the number of threads, or on earlier games.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.competitor import ask_moves, check_competitor, competitor_name
+from pcs_racing.game.competitor import check_competitor, competitor_name
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.game.state import take_games
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.rates import DT
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
+from pcs_racing_agents.tournament.shared_driving import SharedGames, drive_shared
 
 __all__ = [
     "PlayedGames",
     "game_between",
     "join_played",
+    "play_each",
     "play_games",
     "variant_count",
 ]
@@ -142,8 +146,49 @@ def play_games(
     InputError
         If a competitor does not fit the game, a variant or a move does not exist, or lengths differ.
     """
-    cars = (as_competitor(ego), as_competitor(opponent))
-    arena = game_between(game, *cars)
+    (played,) = play_each(game, [ego], opponent, policies=policies, starts=starts, seeds=seeds)
+    return played
+
+
+def play_each(
+    game: RaceGame,
+    egos: Sequence[Competitor | Policy],
+    opponent: Competitor | Policy,
+    *,
+    policies: ArrayLike,
+    starts: Starts,
+    seeds: ArrayLike,
+) -> list[PlayedGames]:
+    """Play the same games with each of several egos, in less time than one after the other.
+
+    What is the same in the games of two egos is driven once (:mod:`pcs_racing_agents.tournament.shared_driving`).
+
+    Parameters
+    ----------
+    egos : sequence of K competitors
+        Several of them only if none is a driver.
+    game, opponent, policies, starts, seeds
+        As for :func:`play_games`.
+
+    Returns
+    -------
+    list of K PlayedGames
+        What :func:`play_games` returns for each.
+
+    Raises
+    ------
+    InputError
+        As :func:`play_games`; and if there is no ego, or a driver among several.
+    """
+    players = [as_competitor(ego) for ego in egos]
+    other = as_competitor(opponent)
+    if not players or (len(players) > 1 and any(isinstance(ego, Driver) for ego in players)):
+        raise InputError(
+            f"egos are {', '.join(map(competitor_name, players)) or 'nobody'}; give one or more, a driver only alone"
+        )
+    arena = game_between(game, players[0], other)
+    for ego in players[1:]:
+        check_competitor(arena, ego)
     keys = np.asarray(seeds)
     variants = np.asarray(policies)
     if variants.shape != (len(starts), 2) or variants.dtype.kind not in "iu" or keys.shape != (len(starts),):
@@ -151,7 +196,7 @@ def play_games(
             f"there are {len(starts)} starts, policies of shape {variants.shape} and seeds of shape {keys.shape}; they "
             f"must be whole numbers of shape ({len(starts)}, 2) and ({len(starts)},)"
         )
-    for car, competitor in enumerate(cars):
+    for car, competitor in enumerate((players[0], other)):
         count = variant_count(arena, competitor)
         wrong = np.flatnonzero((variants[:, car] < 0) | (variants[:, car] >= count))
         if len(wrong):
@@ -161,45 +206,17 @@ def play_games(
                 f"{count - 1}"
             )
     parts = []
-    for first in range(0, max(len(starts), 1), BATCH):
-        rows = np.arange(first, min(first + BATCH, len(starts)))
-        parts.append(_play(arena, cars, variants[rows].astype(np.int64), starts.take(rows), keys[rows]))
-    return join_played(parts)
+    size = max(1, BATCH // len(players))
+    for first in range(0, max(len(starts), 1), size):
+        rows = np.arange(first, min(first + size, len(starts)))
+        shared = drive_shared(arena, players, other, variants[rows].astype(np.int64), starts.take(rows), keys[rows])
+        parts.append([_played(arena, shared, k) for k in range(len(players))])
+    return [join_played(list(of_ego)) for of_ego in zip(*parts, strict=True)]
 
 
-def _play(
-    arena: RaceGame,
-    cars: tuple[Competitor, Competitor],
-    variants: NDArray[np.int64],
-    starts: Starts,
-    keys: NDArray[Any],
-) -> PlayedGames:
-    steps = arena.config.moves
-    drivers = [
-        [competitor.policies[i] for i in variants[:, car]] if isinstance(competitor, Driver) else None
-        for car, competitor in enumerate(cars)
-    ]
-    makes_moves = np.array([driver is None for driver in drivers])
-    first = np.where(makes_moves, variants, -1)
-    state = arena.reset(keys, policies=first, starts=starts, egos=drivers[0], opponents=drivers[1])
-    policy = np.full((len(variants), 2, steps + 1), -1, np.int64)
-    moves = np.full((len(variants), 2, steps), -1, np.int64)
-    policy[:, :, 0] = first
-    memories: list[list[Any]] = [[None] * len(variants), [None] * len(variants)]
-    for step in range(steps):
-        running = np.flatnonzero(~arena.done(state))
-        if len(running) == 0:
-            break
-        observations = arena.observation(state)
-        actions = np.zeros((len(variants), 2), np.int64)
-        for car, competitor in enumerate(cars):
-            if makes_moves[car]:
-                actions[:, car] = ask_moves(
-                    competitor, arena, state, car, observation=observations[:, car], memories=memories[car]
-                )
-                moves[running, car, step] = actions[running, car]
-        state = arena.apply(state, actions)
-        policy[running, :, step + 1] = state.policy[running]
+def _played(arena: RaceGame, shared: SharedGames, ego: int) -> PlayedGames:
+    """Results of the games of one of several egos."""
+    state = take_games(shared.state, shared.branch[ego])
     race = state.race
     return PlayedGames(
         lead=race.lead,
@@ -209,8 +226,8 @@ def _play(
         fault=race.fault,
         overtakes=race.overtakes,
         duration=np.asarray(race.tick * DT, np.float64),
-        policy=policy,
-        moves=moves,
+        policy=shared.policy[ego],
+        moves=shared.moves[ego],
         noise=race.seed,
         observations=arena.observation(state),
     )

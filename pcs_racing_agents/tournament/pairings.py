@@ -26,7 +26,7 @@ from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
 from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
-from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_games, variant_count
+from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_each, variant_count
 from pcs_racing_agents.tournament.schedule import RaceSchedule
 
 __all__ = ["Pairing", "cross_pairing", "schedule_pairing"]
@@ -91,9 +91,12 @@ class Pairing:
 
     def play(self) -> PlayedGames:
         """Simulate the races."""
-        return play_games(
-            self.game, self.ego, self.opponent, policies=self.variants, starts=self.starts, seeds=self.noise
-        )
+        (played,) = self.play_each([self.ego])
+        return played
+
+    def play_each(self, egos: Sequence[Competitor]) -> list[PlayedGames]:
+        """Simulate the same races with each of several egos in place of its own."""
+        return play_each(self.game, egos, self.opponent, policies=self.variants, starts=self.starts, seeds=self.noise)
 
     def table(self, games: PlayedGames) -> RaceTable:
         """Return the results of the races as a table, in their order."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.track.track import Track, calibration_values
-from pcs_racing_agents.agents.agent import competitor_hash
+from pcs_racing_agents.agents.agent import Driver, competitor_hash
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import Job, Progress
@@ -21,7 +21,7 @@ from pcs_racing_agents.tournament.pairings import Pairing
 
 __all__ = ["play_pairing", "play_pairings"]
 
-BLOCK = 400  # races of one task: one to two seconds of work
+BLOCK = 400  # races of one task: about a second of work
 
 
 class RaceBlock(NamedTuple):
@@ -31,14 +31,14 @@ class RaceBlock(NamedTuple):
     ----------
     content_hash : str
         Hash of everything that their result depends on.
-    pairing : int
-        Number of the pairing.
+    group : int
+        Number of the group of pairings.
     first, last : int
-        The races from ``first`` to before ``last``.
+        The races of each pairing from ``first`` to before ``last``.
     """
 
     content_hash: str
-    pairing: int
+    group: int
     first: int
     last: int
 
@@ -49,16 +49,19 @@ class RaceWorker:
 
     Attributes
     ----------
-    pairings : sequence of Pairing
+    groups : sequence of sequence of Pairing
+        The pairings of a group differ in nothing but their egos.
     observations : bool
         Whether to return observations.
     """
 
-    pairings: Sequence[Pairing]
+    groups: Sequence[Sequence[Pairing]]
     observations: bool
 
     def __call__(self, block: RaceBlock) -> dict[str, NDArray[Any]]:
-        played = self.pairings[block.pairing].take(np.arange(block.first, block.last)).play()
+        group = self.groups[block.group]
+        races = group[0].take(np.arange(block.first, block.last))
+        played = join_played(races.play_each([pairing.ego for pairing in group]))
         return {key: value for key, value in played._asdict().items() if self.observations or key != "observations"}
 
 
@@ -99,9 +102,10 @@ def play_pairings(
     """
     # With an executor its workers share the cores; without one a game uses all of them.
     games = {id(p.game): p.game if executor is None else replace(p.game, threads=1) for p in pairings}
-    worker = RaceWorker([replace(p, game=games[id(p.game)]) for p in pairings], observations)
-    stored = job is not None
-    blocks = [block for i, p in enumerate(pairings) for block in _blocks(i, p, observations, hashed=stored)]
+    places = _groups(pairings)
+    groups = [[replace(pairings[i], game=games[id(pairings[i].game)]) for i in group] for group in places]
+    worker = RaceWorker(groups, observations)
+    blocks = [block for i, g in enumerate(groups) for block in _blocks(i, g, observations, hashed=job is not None)]
     total = sum(len(pairing) for pairing in pairings)
 
     def report(done: int, tasks: int, label: str) -> None:
@@ -117,23 +121,44 @@ def play_pairings(
         for index, arrays in run_tasks(numbered_tasks(worker, blocks), executor, name):
             results[index] = arrays
             report(len(results), len(blocks), name)
-    index = 0
-    for pairing in pairings:
-        parts = []
-        for _ in range(0, len(pairing), BLOCK):
-            arrays = results.pop(index) if job is None else job.read(chunk_name, index)
-            parts.append(PlayedGames(**{"observations": np.zeros((len(arrays["lead"]), 2, 0), np.float32), **arrays}))
-            index += 1
-        yield join_played(parts)
+    tasks: dict[int, list[int]] = {}
+    for index, block in enumerate(blocks):
+        tasks.setdefault(block.group, []).append(index)
+    place = {i: (g, k) for g, group in enumerate(places) for k, i in enumerate(group)}
+    read, driven = -1, []  # the group whose races are in memory, and these
+    for i in range(len(pairings)):
+        group, ego = place[i]
+        if group != read:
+            read, driven = group, [job.read(chunk_name, k) if job else results[k] for k in tasks.get(group, [])]
+        yield join_played([_played(arrays, ego, len(groups[group])) for arrays in driven])
 
 
-def _blocks(number: int, pairing: Pairing, observations: bool, *, hashed: bool) -> Iterator[RaceBlock]:
-    game = pairing.game
-    hashes = [competitor_hash(car) if hashed else "" for car in (pairing.ego, pairing.opponent)]
-    identity = (_track_hash(game.track), game.archive.content_hash, game.config, hashes, observations)
-    common = fingerprint(*identity) if hashed else ""
-    for first in range(0, len(pairing), BLOCK):
-        last = min(first + BLOCK, len(pairing))
+def _played(arrays: Arrays, ego: int, egos: int) -> PlayedGames:
+    """Results of one of the egos of a block of races, which follow each other."""
+    races = len(arrays["lead"]) // egos
+    own = {name: values[ego * races : (ego + 1) * races] for name, values in arrays.items()}
+    return PlayedGames(**{"observations": np.zeros((races, 2, 0), np.float32), **own})
+
+
+def _groups(pairings: Sequence[Pairing]) -> list[list[int]]:
+    """Numbers of the pairings that differ in nothing but their egos, which are no drivers; the others are alone."""
+    groups: dict[Any, list[int]] = {}
+    for i, pairing in enumerate(pairings):
+        draws = (pairing.variants, pairing.starts.s, pairing.starts.side, pairing.noise)
+        same: Any = (id(pairing.game), id(pairing.opponent), *(array.tobytes() for array in draws))
+        groups.setdefault(i if isinstance(pairing.ego, Driver) else same, []).append(i)
+    return list(groups.values())
+
+
+def _blocks(number: int, group: Sequence[Pairing], observations: bool, *, hashed: bool) -> Iterator[RaceBlock]:
+    pairing, game = group[0], group[0].game
+    common = ""
+    if hashed:
+        hashes = [competitor_hash(car) for car in (*(each.ego for each in group), pairing.opponent)]
+        common = fingerprint(_track_hash(game.track), game.archive.content_hash, game.config, hashes, observations)
+    size = max(1, BLOCK // len(group))
+    for first in range(0, len(pairing), size):
+        last = min(first + size, len(pairing))
         rows = slice(first, last)
         draws = (pairing.variants[rows], pairing.starts.s[rows], pairing.starts.side[rows], pairing.noise[rows])
         yield RaceBlock(fingerprint(common, draws) if hashed else "", number, first, last)

@@ -103,7 +103,7 @@ def test_a_tournament_that_was_stopped_goes_on(mixed, tmp_path):
 
     def stop(count: int, total: int, what: str) -> None:
         done.append(count)
-        if len(done) == 3:
+        if len(done) == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt), open_job(folder, "tournament", tournament_settings(plan)) as job:
@@ -112,7 +112,8 @@ def test_a_tournament_that_was_stopped_goes_on(mixed, tmp_path):
     with open_job(folder, "tournament", tournament_settings(plan)) as job, make_executor("threads", 2) as executor:
         again = play_plan(plan, job=job, executor=executor, progress=lambda n, *_: counts.append(n))
     assert list(again.races) == list(mixed.races)
-    assert counts[0] == done[-1] == 16  # two pairs of 8 races were there already
+    # Two agents race the same driver in one task: six pairs are four tasks, of which one was there already.
+    assert counts[0] == done[-1] == 12
     assert counts[-1] == 48
 
 
