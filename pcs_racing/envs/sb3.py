@@ -5,12 +5,14 @@ This module is the only one that imports Stable-Baselines3: ``pip install "pcs-r
 
 import time
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.envs.drive import DriveVectorEnv
 from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
@@ -77,7 +79,7 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
 
 
 class SB3VecEnv(VecEnv):
-    """One or several compiled batches, one after the other, as a vector environment of Stable-Baselines3.
+    """One or several compiled batches as a vector environment of Stable-Baselines3.
 
     ``infos`` hold, where an episode ended, its last info, ``terminal_observation``, ``TimeLimit.truncated`` and
     ``episode`` (return ``r``, length ``l``, time ``t``), so no Monitor is needed.
@@ -90,6 +92,9 @@ class SB3VecEnv(VecEnv):
         Seed of each batch at every reset, in place of what `seed` was called with.
     reward_scale : float
         What rewards are multiplied by.
+    threads : int
+        Batches that are stepped at the same time; the results do not depend on it. By default one after the other,
+        each on its own threads.
 
     Raises
     ------
@@ -103,7 +108,9 @@ class SB3VecEnv(VecEnv):
         *,
         seeds: Sequence[int] | None = None,
         reward_scale: float = 1.0,
+        threads: int = 1,
     ) -> None:
+        check_whole("threads", threads, 1)
         self.groups: list[Any] = list(envs) if isinstance(envs, list | tuple) else [envs]
         for group in self.groups:
             if not isinstance(group, BatchVectorEnv) or group.autoreset_mode is not AutoresetMode.SAME_STEP:
@@ -113,6 +120,7 @@ class SB3VecEnv(VecEnv):
                 )
         first = self.groups[0]
         self._group_seeds, self._scale = seeds, reward_scale
+        self._pool = ThreadPoolExecutor(threads) if min(threads, len(self.groups)) > 1 else None
         self._edges = np.cumsum([0, *(group.num_envs for group in self.groups)])
         self._actions: Any = None
         self._returns = np.zeros(int(self._edges[-1]))
@@ -144,7 +152,7 @@ class SB3VecEnv(VecEnv):
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Make the step."""
         pieces = np.split(self._actions, self._edges[1:-1])
-        steps = [group.step(piece) for group, piece in zip(self.groups, pieces, strict=True)]
+        steps = self._step_groups(pieces)
         observations, rewards, terminated, truncated = (np.concatenate([step[i] for step in steps]) for i in range(4))
         done = terminated | truncated
         self._returns += rewards
@@ -167,6 +175,14 @@ class SB3VecEnv(VecEnv):
         self._lengths[done] = 0
         return observations, (rewards * self._scale).astype(np.float32), done, infos
 
+    def _step_groups(self, actions: Sequence[NDArray[Any]]) -> list[Any]:
+        if self._pool is None:
+            return [group.step(own) for group, own in zip(self.groups, actions, strict=True)]
+        # The largest first: no thread begins with it when the others are done.
+        order = sorted(range(len(self.groups)), key=lambda k: -self.groups[k].num_envs)
+        steps = {k: self._pool.submit(self.groups[k].step, actions[k]) for k in order}
+        return [steps[k].result() for k in range(len(self.groups))]
+
     def get_state(self) -> list[Any]:
         """Return all that the rest of the episodes, and all later ones, depend on: the state of each batch."""
         return [group.get_state() for group in self.groups]
@@ -178,6 +194,8 @@ class SB3VecEnv(VecEnv):
 
     def close(self) -> None:
         """Free threads and windows."""
+        if self._pool is not None:
+            self._pool.shutdown()
         for group in self.groups:
             group.close()
 

@@ -162,6 +162,7 @@ class DriveTask:
     activation = "tanh"
     limit = WEIGHT_LIMIT
     unit = "steps"
+    threads = 1
     default_name = "ppo-drive"
 
     @property

@@ -1,6 +1,7 @@
 """The task at the strategy level: games of moves against a mixture of opponents."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -50,8 +51,8 @@ class DuelTask:
         Games of the evaluation.
     overrides : mapping
         Rules in place of those of the settings, as plain values by name.
-    threads : int or None
-        Threads that drive the games of training; None for all cores. They do not change the results.
+    threads : int
+        Threads that drive the games of training. They do not change the results.
     """
 
     settings: DuelSettings
@@ -61,7 +62,7 @@ class DuelTask:
     mixtures: tuple[tuple[tuple[int, str], ...], ...]
     batches: Mapping[Matchup, GameBatch] = field(repr=False)
     overrides: Mapping[str, Any]
-    threads: int | None
+    threads: int
 
     activation = "relu"
     limit = 1e6
@@ -75,6 +76,7 @@ class DuelTask:
 
     def env_groups(self) -> list[DuelVectorEnv]:
         """Make the training environments."""
+        groups = len(self.tracks) * len(self.mixtures)
         shares = split_envs(self.settings.envs, [sum(weight for weight, _ in mixture) for mixture in self.mixtures])
         return [
             DuelVectorEnv(
@@ -84,7 +86,7 @@ class DuelTask:
                 race=self.game.config,
                 opponent=list(mixture),
                 autoreset_mode=AutoresetMode.SAME_STEP,
-                threads=self.threads,
+                threads=max(1, self.threads // groups),
             )
             for track in self.tracks
             for share, mixture in zip(shares, self.mixtures, strict=True)
@@ -108,10 +110,9 @@ class DuelTask:
         """Play the games of the evaluation with the most probable moves."""
         network = self.network(layers, "learner")
         seeds = group_seeds(0, len(self.batches), 1)
-        return {
-            matchup: play_duels(batch, network, seed)
-            for (matchup, batch), seed in zip(self.batches.items(), seeds, strict=True)
-        }
+        with ThreadPoolExecutor(self.threads) as pool:
+            scores = pool.map(play_duels, self.batches.values(), [network] * len(seeds), seeds)
+            return dict(zip(self.batches, scores, strict=True))
 
     def save(self, layers: DenseLayers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
         """Write a policy as a network."""
@@ -124,7 +125,7 @@ class DuelTask:
 
 
 def make_duel_task(
-    settings: DuelSettings, archive: PolicyArchive | None, rules: GameConfig | None, threads: int | None
+    settings: DuelSettings, archive: PolicyArchive | None, rules: GameConfig | None, threads: int
 ) -> DuelTask:
     """Load circuits, archive, rules and opponents, and check that they fit together.
 
@@ -135,8 +136,8 @@ def make_duel_task(
         In place of the one that the settings name.
     rules : GameConfig, optional
         In place of the race and the size of moves that the settings name.
-    threads : int, optional
-        Threads that drive the games; None for all cores. They do not change the results.
+    threads : int
+        Threads that drive the games. They do not change the results.
 
     Raises
     ------
@@ -155,7 +156,7 @@ def make_duel_task(
     each = max(2, settings.evaluation_races // len(settings.opponents))
     batches = {
         Matchup(track.name, games[0].config.race.name, name): GameBatch(
-            each, track=track, archive=archive, race=rules, opponent=name, threads=threads
+            each, track=track, archive=archive, race=rules, opponent=name, threads=1
         )
         for track in tracks
         for name in settings.opponents

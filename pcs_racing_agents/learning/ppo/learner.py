@@ -92,7 +92,12 @@ def own_randomness() -> Iterator[None]:
 
 
 def make_learner(
-    settings: PPOSettings, groups: Sequence[BatchVectorEnv], seed: int, activation: str, limit: float
+    settings: PPOSettings,
+    groups: Sequence[BatchVectorEnv],
+    seed: int,
+    activation: str,
+    limit: float,
+    threads: int = 1,
 ) -> Learner:
     """Make an untrained learner.
 
@@ -106,6 +111,8 @@ def make_learner(
         Activation between the layers.
     limit : float
         Largest weight of the policy.
+    threads : int
+        Groups that are stepped at the same time; the result does not depend on it.
     """
     from stable_baselines3 import PPO
     from stable_baselines3.common.logger import Logger
@@ -115,7 +122,7 @@ def make_learner(
 
     rate = LinearRate(settings)
     seeds = group_seeds(seed, len(groups), 0)
-    envs = SB3VecEnv(list(groups), seeds=seeds, reward_scale=settings.reward_scale)
+    envs = SB3VecEnv(list(groups), seeds=seeds, reward_scale=settings.reward_scale, threads=threads)
     policy: dict[str, Any] = {
         "net_arch": {"pi": list(settings.hidden), "vf": list(settings.value_hidden)},
         "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[activation],

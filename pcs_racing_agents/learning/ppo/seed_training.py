@@ -140,7 +140,7 @@ class SeedTraining:
         seed, state = piece
         task, settings = self.task, self.settings
         with own_randomness():
-            learner = make_learner(settings, task.env_groups(), seed, task.activation, task.limit)
+            learner = make_learner(settings, task.env_groups(), seed, task.activation, task.limit, task.threads)
             record = SeedRecord(seed, settings.opponents)
             if state is not None:
                 record = SeedRecord.from_arrays(seed, settings.opponents, state)

@@ -35,6 +35,10 @@ class LearningTask(Protocol):
     unit: str
 
     @property
+    def threads(self) -> int:
+        """Groups that may be stepped at the same time; the results do not depend on it."""
+
+    @property
     def default_name(self) -> str:
         """Name under which the zoo looks for the policy."""
 

@@ -18,6 +18,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
+from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Progress, open_job
 from pcs_racing_agents.jobs.tasks import in_other_processes
@@ -136,7 +137,7 @@ def train_ppo(
     check_packages()
     elsewhere = in_other_processes(executor)
     # Trainings side by side share the cores; a single one, or one after the other, may use all of them.
-    threads = 1 if elsewhere is not None and len(settings.seeds) > 1 else None
+    threads = 1 if elsewhere is not None and len(settings.seeds) > 1 else default_threads()
     task = make_task(settings, archive=policies, rules=rules, threads=threads)
     identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **task.identity}
     steps = dict.fromkeys(settings.seeds, 0)
@@ -185,7 +186,7 @@ def make_task(
     *,
     archive: PolicyArchive | None = None,
     rules: GameConfig | None = None,
-    threads: int | None = 1,
+    threads: int = 1,
 ) -> LearningTask:
     """Load circuits, archive and opponents, and check that they fit together.
 
@@ -194,8 +195,8 @@ def make_task(
     settings : PPOSettings
     archive, rules : optional
         Those of the game, in place of what the settings of a duel name.
-    threads : int, optional
-        Threads that drive the games of a duel; None for all cores. They do not change the results.
+    threads : int
+        Threads that drive the games of a duel. They do not change the results.
 
     Raises
     ------

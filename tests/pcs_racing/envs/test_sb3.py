@@ -129,14 +129,15 @@ def test_other_environments_are_refused():
             SB3VecEnv(wrong)
 
 
-def test_several_batches_are_one_environment():
-    """As each alone with its seed, one after the other, rewards scaled."""
+@pytest.mark.parametrize("threads", [1, 2])
+def test_several_batches_are_one_environment(threads):
+    """As each alone with its seed, one after the other or side by side, rewards scaled."""
 
     def parts():
         modes = {"autoreset_mode": "SAME_STEP", **SHORT}
         return [DuelVectorEnv(2, **modes), DuelVectorEnv(3, opponent="never-switch", **modes)]
 
-    joined, alone = SB3VecEnv(parts(), seeds=[7, 40], reward_scale=0.5), parts()
+    joined, alone = SB3VecEnv(parts(), seeds=[7, 40], reward_scale=0.5, threads=threads), parts()
     seen = joined.reset()
     firsts = [part.reset(seed=seed)[0] for part, seed in zip(alone, (7, 40), strict=True)]
     np.testing.assert_array_equal(seen, np.concatenate(firsts))
@@ -155,3 +156,9 @@ def test_several_batches_are_one_environment():
             np.testing.assert_array_equal(joined.step(actions)[0], ended)
             joined.set_state(again)
     assert joined.has_attr("action_masks")
+    joined.close()
+
+
+def test_impossible_threads_are_refused():
+    with pytest.raises(InputError, match="threads is 0"):
+        SB3VecEnv(DuelVectorEnv(2, autoreset_mode="SAME_STEP", **SHORT), threads=0)
