@@ -1,5 +1,7 @@
 """The rates behind what commands say of how long they will take: processor seconds for a unit of each kind of work.
 
+One of them is a share: of the races of several agents, what is driven if they are driven together.
+
     python benchmarks/command_rates.py    # a few minutes; prints what pcs_racing_agents/cli/estimates.py holds
 
 Needs torch and Stable-Baselines3: pip install ".[learning]". What is compiled is compiled before the clock starts.
@@ -13,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from shared_races import shared
 
 from pcs_racing import load_track, make_game, parse_policy, run_races
 from pcs_racing_agents.cli import estimates
@@ -43,6 +46,12 @@ def racing() -> float:
         for _ in range(5)
     ]
     return min(spent) / driven[0]
+
+
+def share_driven() -> float:
+    """The share of the races of several agents that is driven if they are driven together."""
+    alone, together = shared("paper", "Tarnfjord", 1)
+    return together / alone
 
 
 def tree_segment(trees: int) -> float:
@@ -103,6 +112,7 @@ def main() -> None:
     arguments = parser.parse_args()
     measured = {
         "RACING": racing,
+        "SHARED": share_driven,
         "TREE_SEGMENT": lambda: tree_segment(arguments.trees),
         "EGO_SEGMENT": lambda: ego_segment(arguments.roots),
         "DUEL_MOVE": lambda: ppo_step("duel-paper", 20_480),
@@ -110,7 +120,7 @@ def main() -> None:
         "ROW": row,
     }
     for name, measure in measured.items():
-        print(f"{name:13s} {measure():.2e} s (estimates.py has {getattr(estimates, name):.2e})", flush=True)
+        print(f"{name:13s} {measure():.2e} (estimates.py has {getattr(estimates, name):.2e})", flush=True)
 
 
 if __name__ == "__main__":

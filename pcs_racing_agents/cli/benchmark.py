@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.benchmark.entrants import load_entrant
     from pcs_racing_agents.benchmark.protocol import load_protocol
     from pcs_racing_agents.benchmark.scoring import play_protocol
-    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds, response_seconds
+    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds, response_seconds, shared_seconds
     from pcs_racing_agents.learning.responses.learner import load_response_settings
 
     texts, alone = arguments.agents, len(arguments.agents) == 1
@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace) -> None:
     arms = len({*map(competitor_name, agents), *config.blind})
     races = len(list(protocol.cells)) * arms * 2 * config.egos * config.variants
     rules = protocol.setting.config
-    seconds = racing_seconds(races, rules.horizon)
+    seconds = shared_seconds(races, rules.horizon)
     if arguments.full:
         learner, circuits = load_response_settings(LEARNER), len(config.seen)
         learning = response_seconds(learner, rules, len(protocol.setting.moves), circuits)

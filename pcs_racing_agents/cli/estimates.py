@@ -2,8 +2,8 @@
 
     python benchmarks/command_rates.py
 
-measures all rates below and prints them in this order. They are processor seconds on a free AMD EPYC, and more where
-other work shares its caches. Compilation is not included.
+measures all rates below and prints them in this order. Apart from one share they are processor seconds on a free AMD
+EPYC, and more where other work shares its caches. Compilation is not included.
 """
 
 import argparse
@@ -36,6 +36,7 @@ __all__ = [
     "response_seconds",
     "robust_seconds",
     "self_play_seconds",
+    "shared_seconds",
     "stage_estimates",
     "synthesis_seconds",
     "training_seconds",
@@ -44,6 +45,8 @@ __all__ = [
 
 RACING = 6.4e-5
 """Processor seconds for a second of a race between two cars of the lattice planner."""
+SHARED = 0.5
+"""Share of the races of several agents from the same starts that is driven: what they have in common, only once."""
 TREE_SEGMENT = 1.0e-4
 """For a step of 8 s of a game tree, counting every joint history once (most of them need not be driven)."""
 EGO_SEGMENT = 3.0e-4
@@ -106,6 +109,11 @@ def announce(seconds: float, cores: int | None, *, most: bool = False) -> None:
 def racing_seconds(races: int, duration: float) -> float:
     """Estimate the processor seconds of races of ``duration`` seconds each."""
     return RACING * races * duration
+
+
+def shared_seconds(races: int, duration: float) -> float:
+    """Estimate the same for races of several agents from the same starts: what they have in common is driven once."""
+    return SHARED * racing_seconds(races, duration)
 
 
 def tree_seconds(config: GameConfig, moves: int, trees: int, seeds: int) -> float:
@@ -232,13 +240,13 @@ def stage_estimates(config: StudyConfig) -> dict[str, float]:
         "archive": 0.0 if config.synthesis is None else synthesis_seconds(load_archive_config(config.synthesis)),
         "trees": trees,
         "networks": networks if config.pairs else 0.0,
-        "blind": racing_seconds(blind, game.horizon),
+        "blind": shared_seconds(blind, game.horizon),
         "responses": sum(responses),
         "self-play": sum(self_play_seconds(settings, game, moves, circuits) for settings in plays),
         "robust": 0.0 if robust is None else robust_seconds(robust, game, moves, circuits),
         "psro": 0.0 if psro is None else psro_seconds(psro, game, moves, circuits),
         "ppo": 0.0 if config.ppo is None else ppo_seconds(load_ppo_settings(config.ppo)),
-        "races": racing_seconds(tables, game.horizon),
-        "ratings": racing_seconds(races, game.horizon),
+        "races": shared_seconds(tables, game.horizon),
+        "ratings": shared_seconds(races, game.horizon),
         "best-replies": len(config.replies) * (reply + racing_seconds(config.reply_races, game.horizon)),
     }

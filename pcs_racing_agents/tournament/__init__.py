@@ -3,7 +3,7 @@
 from pcs_racing_agents.jobs.jobs import show_progress
 from pcs_racing_agents.results.race_files import write_results
 from pcs_racing_agents.results.races import RaceRow, RaceTable
-from pcs_racing_agents.tournament.games import PlayedGames, play_games
+from pcs_racing_agents.tournament.games import PlayedGames, play_each, play_games
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.play import (
     Tournament,
@@ -31,6 +31,7 @@ __all__ = [
     "payoff_matrix",
     "payoff_picture",
     "plan_tournament",
+    "play_each",
     "play_games",
     "play_pairing",
     "play_plan",

@@ -57,6 +57,11 @@ def test_a_race_counts_its_seconds():
     assert estimates.racing_seconds(100, 40.0) == pytest.approx(4000 * estimates.RACING)
 
 
+def test_what_races_have_in_common_counts_once():
+    assert 0.0 < estimates.SHARED < 1.0
+    assert estimates.shared_seconds(100, 40.0) == pytest.approx(4000 * estimates.RACING * estimates.SHARED)
+
+
 def test_a_tree_counts_every_joint_history():
     segments = 1 + 16 + 256 + 4096 + 65536
     assert estimates.tree_seconds(PAPER, 4, 8, 2) == pytest.approx(16 * segments * estimates.TREE_SEGMENT)
