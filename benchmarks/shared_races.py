@@ -3,8 +3,7 @@
     python benchmarks/shared_races.py [--track NAME_OR_FOLDER] [--lines 2] [--only paper contest]
 
 The agents drive the same races against one opponent: 10 start policies, 10 variants of the opponent, some lines, both
-sides. Processor time of one thread, each agent alone and all together; the results are compared. A table of a study has
-about as many agents, a search for the best fixed policy more.
+sides. Processor time of one thread, each agent alone and all together; the results are compared.
 """
 
 import argparse
@@ -19,8 +18,12 @@ from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament.games import PlayedGames
 from pcs_racing_agents.tournament.pairings import cross_pairing
 
-BLIND = ("never-switch", "best-fixed", "best-schedule", "best-lead-plan", "always-aggressiveness+")
-LOOKING = {"paper": ("cfr-argmax", "response"), "contest": ("cfr-argmax", "response", "robust", "psro", "self-play")}
+# The arms of the studies' first tables.
+BLIND = ("never-switch", "best-fixed", "best-schedule", "best-lead-plan")
+AGENTS = {
+    "paper": (*BLIND, "always-aggressiveness+", "cfr-argmax", "response"),
+    "contest": (*BLIND, "response", "cfr-argmax", "robust", "psro", "self-play"),
+}
 OPPONENTS = ("never-switch", "random-moves", "lane-switcher")
 ARCHIVES = {"paper": "default", "contest": "contest"}
 
@@ -35,7 +38,7 @@ def shared(preset: str, track: str, lines: int) -> tuple[float, float]:
     archive, rules = load_archive(ARCHIVES[preset]), load_game_config(preset)
     setting = make_setting(archive, rules)
     game = RaceGame(load_track(track), archive, rules, threads=1)
-    agents = [build(name, setting) for name in (*BLIND, *LOOKING[preset])]
+    agents = [build(name, setting) for name in AGENTS[preset]]
     spent = np.zeros(2)
     for name in OPPONENTS:
         races = cross_pairing(game, agents[0], build(name, setting), egos=10, opponents=10, lines=lines)
@@ -54,10 +57,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default="Tarnfjord", help="name or folder of a circuit")
     parser.add_argument("--lines", type=int, default=2, help="start lines of each pair of policies")
-    parser.add_argument("--only", nargs="+", choices=LOOKING, default=list(LOOKING), help="rules (default: all)")
+    parser.add_argument("--only", nargs="+", choices=AGENTS, default=list(AGENTS), help="rules (default: all)")
     given = parser.parse_args()
     for preset in given.only:
-        agents = len(BLIND) + len(LOOKING[preset])
+        agents = len(AGENTS[preset])
         races = agents * len(OPPONENTS) * 200 * given.lines
         alone, together = shared(preset, given.track, given.lines)
         print(

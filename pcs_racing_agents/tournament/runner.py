@@ -1,4 +1,8 @@
-"""Simulation of pairings as tasks (:mod:`pcs_racing_agents.jobs.jobs`): in parallel, resumable, reproducible."""
+"""Simulation of pairings as tasks (:mod:`pcs_racing_agents.jobs.jobs`): in parallel, resumable, reproducible.
+
+Pairings with the same races against the same opponent are simulated together, since what their egos have in common must
+be driven only once (:mod:`pcs_racing_agents.tournament.shared_driving`).
+"""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -85,6 +89,8 @@ def play_pairings(
 ) -> Iterator[PlayedGames]:
     """Simulate the races of several pairings in parallel, and yield the results pairing by pairing.
 
+    Pairings that differ in nothing but their egos are simulated together: what they have in common only once.
+
     Parameters
     ----------
     pairings : sequence of Pairing
@@ -125,11 +131,12 @@ def play_pairings(
     for index, block in enumerate(blocks):
         tasks.setdefault(block.group, []).append(index)
     place = {i: (g, k) for g, group in enumerate(places) for k, i in enumerate(group)}
-    read, driven = -1, []  # the group whose races are in memory, and these
+    in_memory, driven = -1, []  # a group, and the results of its tasks
     for i in range(len(pairings)):
         group, ego = place[i]
-        if group != read:
-            read, driven = group, [job.read(chunk_name, k) if job else results[k] for k in tasks.get(group, [])]
+        if group != in_memory:
+            in_memory = group
+            driven = [results[k] if job is None else job.read(chunk_name, k) for k in tasks[group]]
         yield join_played([_played(arrays, ego, len(groups[group])) for arrays in driven])
 
 
