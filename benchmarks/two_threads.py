@@ -21,6 +21,7 @@ import numpy as np
 
 from pcs_racing import load_race_config, load_track, make_game, parse_policy, run_races
 from pcs_racing.envs.drive import DriveVectorEnv
+from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing_agents.trees import build_tree, choose_pairs
 from pcs_racing_agents.trees.roots import draw_root
@@ -61,6 +62,19 @@ def drives(track: str, threads: int, beams: int) -> Work:
     return work
 
 
+def pairs(track: str, threads: int) -> Work:
+    """Steps of 0.02 s of 256 races whose cars are both steered by agents, each with 1080 beams."""
+    envs = DriveHeadToHeadVectorEnv(512, track=track, time_step=0.02, beams=1080, threads=threads)
+    actions = np.tile(np.array([0.0, -0.75], np.float32), (512, 1))
+
+    def work() -> None:
+        envs.reset(seed=0)
+        for _ in range(100):
+            envs.step(actions)
+
+    return work
+
+
 def branches(track: str, threads: int) -> Work:
     """A game tree of three moves."""
     game = replace(make_game(track, moves=3), threads=threads)
@@ -73,6 +87,7 @@ WORKS: dict[str, Callable[[str, int], Work]] = {
     "duels": duels,
     "drives": lambda track, threads: drives(track, threads, 0),
     "drives, 1080 beams": lambda track, threads: drives(track, threads, 1080),
+    "two agents, 1080 beams": pairs,
     "game tree": branches,
 }
 
@@ -115,7 +130,7 @@ def main() -> None:
                 best[i] = min(best[i], time.perf_counter() - start)
         limit = 2.0 * best[0] / two_processes(name, given.track, given.rounds)
         print(
-            f"{name:20} {1e3 * best[0]:8.0f} ms with one thread, {best[0] / best[1]:.2f} times as fast with two, "
+            f"{name:22} {1e3 * best[0]:8.0f} ms with one thread, {best[0] / best[1]:.2f} times as fast with two, "
             f"{limit:.2f} in two processes"
         )
 
