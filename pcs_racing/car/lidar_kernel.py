@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.compilation import kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car.collision import inside_wall
 from pcs_racing.track.frenet import wrap_s
@@ -58,7 +58,7 @@ class Beams(NamedTuple):
     sin: NDArray[np.float64]
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _angle(x, y):  # type: ignore[no-untyped-def]
     """Direction of (x, y) in rad to 2e-8 (Abramowitz and Stegun 1964, 4.4.49); free of branches, to be vectorised."""
     ax = abs(x)
@@ -73,7 +73,7 @@ def _angle(x, y):  # type: ignore[no-untyped-def]
     return -a if y < 0.0 else a
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _faces_lidar(ax, ay, bx, by):  # type: ignore[no-untyped-def]
     """Whether a segment has the lidar on its left and spans an angle (3e-7 rad) well above the error of `_angle`."""
     across = ax * by - ay * bx
@@ -81,7 +81,7 @@ def _faces_lidar(ax, ay, bx, by):  # type: ignore[no-untyped-def]
     return (across > 0.0) & (across * across > 1e-13 * (ax * ax + ay * ay) * (bx * bx + by * by))
 
 
-@kernel
+@inner_kernel
 def _find_angles(beams, x, y, cos, sin, px, py, angles):  # type: ignore[no-untyped-def]
     """Write the angle of each corner, counted counter-clockwise from the first beam, rad in [0, 2 pi].
 
@@ -95,7 +95,7 @@ def _find_angles(beams, x, y, cos, sin, px, py, angles):  # type: ignore[no-unty
         angles[k] = angle + 2.0 * np.pi if angle < 0.0 else angle
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _span(beams, begin, end):  # type: ignore[no-untyped-def]
     """Span of a segment between two angles, in beams from the first one; below 0 if it crosses the first direction."""
     per_step = 1.0 / beams.step
@@ -104,7 +104,7 @@ def _span(beams, begin, end):  # type: ignore[no-untyped-def]
     return begin * per_step - margin, end * per_step + margin
 
 
-@kernel
+@inner_kernel
 def _choose(beams, x, y, px, py, angles, last, chosen):  # type: ignore[no-untyped-def]
     """Mark, by the corner that it begins at, each segment that faces the lidar and is met by a beam.
 
@@ -119,7 +119,7 @@ def _choose(beams, x, y, px, py, angles, last, chosen):  # type: ignore[no-untyp
         chosen[k] = 1.0 if faces & (met | (begin < 0.0)) else 0.0
 
 
-@kernel
+@inner_kernel
 def _fill(cos, sin, p, q, first, last, out):  # type: ignore[no-untyped-def]
     """Draw an inverse range into a run of beams; the larger wins."""
     # Unsigned: an index that might be negative (counted from the end, in Python) keeps the loop from being vectorised.
@@ -129,7 +129,7 @@ def _fill(cos, sin, p, q, first, last, out):  # type: ignore[no-untyped-def]
         out[k] = inverse if inverse > before else before
 
 
-@kernel
+@inner_kernel
 def _draw(beams, x, y, cos, sin, px, py, work, out):  # type: ignore[no-untyped-def]
     """Draw the segments between successive corners into a buffer of inverse ranges.
 
@@ -168,7 +168,7 @@ def _draw(beams, x, y, cos, sin, px, py, work, out):  # type: ignore[no-untyped-
         _fill(beams.cos, beams.sin, p, q, int(begin), int(min(np.floor(end), last)), out)
 
 
-@kernel
+@inner_kernel
 def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-untyped-def]
     """Draw the walls that can be seen from arc length s into a buffer of inverse ranges."""
     stretch = int(wrap_s(track, s) / track.seen_stretch) % (track.corners_start.shape[0] - 1)
@@ -178,7 +178,7 @@ def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-
         _draw(beams, x, y, cos, sin, track.corners[0, begin:stop], track.corners[1, begin:stop], work, out)
 
 
-@kernel
+@inner_kernel
 def _draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):  # type: ignore[no-untyped-def]
     """Draw a rectangle, centred at (x, y) relative to the lidar, into a buffer of inverse ranges."""
     s, c = sine_cosine(psi)
@@ -194,7 +194,7 @@ def _draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, o
     _draw(beams, 0.0, 0.0, cos, sin, px, py, work, out)
 
 
-@kernel
+@inner_kernel
 def _follow(track, beams, x, y, cos, sin, k, reach):  # type: ignore[no-untyped-def]
     """Range of beam k in m, at most ``reach``, by following it through the cells of the grid."""
     c = cos * beams.cos[k] - sin * beams.sin[k]
@@ -205,7 +205,7 @@ def _follow(track, beams, x, y, cos, sin, k, reach):  # type: ignore[no-untyped-
     return min(cells * track.cell, reach) if cells < reach / track.cell else reach
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _stands_out(out, k):  # type: ignore[no-untyped-def]
     """Whether the jump behind beam k is no mere slope: along a wall seen at a grazing angle ranges grow steadily."""
     before = abs(out[k] - out[max(k - 1, 0)])
@@ -213,7 +213,7 @@ def _stands_out(out, k):  # type: ignore[no-untyped-def]
     return abs(out[k + 1] - out[k]) > 2.0 * max(before, after)
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _jumps(out, k):  # type: ignore[no-untyped-def]
     """Whether there is a jump behind beam k."""
     before = np.uint64(k)  # as in `_fill`
@@ -223,7 +223,7 @@ def _jumps(out, k):  # type: ignore[no-untyped-def]
     return near - far > max(JUMP * near, JUMP_SHARE) * far
 
 
-@kernel
+@inner_kernel
 def _smooth(out, first, last):  # type: ignore[no-untyped-def]
     """Whether there is no jump behind any of a run of beams. Written for the compiler to vectorise."""
     jumps = 0
@@ -232,7 +232,7 @@ def _smooth(out, first, last):  # type: ignore[no-untyped-def]
     return jumps == 0
 
 
-@kernel
+@inner_kernel
 def _settle_jump(track, beams, x, y, cos, sin, k, out):  # type: ignore[no-untyped-def]
     """Follow the beams on both sides of the jump behind beam k; returns the last beam that needs no more search.
 
@@ -257,7 +257,7 @@ def _settle_jump(track, beams, x, y, cos, sin, k, out):  # type: ignore[no-untyp
     return max(k, j - 1)
 
 
-@kernel
+@inner_kernel
 def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped-def]
     """Follow the beams on both sides of every jump, outwards from it, until the grid agrees with the buffer."""
     last = out.shape[0] - 1
