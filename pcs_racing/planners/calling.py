@@ -14,7 +14,7 @@ from numba.core import config
 from numba.core.errors import NumbaError, TypingError
 from numba.extending import intrinsic
 
-from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.base.errors import InputError
 from pcs_racing.track.frenet import TrackArrays
 
@@ -71,17 +71,13 @@ def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -
     python = getattr(function, "py_func", function)
     if getattr(config, "DISABLE_JIT", 0):
         return python
-    if getattr(function, "targetoptions", {}).get("_nrt") is False:  # made by `kernel` already
-        dispatcher: Any = function
+    own = _renamed(python)  # compiled without the wrapper for Python, a tenth of the time before a first race
+    try:  # without reference counts where the function allocates nothing
+        dispatcher: Any = inner_kernel(own)
         dispatcher.compile(arguments)
-    else:
-        own = _renamed(python)
-        try:  # without reference counts where the function allocates nothing
-            dispatcher = kernel(own)
-            dispatcher.compile(arguments)
-        except (RuntimeError, NumbaError):
-            dispatcher = compiled(own)
-            dispatcher.compile(arguments)
+    except (RuntimeError, NumbaError):
+        dispatcher = compiled(own)
+        dispatcher.compile(arguments)
     code = dispatcher.overloads[arguments]
     if code.signature.return_type != types.none:
         raise InputError(
