@@ -45,7 +45,7 @@ __all__ = [
 
 RACING = 6.4e-5
 """Processor seconds for a second of a race between two cars of the lattice planner."""
-SHARED = 0.5
+SHARED = 0.45
 """Share of the races of several agents from the same starts that is driven: what they have in common, only once."""
 TREE_SEGMENT = 1.0e-4
 """For a step of 8 s of a game tree, counting every joint history once (most of them need not be driven)."""
