@@ -126,4 +126,5 @@ def _branched(memories: list[Any], parents: Indices) -> list[Any]:
     """What is remembered in each branch; branches that part do not share what may be changed in place."""
     if all(memory is None for memory in memories):
         return [None] * len(parents)
-    return [copy.deepcopy(memories[parent]) for parent in parents]
+    parted = np.bincount(parents) > 1
+    return [copy.deepcopy(memories[parent]) if parted[parent] else memories[parent] for parent in parents]
