@@ -1,14 +1,14 @@
 """Steps per second of the environments: batches against scalar environments, with and without a lidar, on one core.
 
     python benchmarks/environment_speed.py [--track NAME_OR_FOLDER] [--envs 256] [--seconds 1.0]
-    python benchmarks/environment_speed.py --only duel "both cars"    # the variants whose names hold one of these
+    python benchmarks/environment_speed.py --only duel "two agents"    # the variants whose names hold one of these
     python benchmarks/environment_speed.py --against PATH    # scalar environments beside those of another checkout
 
 Everything is measured in one run, the variants in turn for several rounds, and the best round of each counts. Times
 are the thread's own, so other work on the machine disturbs little. All on one thread. A step of a match is a whole
 race. "Control level" steps last 0.02 s, the period at which planners steer; the cars roll straight on at 1 m/s, and
-begin anew when they crash. "Both cars" adds a scan for the opponent to that of the agent. In "two agents" both cars are
-steered, and steps are counted for each car: what a learner gets. SuperSuit's path is measured where it is installed.
+begin anew when they crash. In "two agents" both cars are steered, and steps are counted for each car: what a learner
+gets. SuperSuit's path is measured where it is installed.
 """
 
 import argparse
@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 from race_speed import side_by_side
 
-from pcs_racing import Lidar
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
@@ -56,20 +55,16 @@ STEPS = 100  # between two looks at the clock
 Work = tuple[Callable[[], None], int]  # something to repeat, and the steps in it
 
 
-def drive_batch(track: str, envs: int, both: bool = False, **arguments) -> Work:
+def drive_batch(track: str, envs: int, **arguments) -> Work:
     """Steps of a batch; it begins anew every two seconds of driving, before most cars reach a wall."""
     env = DriveVectorEnv(envs, track=track, time_step=0.02, threads=1, **arguments)
     env.reset(seed=0)
     actions = np.tile(np.array([0.0, -0.75], np.float32), (envs, 1))
-    lidar = Lidar(env.track, arguments["beams"]) if both else None
 
     def work() -> None:
         env.reset()
         for _ in range(STEPS):
             env.step(actions)
-            if lidar is not None:
-                cars = env.batch.state.cars
-                lidar.scan(cars[:, 1][:, [0, 1, 4]], cars[:, 0][:, [0, 1, 4]])
 
     return work, STEPS * envs
 
@@ -207,7 +202,6 @@ def main() -> None:
         "drive, batch, alone": lambda: drive_batch(track, envs, opponent=None),
         "drive, batch, pure pursuit, 108 beams": lambda: drive_batch(track, envs, **pure, beams=108),
         "drive, batch, pure pursuit, 1080 beams": lambda: drive_batch(track, envs, **pure, beams=1080),
-        "drive, batch, both cars 1080 beams": lambda: drive_batch(track, envs, both=True, **pure, beams=1080),
         "two agents, batch": lambda: pair_batch(track, envs),
         "two agents, batch, 108 beams": lambda: pair_batch(track, envs, beams=108),
         "two agents, batch, 1080 beams": lambda: pair_batch(track, envs, beams=1080),

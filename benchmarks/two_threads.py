@@ -23,6 +23,7 @@ from pcs_racing import load_race_config, load_track, make_game, parse_policy, ru
 from pcs_racing.envs.drive import DriveVectorEnv
 from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv
+from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing_agents.trees import build_tree, choose_pairs
 from pcs_racing_agents.trees.roots import draw_root
 
@@ -49,10 +50,9 @@ def duels(track: str, threads: int) -> Work:
     return work
 
 
-def drives(track: str, threads: int, beams: int) -> Work:
-    """Steps of 0.02 s of 256 cars with an opponent."""
-    envs = DriveVectorEnv(256, track=track, time_step=0.02, opponent="pure-pursuit", beams=beams, threads=threads)
-    actions = np.tile(np.array([0.0, -0.75], np.float32), (256, 1))
+def drives(envs: BatchVectorEnv) -> Work:
+    """A hundred steps of 0.02 s of a batch at the level of steering and speed."""
+    actions = np.tile(np.array([0.0, -0.75], np.float32), (envs.num_envs, 1))
 
     def work() -> None:
         envs.reset(seed=0)
@@ -62,17 +62,15 @@ def drives(track: str, threads: int, beams: int) -> Work:
     return work
 
 
-def pairs(track: str, threads: int) -> Work:
-    """Steps of 0.02 s of 256 races whose cars are both steered by agents, each with 1080 beams."""
-    envs = DriveHeadToHeadVectorEnv(512, track=track, time_step=0.02, beams=1080, threads=threads)
-    actions = np.tile(np.array([0.0, -0.75], np.float32), (512, 1))
+def one_agent(track: str, threads: int, beams: int) -> Work:
+    """Steps of 256 cars with an opponent."""
+    options = {"time_step": 0.02, "opponent": "pure-pursuit", "beams": beams}
+    return drives(DriveVectorEnv(256, track=track, threads=threads, **options))
 
-    def work() -> None:
-        envs.reset(seed=0)
-        for _ in range(100):
-            envs.step(actions)
 
-    return work
+def two_agents(track: str, threads: int) -> Work:
+    """Steps of 256 races whose cars are both steered by agents, each with 1080 beams."""
+    return drives(DriveHeadToHeadVectorEnv(512, track=track, time_step=0.02, beams=1080, threads=threads))
 
 
 def branches(track: str, threads: int) -> Work:
@@ -85,9 +83,9 @@ def branches(track: str, threads: int) -> Work:
 WORKS: dict[str, Callable[[str, int], Work]] = {
     "races": races,
     "duels": duels,
-    "drives": lambda track, threads: drives(track, threads, 0),
-    "drives, 1080 beams": lambda track, threads: drives(track, threads, 1080),
-    "two agents, 1080 beams": pairs,
+    "drives": lambda track, threads: one_agent(track, threads, 0),
+    "drives, 1080 beams": lambda track, threads: one_agent(track, threads, 1080),
+    "two agents, 1080 beams": two_agents,
     "game tree": branches,
 }
 
