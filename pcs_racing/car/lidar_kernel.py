@@ -169,13 +169,21 @@ def _draw(beams, x, y, cos, sin, px, py, work, out):  # type: ignore[no-untyped-
 
 
 @inner_kernel
-def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-untyped-def]
-    """Draw the walls that can be seen from arc length s into a buffer of inverse ranges."""
-    stretch = int(wrap_s(track, s) / track.seen_stretch) % (track.corners_start.shape[0] - 1)
-    end = track.corners_start[stretch + 1]
-    for begin in range(track.corners_start[stretch], end - 1, work.shape[1] - 1):
+def _draw_list(corners, beams, x, y, cos, sin, first, end, work, out):  # type: ignore[no-untyped-def]
+    """Draw a list of corners, in parts for which the working memory is large enough."""
+    for begin in range(first, end - 1, work.shape[1] - 1):
         stop = min(begin + work.shape[1], end)
-        _draw(beams, x, y, cos, sin, track.corners[0, begin:stop], track.corners[1, begin:stop], work, out)
+        _draw(beams, x, y, cos, sin, corners[0, begin:stop], corners[1, begin:stop], work, out)
+
+
+@inner_kernel
+def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-untyped-def]
+    """Draw the walls and obstacles that can be seen from arc length s into a buffer of inverse ranges."""
+    corners, start = track.corners, track.corners_start
+    lists = start.shape[0] - 1
+    stretch = int(wrap_s(track, s) / track.seen_stretch) % lists
+    _draw_list(corners, beams, x, y, cos, sin, start[stretch], start[stretch + 1], work, out)
+    _draw_list(corners, beams, x, y, cos, sin, start[lists], corners.shape[1], work, out)
 
 
 @inner_kernel

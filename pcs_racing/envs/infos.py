@@ -69,21 +69,20 @@ def of_players(values: NDArray[Any], players: int) -> NDArray[Any]:
 
 def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
     """What is told of the players' cars in all races of a batch, apart from the result, shape (B * players,)."""
-    own, opponent = races.progress[:, :players], races.progress[:, ::-1][:, :players]
-    crash, laps = races.crash.astype(np.int64), races.laps[:, :players]
-    none = laps[..., MOST_CROSSINGS] <= 1.0
-    return {
-        "time": np.repeat(races.tick * DT, players),
-        "progress": own.flatten(),
-        "lead": (own - opponent).reshape(-1),
-        "crash": crash[:, :players].flatten(),
-        "opponent_crash": crash[:, ::-1][:, :players].flatten(),
-        "fault": races.fault[:, :players].astype(np.int64).reshape(-1),
-        "overtakes": races.overtakes[:, :players].flatten(),
-        "laps": np.where(none, 0.0, laps[..., MOST_CROSSINGS] - 1.0).astype(np.int64).reshape(-1),
-        "lap_time": np.where(none, NO_LAP, laps[..., LAP_TIME]).reshape(-1),
-        "best_lap": np.where(none, NO_LAP, laps[..., BEST_LAP]).reshape(-1),
+    crash = races.crash.astype(np.int64)
+    of_cars = {
+        "progress": races.progress,
+        "lead": races.progress - races.progress[:, ::-1],
+        "crash": crash,
+        "opponent_crash": crash[:, ::-1],
+        "fault": races.fault.astype(np.int64),
+        "overtakes": races.overtakes,
+        "laps": races.lap_count,
+        "lap_time": races.lap_time,
+        "best_lap": races.best_lap,
     }
+    infos = {name: of_players(values, players) for name, values in of_cars.items()}
+    return {"time": np.repeat(races.tick * DT, players), **infos}
 
 
 def race_results(winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: int) -> NDArray[np.int64]:

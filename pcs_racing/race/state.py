@@ -129,7 +129,7 @@ class RaceState(NamedTuple):
         return self._laps_or_none(BEST_LAP)
 
     def _laps_or_none(self, column: int) -> NDArray[np.float64]:
-        return np.where(self.lap_count > 0, self.laps[..., column], NO_LAP)
+        return np.where(self.laps[..., MOST_CROSSINGS] >= 2.0, self.laps[..., column], NO_LAP)
 
     def copy(self) -> "RaceState":
         """Return an independent copy."""

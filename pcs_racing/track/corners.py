@@ -3,16 +3,17 @@
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["corner_lists", "with_sides"]
+__all__ = ["corner_lists", "corners_along"]
 
 TOGETHER = 16
 """Lists of corners have a multiple of this length, so that the processor's vectors are full."""
 
 Floats = NDArray[np.float64]
-Lists = tuple[NDArray[np.int32], Floats]
 
 
-def corner_lists(walls: Floats, seen_start: NDArray[np.int32], seen: NDArray[np.int32]) -> Lists:
+def corner_lists(
+    walls: Floats, seen_start: NDArray[np.int32], seen: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], Floats]:
     """List for each stretch the corners of the wall segments that can be seen from it, along the walls.
 
     Parameters
@@ -31,22 +32,16 @@ def corner_lists(walls: Floats, seen_start: NDArray[np.int32], seen: NDArray[np.
         segment joins, and at the end of each list.
     """
     stretches = range(len(seen_start) - 1)
-    lists = [_corners_along(walls[np.sort(seen[seen_start[m] : seen_start[m + 1]])]) for m in stretches]
+    lists = [corners_along(walls[np.sort(seen[seen_start[m] : seen_start[m + 1]])]) for m in stretches]
     start = np.cumsum([0, *(len(points) for points in lists)]).astype(np.int32)
     return start, np.ascontiguousarray(np.concatenate(lists).T)
 
 
-def with_sides(start: NDArray[np.int32], corners: Floats, sides: Floats) -> Lists:
-    """Return the lists with the corners of further segments, shape (K, 4), at the end of each of them."""
-    points = _corners_along(sides)
-    stretches = len(start) - 1
-    ends = np.repeat(start[1:], len(points))
-    start = start + np.arange(len(start), dtype=np.int32) * np.int32(len(points))
-    return start, np.insert(corners, ends, np.tile(points.T, stretches), axis=1)
+def corners_along(segments: Floats) -> Floats:
+    """Return the corners of segments, shape (K, 4), in their order: one between two that meet, else two and NaN.
 
-
-def _corners_along(segments: Floats) -> Floats:
-    """Corners of segments in their order, shape (C, 2): one between two that meet, else two and NaN."""
+    The shape is (C, 2); at the end there is NaN, and more of it until C is a multiple of :data:`TOGETHER`.
+    """
     meets = (segments[:-1, 2:] == segments[1:, :2]).all(axis=1)
     ends = np.flatnonzero(~np.append(meets, False))
     gaps = np.full((2 * len(ends), 2), np.nan)

@@ -74,10 +74,11 @@ class TrackArrays(NamedTuple):
     seen_stretch : float
         Length of such a stretch in m (``length / M``).
     corners_start : ndarray, shape (M + 1,), int32
-        Where the list of each stretch begins in ``corners``.
+        Where the list of each stretch begins in ``corners``, and where the last one ends.
     corners : ndarray, shape (2, C), float64
         For each stretch, x and y in m of the corners of the walls in its list of ``seen``, along the walls: between two
-        successive corners there is a wall segment, between a corner and NaN there is none.
+        successive corners there is a wall segment, between a corner and NaN there is none. After the last list come
+        the corners of what every stretch sees: obstacles.
     lookup : ndarray, shape (h, w), int32
         Index of the line sample nearest to the centre of each coarse cell.
     lookup_cell : float

@@ -9,7 +9,7 @@ from pcs_racing.base.checks import check_array
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import InputError
-from pcs_racing.track.corners import with_sides
+from pcs_racing.track.corners import corners_along
 from pcs_racing.track.track import Track
 
 __all__ = ["BOX", "MOST_BOXES", "with_obstacles"]
@@ -85,7 +85,6 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
     start, seen, far = _list_sides(
         arrays.seen_start, arrays.seen, arrays.seen_distance, arrays.seen_middle, sides, len(arrays.walls)
     )
-    corners_start, corners = with_sides(arrays.corners_start, arrays.corners, sides)
     return replace(
         track,
         arrays=arrays._replace(
@@ -94,8 +93,7 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
             seen_start=start,
             seen=seen,
             seen_distance=far,
-            corners_start=corners_start,
-            corners=corners,
+            corners=np.concatenate([arrays.corners, corners_along(sides).T], axis=1),
         ),
     )
 

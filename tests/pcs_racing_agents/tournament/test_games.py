@@ -3,10 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, RaceGame, Starts, get_planner, make_game
+from pcs_racing import InputError, RaceGame, Starts, get_planner
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.competitor import ask_moves
-from pcs_racing.race.config import CONTEST
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
@@ -14,11 +13,6 @@ from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament.games import PlayedGames, play_games
 
 GAMES = 12
-
-
-@pytest.fixture(scope="module")
-def contest(oval, archive) -> RaceGame:
-    return make_game(oval, archive, CONTEST, step_seconds=0.8)
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, RaceGame, make_game
+from pcs_racing import InputError, RaceGame
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.race.config import CONTEST
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import always, best_fixed, random_moves
@@ -36,11 +35,6 @@ class Leader:
 
     def decide(self, game, state, car):
         return np.where((state.race.lead > 0.0) == (car == 0), 1, 3)
-
-
-@pytest.fixture(scope="module")
-def contest(oval, archive) -> RaceGame:
-    return make_game(oval, archive, CONTEST, step_seconds=0.8)
 
 
 @pytest.fixture(scope="module")
