@@ -28,7 +28,7 @@ from pcs_racing.planners.pure_pursuit import (
     side_air,
     within_walls,
 )
-from pcs_racing.planners.pursuit import calm_speed
+from pcs_racing.planners.pursuit import calm_speed, steady_course
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import project, to_cartesian
@@ -36,7 +36,7 @@ from pcs_racing.track.frenet import project, to_cartesian
 __all__ = ["LANE_SWITCHER", "lane_offset"]
 
 PARAMETERS = (
-    Parameter("speed", 0.70, 0.95, 0.87, "share of the profile's speed at the race's fastest scale"),
+    Parameter("speed", 0.65, 0.95, 0.82, "share of the profile's speed at the race's fastest scale"),
     Parameter("lookahead_slow", 0.3, 1.0, 0.5, "look-ahead distance at standstill, m"),
     Parameter("lookahead_fast", 1.0, 1.7, 1.3, "look-ahead distance at 7 m/s, m"),
     Parameter("gain_slow", 0.4, 1.0, 0.7, "steering per pursuit error at standstill, rad m"),
@@ -226,7 +226,7 @@ def control(track, theta, view, memory, scratch, path, command):  # type: ignore
     crossed = 0.02 * CROSSING_SPEED
     memory[_PLACE] += min(max(_lane_d(track, memory, memory[_LANE], s) - memory[_PLACE], -crossed), crossed)
     x, y, _ = to_cartesian(track, s, within_walls(track, s, memory[_PLACE]))
-    course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
+    course = steady_course(view, track.line[line_index(track, s), _frenet.KAPPA])
     dx = x - view[_view.OWN_X]
     dy = y - view[_view.OWN_Y]
     sine, cosine = sine_cosine(course)
@@ -240,9 +240,9 @@ def control(track, theta, view, memory, scratch, path, command):  # type: ignore
         if view[_view.TIME] > 0.0:
             steer += theta[DERIVATIVE] * (error - memory[_ERROR])
     memory[_ERROR] = error
-    steer += view[_view.UNDERSTEER] * v * v * kappa
+    command[1], acceleration = calm_speed(v, _speed(track, theta, view, memory, s0 + SPEED_PREVIEW * v))
+    steer += (view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration) * v * v * kappa
     command[0] = min(max(steer, -STEER_LIMIT), STEER_LIMIT)
-    command[1], _ = calm_speed(v, _speed(track, theta, view, memory, s0 + SPEED_PREVIEW * v))
 
 
 def _variants() -> dict[str, tuple[float, ...]]:

@@ -1,24 +1,36 @@
-"""The lattice planner of the paper: spirals to a lattice of goals, each at several speeds, chosen by a weighted cost.
+"""A lattice planner along the race line: moves across the track at several speeds, chosen by a weighted cost.
 
 Ten times a second the planner lays a lattice of goals around the race line ahead (two distances, eight positions across
-the track), joins each to the car by a cubic spiral, and drives each spiral at four speeds: 64 candidates. A candidate
-that leaves the track or meets the predicted opponent is rejected; of the others the one with the smallest weighted sum
-of costs wins. The weights, on a log scale, and a few traits (pace, late braking, side margin) are the parameters of the
-policy. Of two cars side by side the one ahead has the right of way; the other one gives it room.
+the track). A move is a cubic in the distance from the race line, as in [1]_ and [2]_: it begins where the last plan is
+by now and ends at a goal, along the line. So a plan goes on where the last one was, and does not follow every stray of
+the car: half of a stray is forgiven at each plan, and the car is led back from the rest within a few metres. Each move
+is considered at four speeds, 64 candidates in all: an attack, faster than the profile on straights, while a car is to
+be passed; the profile; a slower one; and the speed that keeps a distance behind the other car. A candidate that comes
+too close to a wall, asks for more grip than there is, or meets the predicted opponent within two seconds is rejected;
+of the others the one with the smallest weighted sum of costs wins. The weights, on a log scale, and a few traits (pace,
+attack, side margin) are the parameters of the policy.
+
+Of two cars the one ahead has the right of way, and holds its place while the other one follows; beside each other both
+keep their lanes. What differs from the paper's planner, and why: ``docs/paper.md``.
 
 All steps of a plan stand in this file. They share the rows of the scratch, and are compiled without the wrappers for
 calls from Python that functions of several files would need: half of the time of compiling them.
+
+References
+----------
+.. [1] M. Werling, J. Ziegler, S. Kammel and S. Thrun, "Optimal trajectory generation for dynamic street scenarios in a
+   Frenet frame", ICRA 2010.
+.. [2] M. McNaughton, C. Urmson, J. M. Dolan and J.-W. Lee, "Motion planning for autonomous driving with a conformal
+   spatiotemporal lattice", ICRA 2011.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
-from pcs_racing.base.elementary import rough_sine_cosine, sine_cosine, tangent
-from pcs_racing.planners import spiral
+from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.spiral import SEGMENTS, sample_spirals, solve_spirals, spiral_curvature
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, offset
@@ -27,44 +39,65 @@ __all__ = ["LATTICE"]
 
 ACROSS = 8
 DISTANCES = 2
-GOALS = spiral.SPIRALS
-assert GOALS == ACROSS * DISTANCES
+GOALS = ACROSS * DISTANCES
+SEGMENTS = 8  # of each move, at whose ends it is measured
 SPEEDS = 4
 CANDIDATES = GOALS * SPEEDS
 
 HORIZON_STEPS = 10
-HORIZON_STEP = 0.15  # s
+HORIZON_STEP = 0.25  # s
 ALONE_STEPS = 5  # enough to compare speeds when there is nobody to meet
-REJECT_STEPS = 7  # overlaps within about a second reject a candidate, later ones cost
+REJECT_STEPS = 7  # overlaps within 1.75 s reject a candidate: on a straight that is time enough to fall back again
 REJECTED = 1e6  # costs from here on mean that a candidate was rejected
-FAR = 1.6
-RETURN_TIME = 1.2  # s
-BODY_AIR = 0.10  # m to keep from a wall at a goal, unless it lies on the race line
-TIGHT = 0.06  # m; a spiral that comes closer to a wall is rejected
-STRAIN_FROM = 8.0  # m/s^2 of lateral acceleration, from where on a spiral at speed is more than the car can do
-STRAIN = 0.5  # cost per m/s^2 beyond
-SPIN_FROM = 11.0  # m/s^2 of lateral acceleration, from where on the car would spin: as bad as an overlap
-GRIP = 6.0  # m/s^2, lateral acceleration that a candidate may ask for at speed scale 1
+LATER = 30.0  # cost of a later overlap, per m of its depth
+
+NEAR, NEAR_TIME, FAR = 1.2, 0.4, 1.7  # m, s: the near goals are so far away, the far ones so many times as far
+HALF_FORGOTTEN = 0.5  # share of a stray from the plan that the next plan starts from
+LOST = 0.4  # m from the plan, beyond which a new one begins where the car is
+
+BODY_AIR = 0.25  # m to keep from a wall at a goal, unless it lies on the race line
+TOUCH = 0.06  # m; a move that comes closer to a wall is rejected
+WALL_AIR = 0.3  # m to keep from a wall on the way, unless the race line itself comes closer
+WALL_COST = 300.0  # per m that is missing
+
+LATERAL_OF_PROFILE = 5.0  # m/s^2 in the bends of the race line at speed scale 1
+GRIP = 5.3  # m/s^2 that a move may ask for at speed scales up to 1, and with the square of the scale above
+STRAIN = 0.5  # cost per m/s^2 beyond the grip
+SPIN_BEYOND = 1.0  # m/s^2 beyond the grip, from where on a move is rejected
+BRAKING = 4.5  # m/s^2 with which a car comes down to the speed of a bend
+OWN_BRAKING, OPPONENT_BRAKING, ACCELERATION = 5.5, 5.0, 5.0  # m/s^2 at most in predictions
+
 SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
+BUMPER_AIR = 0.3  # m to keep in front of an opponent that was passed, and behind one
+MOVE_TIME = 0.4  # s for which an opponent goes on moving sideways
+FOLLOW_GAP, FOLLOW_GAIN = 1.0, 1.2  # m between the middles of the cars, and closing speed per m beyond it, 1/s
 LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
 
-_SPEED_FACTORS = (1.0, 0.94, 0.84, 0.65)
+ATTACKS, FOLLOWS = 0, SPEEDS - 1  # candidates' speeds: an attack (the profile if there is nobody to pass) is the first
+_SPEED_FACTORS = (1.0, 1.0, 0.85)
+SLOWEST = 0.65  # in place of following, where there is nobody to follow
 
 _WEIGHTS = (
-    ("length", -1.0, "length of the spiral: 2.5 m over its length"),
-    ("max_curvature", -1.0, "largest curvature, 1/m"),
-    ("mean_curvature", -1.0, "mean curvature, 1/m"),
-    ("curvature_rate", -1.5, "largest change of curvature in time, 1/(m s)"),
-    ("lateral_acceleration", -1.0, "largest lateral acceleration, in 10 m/s^2"),
-    ("braking", -1.5, "change of speed along the candidate, in 10 m/s^2"),
-    ("similarity", 0.0, "squared distance to the previous plan, m^2"),
-    ("progress", 0.5, "time per metre of progress, relative to the fastest profile"),
-    ("deviation", 0.0, "mean distance from the race line, m"),
-    ("walls", -0.5, "nearness to walls: mean of 0.1 / (air + 0.1 m)"),
-    ("proximity", -0.5, "nearness to the predicted opponent: discounted mean of 0.3 / (distance^2 + 0.3 m^2)"),
-    ("overtaking", 0.0, "how far behind the predicted opponent the candidate ends, in 5 m"),
-    ("blocking", -0.5, "distance from the line of an opponent that closes from behind, m"),
+    ("length", -2.0, 0.0, -1.0, "length of the move: 2.5 m over its length"),
+    ("max_curvature", -2.0, 0.0, -1.0, "largest curvature, 1/m"),
+    ("mean_curvature", -2.0, 0.0, -1.0, "mean curvature, 1/m"),
+    ("curvature_rate", -2.0, 0.0, -1.5, "largest change of curvature in time, 1/(m s)"),
+    ("lateral_acceleration", -2.0, 0.0, -1.0, "largest lateral acceleration, in 10 m/s^2"),
+    ("braking", -2.0, 0.5, -1.5, "change of speed along the candidate, in 10 m/s^2"),
+    ("similarity", -1.0, 1.0, 0.0, "squared distance to the previous plan, m^2"),
+    ("progress", 0.0, 2.0, 1.0, "time per metre of progress, relative to the fastest profile"),
+    ("deviation", -1.0, 1.0, 0.0, "mean distance from the race line, m"),
+    ("walls", -1.5, 1.0, -0.5, "nearness to walls: mean of 0.1 / (air + 0.1 m)"),
+    (
+        "proximity",
+        -1.5,
+        1.0,
+        -0.5,
+        "nearness to the predicted opponent: discounted mean of 0.3 / (distance^2 + 0.3 m^2)",
+    ),
+    ("overtaking", -1.0, 2.0, 1.0, "how far behind the predicted opponent the candidate ends, in 5 m"),
+    ("blocking", -2.0, 1.0, -0.5, "distance from the line of an opponent that closes from behind, m"),
 )
 (
     LENGTH,
@@ -72,7 +105,7 @@ _WEIGHTS = (
     MEAN_CURVATURE,
     CURVATURE_RATE,
     LATERAL,
-    BRAKING,
+    BRAKE,
     SIMILARITY,
     PROGRESS,
     DEVIATION,
@@ -81,46 +114,74 @@ _WEIGHTS = (
     OVERTAKING,
     BLOCKING,
 ) = range(len(_WEIGHTS))
-PACE, LATE_BRAKING, SIDE_MARGIN, PACE_BEHIND = range(len(_WEIGHTS), len(_WEIGHTS) + 4)
+PACE, ATTACK, SIDE_MARGIN, PACE_BEHIND = range(len(_WEIGHTS), len(_WEIGHTS) + 4)
 
 PARAMETERS = (
-    *(Parameter(name, -2.0, 1.0, default, f"log10 weight of {what}") for name, default, what in _WEIGHTS),
+    *(Parameter(name, low, high, default, f"log10 weight of {what}") for name, low, high, default, what in _WEIGHTS),
     Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
-    Parameter("late_braking", 0.0, 0.15, 0.03, "by how long the braking point is put off, s"),
-    Parameter("side_margin", 0.05, 0.35, 0.15, "air to keep beside the opponent, m"),
+    Parameter("attack", 0.0, 0.25, 0.12, "share by which a car that wants to pass tops the profile on straights"),
+    Parameter("side_margin", 0.05, 0.45, 0.32, "air to keep beside the opponent, m"),
     Parameter(
-        "pace_behind", -0.5, 0.5, 0.0, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
+        "pace_behind", -0.5, 0.5, 0.25, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
     ),
 )
 
-# Memory: the previous plan as a cubic in d over arc length.
-_M_VALID, _M_S, _M_D, _M_SLOPE, _M_LENGTH, _M_GOAL = range(6)
+# Memory: the chosen move. Whether there is one, where it began (m of arc length), how long it is (m), where it ends (m
+# from the race line), and two coefficients of its cubic, see `_lateral`.
+_M_VALID, _M_S, _M_LENGTH, _M_GOAL, _M_A, _M_B = range(6)
 MEMORY = 6
 
-# Rows of the scratch after the spirals' own block, each GOALS wide: position across the track, coefficients of the path
-# there, nearness to walls, least air beside a wall, cost whatever the speed; trouble and proximity at the speed under
-# study; then all costs, and the air at all points.
-_GOAL_D, _SQUARE, _CUBE, _WALL_COST, _MIN_AIR, _BASE, _TROUBLE, _PROXIMITY, _COSTS = (
-    spiral.BLOCK + GOALS * k for k in range(9)
-)
-_AIR = _COSTS + SPEEDS * GOALS
+# Rows of the scratch, each GOALS wide: where a move ends, its length and coefficients; its curvature, the largest one,
+# the mean, and the largest change along it; the lateral acceleration that it asks for; how much longer it is than the
+# line, and how much its bends slow a car down; air that the race line leaves, nearness to walls, least air beside a
+# wall, cost whatever the speed; trouble, deepest overlap and proximity at the speed under study; then all costs, and
+# points and air at the ends of all segments.
+(
+    _GOAL_D,
+    _LENGTH,
+    _A,
+    _B,
+    _KAPPA,
+    _MAX_KAPPA,
+    _MEAN_KAPPA,
+    _KAPPA_RATE,
+    _SIDEWAYS,
+    _STRETCH,
+    _SLOWED,
+    _LINE_AIR,
+    _WALL_COST,
+    _MIN_AIR,
+    _BASE,
+    _TROUBLE,
+    _DEEPEST,
+    _PROXIMITY,
+    _COSTS,
+) = (GOALS * k for k in range(19))
+_POINT_X = _COSTS + SPEEDS * GOALS
+_POINT_Y = _POINT_X + SEGMENTS * GOALS
+_AIR = _POINT_Y + SEGMENTS * GOALS
 # Speed scales of the profiles, arc length and speed at present; predictions, a row for each step: own arc lengths and
-# speeds at each speed profile and the room across the track; the opponent's arc length and position across the track.
+# speeds at each speed and the room across the track; the opponent's arc length, position across the track and speed.
 _SCALE, _NOW_S, _NOW_V, _OWN_S = (_AIR + SEGMENTS * GOALS + SPEEDS * k for k in range(4))
 _OWN_V = _OWN_S + SPEEDS * HORIZON_STEPS
 _OWN_LOW = _OWN_V + SPEEDS * HORIZON_STEPS
 _OWN_HIGH = _OWN_LOW + SPEEDS * HORIZON_STEPS
 _OPP_S = _OWN_HIGH + SPEEDS * HORIZON_STEPS
 _OPP_D = _OPP_S + HORIZON_STEPS
-SCRATCH = _OPP_D + HORIZON_STEPS
-
-_PATH_BASIS = np.array([spiral.heading_basis(j / (PATH_POINTS - 1)) for j in range(PATH_POINTS)])
+_OPP_V = _OPP_D + HORIZON_STEPS
+SCRATCH = _OPP_V + HORIZON_STEPS
 
 
 @inner_kernel(forceinline=True)
 def _near(v):  # type: ignore[no-untyped-def]
     """Distance of the near goals in m; the far ones are ``FAR`` times as far."""
-    return 1.5 + 0.16 * v
+    return NEAR + NEAR_TIME * v
+
+
+@inner_kernel(forceinline=True)
+def _return_length(v):  # type: ignore[no-untyped-def]
+    """Distance within which a car that strays from its plan is led back onto it, m; also how much of it is written."""
+    return 1.5 + 0.2 * v
 
 
 @inner_kernel(forceinline=True)
@@ -141,15 +202,27 @@ def _speed_at(line, per_ds, s):  # type: ignore[no-untyped-def]
     return line[_sample_at(line, per_ds, s), _frenet.SPEED]
 
 
-@inner_kernel(forceinline=True)
-def _target_speed(line, per_ds, s, v, late_braking):  # type: ignore[no-untyped-def]
-    """Speed of the profile, the braking point put off, the acceleration out of corners not."""
-    return max(_speed_at(line, per_ds, s), _speed_at(line, per_ds, s - v * late_braking))
+@inner_kernel
+def _attack_speed(line, per_ds, s, scale, attack):  # type: ignore[no-untyped-def]
+    """Speed at an arc length above -length at which a car attacks: above the profile's on straights, not in bends.
+
+    It accelerates harder and tops the profile by the share ``attack``, and comes down to the profile where it brakes.
+    """
+    own = scale * _speed_at(line, per_ds, s)
+    lateral = LATERAL_OF_PROFILE * scale * scale
+    share = (1.0 + attack) * scale
+    square = 1e9
+    for k in range(8):
+        i = _sample_at(line, per_ds, s + 1.5 * k)
+        fast = share * line[i, _frenet.SPEED]
+        bend = max(abs(line[i, _frenet.KAPPA]), 1e-6)
+        square = min(square, min(fast * fast, lateral / bend) + 3.0 * k * BRAKING)
+    return max(np.sqrt(square), own)
 
 
 @inner_kernel(forceinline=True)
 def _power_of_ten(x):  # type: ignore[no-untyped-def]
-    """10**x for x in [-2, 1] to a relative 1e-9, cheaper than the library's power."""
+    """10**x for x in [-2, 2] to a relative 1e-7, cheaper than the library's power."""
     t = x * (2.302585092994046 / 16.0)
     t = 1.0 + t * (1.0 + t * (1 / 2 + t * (1 / 6 + t * (1 / 24 + t * (1 / 120 + t * (1 / 720 + t / 5040))))))
     t *= t
@@ -159,11 +232,33 @@ def _power_of_ten(x):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _hermite(u, d0, slope0, d1):  # type: ignore[no-untyped-def]
-    """Cubic from d0 with slope0 (per unit of u) to d1 with slope 0; constant from u = 1 on."""
+def _lateral(u, goal, a, b):  # type: ignore[no-untyped-def]
+    """A move's distance from the race line where the share ``u`` of it is driven: the goal from u = 1 on."""
     u = min(max(u, 0.0), 1.0)
     q = 1.0 - u
-    return d1 + q * q * ((1.0 + 2.0 * u) * (d0 - d1) + u * slope0)
+    return goal + q * q * (a + u * b)
+
+
+@inner_kernel(forceinline=True)
+def _lateral_slope(u, a, b):  # type: ignore[no-untyped-def]
+    """Derivative of `_lateral` by ``u``."""
+    u = min(max(u, 0.0), 1.0)
+    q = 1.0 - u
+    return q * (q * b - 2.0 * (a + u * b))
+
+
+@inner_kernel(forceinline=True)
+def _lateral_bend(u, a, b):  # type: ignore[no-untyped-def]
+    """Second derivative of `_lateral` by ``u``; 0 from u = 1 on."""
+    return 2.0 * (a + u * b) - 4.0 * (1.0 - u) * b if u < 1.0 else 0.0
+
+
+@inner_kernel(forceinline=True)
+def _fade_out(u, d, slope):  # type: ignore[no-untyped-def]
+    """Cubic from d with a slope (per unit of u) to 0 at u = 1, and 0 from there on."""
+    u = min(max(u, 0.0), 1.0)
+    q = 1.0 - u
+    return q * q * (d + u * (slope + 2.0 * d))
 
 
 @inner_kernel(forceinline=True)
@@ -178,53 +273,111 @@ def _pace_now(pace, pace_behind, gap):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _lay_goals(line, ds, length, view, distance, first, course, scratch):  # type: ignore[no-untyped-def]
-    """Put one row of goals across the track, ``distance`` ahead, in the frame of the car's velocity."""
-    s = view[_view.OWN_S] + distance
-    i = _sample_at(line, 1.0 / ds, s)
-    kappa = line[i, _frenet.KAPPA]
-    keep = 0.5 * view[_view.OWN_WIDTH] + BODY_AIR
-    right = -max(line[i, _frenet.RIGHT] - keep, 0.0)
-    left = max(line[i, _frenet.LEFT] - keep, 0.0)
-    step = (left - right) / (ACROSS - 1)
-    on_line = int(-right / step + 0.5) if step > 1e-9 else 0
-    sn, c = sine_cosine(course)
-    # The same for the whole row: where the line is, and which way across the track.
-    x, y, psi = offset(line, ds, length, s, 0.0)
-    heading = angle_between(psi, course)
-    dx = x - view[_view.OWN_X]
-    dy = y - view[_view.OWN_Y]
-    line_x = dx * c + dy * sn
-    line_y = -dx * sn + dy * c
-    sine, across_y = sine_cosine(heading)
-    across_x = -sine
-    for k in range(ACROSS):
-        g = first + k
-        d = 0.0 if k == on_line else right + k * step
-        scratch[spiral.GOAL_X + g] = line_x + d * across_x
-        scratch[spiral.GOAL_Y + g] = line_y + d * across_y
-        scratch[spiral.GOAL_HEADING + g] = heading
-        scratch[spiral.GOAL_KAPPA + g] = kappa / max(1.0 - kappa * d, 0.25)
-        scratch[_GOAL_D + g] = d
+def _plan_by_now(memory, s0, length, d0, slope0):  # type: ignore[no-untyped-def]
+    """Where the last plan is by now: distance from the line (m), slope, and change of slope (1/m).
+
+    A car that lost its plan, or has none, begins a new one where it is.
+    """
+    driven = s0 - memory[_M_S]
+    if driven < -0.5 * length:
+        driven += length
+    per = 1.0 / max(memory[_M_LENGTH], 0.1)
+    u = driven * per
+    d = _lateral(u, memory[_M_GOAL], memory[_M_A], memory[_M_B])
+    if memory[_M_VALID] < 0.5 or driven < -0.5 or driven > 5.0 or abs(d - d0) > LOST:
+        return d0, slope0, 0.0, 0.0, False
+    slope = _lateral_slope(u, memory[_M_A], memory[_M_B]) * per
+    bend = _lateral_bend(u, memory[_M_A], memory[_M_B]) * per * per
+    return d, slope, bend, driven, True
+
+
+@inner_kernel
+def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside_slope, scratch):  # type: ignore[no-untyped-def]
+    """Lay the goals, join each to the plan by a move, and measure the moves.
+
+    The points are those of the path that is driven: of the move, and of the way back onto it from ``aside``.
+    """
+    per_ds = 1.0 / ds
+    keep = 0.5 * width + BODY_AIR
+    per_return = 1.0 / _return_length(v)
+    here = line[_sample_at(line, per_ds, s0), _frenet.KAPPA]
+    kappa0 = here / max(1.0 - here * d, 0.25) + bend
+    for first in range(0, GOALS, ACROSS):
+        length = _near(v) * (FAR if first > 0 else 1.0)
+        per_length = 1.0 / length
+        i = _sample_at(line, per_ds, s0 + length)
+        right = -max(line[i, _frenet.RIGHT] - keep, 0.0)
+        left = max(line[i, _frenet.LEFT] - keep, 0.0)
+        step = (left - right) / (ACROSS - 1)
+        on_line = int(-right / step + 0.5) if step > 1e-9 else 0
+        for k in range(ACROSS):
+            g = first + k
+            goal = 0.0 if k == on_line else right + k * step
+            a = d - goal
+            scratch[_GOAL_D + g] = goal
+            scratch[_LENGTH + g] = length
+            scratch[_A + g] = a
+            scratch[_B + g] = length * slope + 2.0 * a
+            scratch[_KAPPA + g] = kappa0
+            scratch[_MAX_KAPPA + g] = abs(kappa0)
+            scratch[_MEAN_KAPPA + g] = 0.0
+            scratch[_KAPPA_RATE + g] = 0.0
+            scratch[_SIDEWAYS + g] = 0.0
+            scratch[_STRETCH + g] = 0.0
+            scratch[_SLOWED + g] = 0.0
+            scratch[_LINE_AIR + g] = WALL_AIR
+        for j in range(SEGMENTS):
+            u = (j + 1) / SEGMENTS
+            driven = u * length
+            at = s0 + driven
+            i = _sample_at(line, per_ds, at)
+            # Between two samples the line is taken for straight: a millimetre.
+            beyond = at - np.floor(at * per_ds) * ds
+            x = line[i, _frenet.X] + beyond * line[i, _frenet.COS]
+            y = line[i, _frenet.Y] + beyond * line[i, _frenet.SIN]
+            sine = line[i, _frenet.SIN]
+            cosine = line[i, _frenet.COS]
+            kappa = line[i, _frenet.KAPPA]
+            fastest = scale * line[i, _frenet.SPEED]
+            square = min(fastest * fastest, v * v + 8.0 * driven)
+            back = _fade_out(driven * per_return, aside, aside_slope)
+            line_air = min(line[i, _frenet.RIGHT], line[i, _frenet.LEFT]) - 0.5 * width
+            for g in range(first, first + ACROSS):
+                a = scratch[_A + g]
+                b = scratch[_B + g]
+                at_d = _lateral(u, scratch[_GOAL_D + g], a, b)
+                stretch = max(1.0 - kappa * at_d, 0.25)
+                bent = kappa / stretch + _lateral_bend(u, a, b) * per_length * per_length
+                scratch[_STRETCH + g] += stretch * (1.0 / SEGMENTS)
+                scratch[_SLOWED + g] += min(np.sqrt(grip / max(abs(bent) * square, 1e-3)), 1.0) * (1.0 / SEGMENTS)
+                scratch[_LINE_AIR + g] = min(scratch[_LINE_AIR + g], line_air)
+                scratch[_POINT_X + j * GOALS + g] = x - (at_d + back) * sine
+                scratch[_POINT_Y + j * GOALS + g] = y + (at_d + back) * cosine
+                scratch[_MAX_KAPPA + g] = max(scratch[_MAX_KAPPA + g], abs(bent))
+                scratch[_MEAN_KAPPA + g] += abs(bent) * (1.0 / SEGMENTS)
+                rate = abs(bent - scratch[_KAPPA + g]) * (SEGMENTS * per_length)
+                scratch[_KAPPA_RATE + g] = max(scratch[_KAPPA_RATE + g], rate)
+                scratch[_SIDEWAYS + g] = max(scratch[_SIDEWAYS + g], abs(bent) * square)
+                scratch[_KAPPA + g] = bent
 
 
 @inner_kernel
 def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
-    """Air beside each spiral's points, from the distance field."""
+    """Air beside each move's points, from the distance field."""
     distance = track.distance
     height, width = distance.shape
     cells = distance.reshape(height * width)
     per_cell = 1.0 / track.cell
     first_x = -track.origin_x * per_cell
     first_y = -track.origin_y * per_cell
-    for k in range(GOALS, GOALS * (SEGMENTS + 1)):
+    for k in range(GOALS * SEGMENTS):
         # The outermost cells of the field are wall, like everything beyond them.
-        col = min(max(int(scratch[spiral.POINT_X + k] * per_cell + first_x), 0), width - 1)
-        row = min(max(int(scratch[spiral.POINT_Y + k] * per_cell + first_y), 0), height - 1)
-        scratch[_AIR - GOALS + k] = row * width + col
+        col = min(max(int(scratch[_POINT_X + k] * per_cell + first_x), 0), width - 1)
+        row = min(max(int(scratch[_POINT_Y + k] * per_cell + first_y), 0), height - 1)
+        scratch[_AIR + k] = row * width + col
     # In a loop of its own, which is so short that the processor waits for many cells of the field at the same time.
-    for k in range(GOALS, GOALS * (SEGMENTS + 1)):
-        scratch[_AIR - GOALS + k] = cells[np.uint64(int(scratch[_AIR - GOALS + k]))]
+    for k in range(GOALS * SEGMENTS):
+        scratch[_AIR + k] = cells[np.uint64(int(scratch[_AIR + k]))]
     for g in range(GOALS):
         nearest = 1e9
         total = 0.0
@@ -237,7 +390,7 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _predict(line, per_ds, s, v, late_braking, keep, steps, scratch):  # type: ignore[no-untyped-def]
+def _predict(line, per_ds, s, v, attack, follows, keep, steps, scratch):  # type: ignore[no-untyped-def]
     """Drive along the race line from (s, v) towards the profile, at every scale in the scratch.
 
     Keeps arc lengths (unwrapped), speeds, and how far right and left the track lets the car be by then.
@@ -250,8 +403,13 @@ def _predict(line, per_ds, s, v, late_braking, keep, steps, scratch):  # type: i
         for f in range(SPEEDS):
             own_s = scratch[_NOW_S + f]
             own_v = scratch[_NOW_V + f]
-            target = scratch[_SCALE + f] * _target_speed(line, per_ds, own_s, own_v, late_braking)
-            own_v += min(max(target - own_v, -6.0 * HORIZON_STEP), 3.5 * HORIZON_STEP)
+            if f == ATTACKS and attack > 0.0:
+                target = _attack_speed(line, per_ds, own_s, scratch[_SCALE + f], attack)
+            else:
+                target = scratch[_SCALE + f] * _speed_at(line, per_ds, own_s)
+            if f == FOLLOWS and follows:
+                target = min(target, scratch[_OPP_V + k] + FOLLOW_GAIN * (scratch[_OPP_S + k] - own_s - FOLLOW_GAP))
+            own_v += min(max(max(target, 0.0) - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
             own_s += own_v * HORIZON_STEP
             i = _sample_at(line, per_ds, own_s)
             scratch[_NOW_S + f] = own_s
@@ -263,139 +421,150 @@ def _predict(line, per_ds, s, v, late_braking, keep, steps, scratch):  # type: i
 
 
 @inner_kernel
-def _predict_opponent(line, per_ds, view, s, gives_way, scratch):  # type: ignore[no-untyped-def]
+def _predict_opponent(line, per_ds, view, s, scale, gives_way, beside, scratch):  # type: ignore[no-untyped-def]
     """The opponent carries on along the track from ``s`` with its share of the profile: arc lengths and positions."""
     v = view[_view.OPP_V]
     carried = v / max(_speed_at(line, per_ds, view[_view.OPP_S]), 0.5)
+    if beside:
+        # It speeds up as the own car will.
+        carried = max(carried, scale * min(v / max(view[_view.OWN_V], 0.5), 1.0))
     # The track pushes the other car sideways where it narrows; who has the right of way leaves it air there.
     room = 0.5 * view[_view.OPP_WIDTH] + (0.0 if gives_way else BODY_AIR)
     for k in range(HORIZON_STEPS):
         wanted = carried * _speed_at(line, per_ds, s)
-        s += min(max(wanted, v - 6.0 * HORIZON_STEP * (k + 1)), v + 3.0) * HORIZON_STEP
+        v += min(max(wanted - v, -OPPONENT_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
+        s += v * HORIZON_STEP
         t = (k + 1) * HORIZON_STEP
         d = view[_view.OPP_D]
-        if gives_way:
-            # A driver with the right of way finishes its move and then comes back to the race line.
-            d = (d + min(t, 0.25) * view[_view.OPP_D_DOT]) * max(1.0 - t / RETURN_TIME, 0.0)
+        if not beside:
+            # What moves sideways goes on moving for a while; a driver may be anywhere for reasons of its own.
+            d += view[_view.OPP_D_DOT] * t / (1.0 + t / MOVE_TIME)
         row = _sample_at(line, per_ds, s)
         low = min(room - line[row, _frenet.RIGHT], 0.0)
         high = max(line[row, _frenet.LEFT] - room, 0.0)
         scratch[_OPP_S + k] = s
+        scratch[_OPP_V + k] = v
         scratch[_OPP_D + k] = min(max(d, low), high)
 
 
 @inner_kernel
-def _shape_paths(scratch, d0, slope):  # type: ignore[no-untyped-def]
-    """Coefficients of each spiral's distance from the race line, as the cubic of `_hermite` in the distance driven."""
-    for g in range(GOALS):
-        per_length = 1.0 / scratch[spiral.LENGTH + g]
-        aside = (scratch[_GOAL_D + g] - d0) * per_length
-        scratch[_SQUARE + g] = (3.0 * aside - 2.0 * slope) * per_length
-        scratch[_CUBE + g] = (slope - 2.0 * aside) * per_length * per_length
-
-
-@inner_kernel
-def _meet_opponent(scratch, f, d0, slope, s0, long_reach, side_reach, soft_side, gives_way, followed):  # type: ignore[no-untyped-def]
-    """Trouble (overlap within a second) and proximity of all spirals at one speed with the predicted opponent."""
+def _meet_opponent(scratch, f, s0, long_reach, side_reach, soft_side):  # type: ignore[no-untyped-def]
+    """Trouble (overlap within a second) and proximity of all moves at one speed with the predicted opponent."""
     for g in range(GOALS):
         scratch[_TROUBLE + g] = 0.0
+        scratch[_DEEPEST + g] = 0.0
         scratch[_PROXIMITY + g] = 0.0
     fade = 1.0
     for k in range(HORIZON_STEPS):
         driven = scratch[_OWN_S + k * SPEEDS + f] - s0
-        # Who is followed does not brake to let the other car through: that ends in its back. Moving aside may help.
-        at_speed = 0 if followed else f
-        gap = abs(scratch[_OWN_S + k * SPEEDS + at_speed] - scratch[_OPP_S + k])
+        ahead = scratch[_OPP_S + k] - s0
         opp_d = scratch[_OPP_D + k]
-        # A driver who must give way foresees where the track will push it sideways.
-        low = scratch[_OWN_LOW + k * SPEEDS + f] if gives_way else -100.0
-        high = scratch[_OWN_HIGH + k * SPEEDS + f] if gives_way else 100.0
-        long_air = max(gap - long_reach, 0.0)
-        long_square = long_air * long_air + 0.3
-        hard = fade * (REJECTED if k < REJECT_STEPS and not followed else 10.0)
-        if gap >= long_reach:
-            hard = 0.0
+        # Where the track will push the car sideways.
+        low = scratch[_OWN_LOW + k * SPEEDS + f]
+        high = scratch[_OWN_HIGH + k * SPEEDS + f]
+        hard = fade * (REJECTED if k < REJECT_STEPS else LATER if f != FOLLOWS else 0.0)
         soft = fade * 0.3
         fade *= 0.85
-        if gap > CLOSE:
+        if abs(driven - ahead) > CLOSE + 2.0:
             continue
-        for g in range(GOALS):
-            along = min(driven, scratch[spiral.LENGTH + g])
-            d = d0 + along * (slope + along * (scratch[_SQUARE + g] + along * scratch[_CUBE + g]))
-            across = abs(min(max(d, low), high) - opp_d)
-            deep = max(side_reach - across, 0.0)
-            scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
-            side_air = max(across - soft_side, 0.0)
-            scratch[_PROXIMITY + g] += soft / (long_square + side_air * side_air)
+        for first in range(0, GOALS, ACROSS):
+            per_length = 1.0 / scratch[_LENGTH + first]
+            for g in range(first, first + ACROSS):
+                length = scratch[_LENGTH + g]
+                own = driven + (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(driven, length)
+                gap = abs(own - ahead)
+                long_air = max(gap - long_reach, 0.0)
+                long_square = long_air * long_air + 0.3
+                u = own * per_length
+                d = _lateral(u, scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g])
+                across = abs(min(max(d, low), high) - opp_d)
+                # A move cannot lead through the other car: what overlapped once is no better on the other side.
+                deep = max(scratch[_DEEPEST + g], side_reach - across if gap < long_reach else 0.0)
+                scratch[_DEEPEST + g] = deep
+                scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
+                side_air = max(across - soft_side, 0.0)
+                near = soft / (long_square + side_air * side_air)
+                scratch[_PROXIMITY + g] += near if gap < CLOSE else 0.0
 
 
 @inner_kernel
-def _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend, opponent_d):  # type: ignore[no-untyped-def]
-    """Sum up what a spiral costs whatever the speed, rejections by walls included, into the base row."""
+def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):  # type: ignore[no-untyped-def]
+    """Sum up what a move costs whatever the speed, rejections by walls included, into the base row."""
     w_length = 2.5 * _power_of_ten(theta[LENGTH])
     w_max = _power_of_ten(theta[MAX_CURVATURE])
     w_mean = _power_of_ten(theta[MEAN_CURVATURE])
     w_similarity = _power_of_ten(theta[SIMILARITY]) if remembered else 0.0
     w_deviation = 0.5 * _power_of_ten(theta[DEVIATION])
     w_walls = _power_of_ten(theta[WALLS])
-    before = max(memory[_M_LENGTH], 0.1)
-    per_before = 1.0 / before
-    before_d = memory[_M_D]
-    before_slope = memory[_M_SLOPE] * before
-    before_goal = memory[_M_GOAL]
-    for g in range(GOALS):
-        length = scratch[spiral.LENGTH + g]
-        goal = scratch[_GOAL_D + g]
-        middle = _hermite(0.5, d0, slope * length, goal)
-        change = goal - _hermite((since + length) * per_before, before_d, before_slope, before_goal)
-        middle_change = middle - _hermite((since + 0.5 * length) * per_before, before_d, before_slope, before_goal)
-        tight = max(TIGHT - scratch[_MIN_AIR + g], 0.0)
-        scratch[_BASE + g] = (
-            w_length / length
-            + w_max * scratch[spiral.MAX_KAPPA + g]
-            + w_mean * scratch[spiral.MEAN_KAPPA + g]
-            + w_walls * scratch[_WALL_COST + g]
-            + w_deviation * (abs(middle) + abs(goal))
-            + w_similarity * (change * change + middle_change * middle_change)
-            + defend * abs(goal - opponent_d)
-            + REJECTED * (1.0 + 3.0 * tight) * (1.0 if tight > 0.0 else 0.0)
-            + 100.0 * REJECTED * scratch[spiral.BROKEN + g]
-        )
+    per_before = 1.0 / max(memory[_M_LENGTH], 0.1)
+    for first in range(0, GOALS, ACROSS):
+        length = scratch[_LENGTH + first]
+        then = (since + length) * per_before
+        before = _lateral(then, memory[_M_GOAL], memory[_M_A], memory[_M_B])
+        then = (since + 0.5 * length) * per_before
+        middle_before = _lateral(then, memory[_M_GOAL], memory[_M_A], memory[_M_B])
+        for g in range(first, first + ACROSS):
+            goal = scratch[_GOAL_D + g]
+            middle = _lateral(0.5, goal, scratch[_A + g], scratch[_B + g])
+            change = goal - before
+            middle_change = middle - middle_before
+            tight = max(TOUCH - scratch[_MIN_AIR + g], 0.0)
+            close = max(scratch[_LINE_AIR + g] - scratch[_MIN_AIR + g], 0.0)
+            scratch[_BASE + g] = (
+                w_length / length
+                + w_max * scratch[_MAX_KAPPA + g]
+                + w_mean * scratch[_MEAN_KAPPA + g]
+                + w_walls * scratch[_WALL_COST + g]
+                + WALL_COST * close
+                + w_deviation * (abs(middle) + abs(goal))
+                + w_similarity * (change * change + middle_change * middle_change)
+                + defend * abs(goal - opponent_d)
+                + REJECTED * (1.0 + 3.0 * tight) * (1.0 if tight > 0.0 else 0.0)
+            )
 
 
 @inner_kernel
-def _write_path(line, per_ds, view, scratch, g, kappa0, course, at_scale, scale, late, path):  # type: ignore[no-untyped-def]
-    """Sample the chosen spiral, with a speed at each point that its curvature allows."""
-    s0, c0 = sine_cosine(course)
-    length = scratch[spiral.LENGTH + g]
-    w = scratch[spiral.W + g]
-    end = scratch[spiral.GOAL_HEADING + g]
-    kappa1 = scratch[spiral.GOAL_KAPPA + g]
-    h = length / (PATH_POINTS - 1)
-    correction = h * h / 12.0
-    a1, a2, a3 = spiral_curvature(length, w, end, kappa0, kappa1)
-    sum_c = -0.5
-    sum_s = 0.0
-    distance = _near(max(view[_view.OWN_V], 0.5))
-    if g >= ACROSS:
-        distance *= FAR
-    grip = GRIP * scale * scale
-    for j in range(PATH_POINTS):
-        a, b0, b3, d = _PATH_BASIS[j, 0], _PATH_BASIS[j, 1], _PATH_BASIS[j, 2], _PATH_BASIS[j, 3]
-        u = j / (PATH_POINTS - 1)
-        kappa = kappa0 + u * (a1 + u * (a2 + u * a3))
-        s, c = rough_sine_cosine(a * end + length * (b0 * kappa0 + b3 * kappa1) + d * w)
-        # As sample_spirals does.
-        sum_c += c
-        sum_s += s
-        x = h * (sum_c - 0.5 * c) + correction * s * kappa
-        y = h * (sum_s - 0.5 * s) + correction * (kappa0 - c * kappa)
-        at = view[_view.OWN_S] + distance * u
-        speed = at_scale * _target_speed(line, per_ds, at, view[_view.OWN_V], late)
-        path[j, _view.PATH_X] = view[_view.OWN_X] + x * c0 - y * s0
-        path[j, _view.PATH_Y] = view[_view.OWN_Y] + x * s0 + y * c0
-        path[j, _view.PATH_SPEED] = min(speed, np.sqrt(grip / max(abs(kappa), 1e-6)))
-        path[j, _view.PATH_KAPPA] = kappa
+def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack, aside, aside_slope, path):  # type: ignore[no-untyped-def]
+    """Write the beginning of the chosen move, and the way back onto it, with a speed that its bends allow."""
+    per_ds = 1.0 / ds
+    s0 = view[_view.OWN_S]
+    v = view[_view.OWN_V]
+    goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
+    per_length = 1.0 / scratch[_LENGTH + g]
+    reach = _return_length(max(v, 0.5))
+    # Bends that come after what is written: from the end of the move backwards, what can be braked down to.
+    square = 1e9
+    step = 0.25 * max(scratch[_LENGTH + g] - reach, 0.0)
+    for j in range(4):
+        driven = reach + (4 - j) * step
+        kappa = line[_sample_at(line, per_ds, s0 + driven), _frenet.KAPPA]
+        u = driven * per_length
+        d = _lateral(u, goal, a, b)
+        bent = kappa / max(1.0 - kappa * d, 0.25) + _lateral_bend(u, a, b) * per_length * per_length
+        square = min(square + 2.0 * BRAKING * step, grip / max(abs(bent), 1e-6))
+    square += 2.0 * BRAKING * step
+    step = reach / (PATH_POINTS - 1)
+    for i in range(PATH_POINTS):
+        j = PATH_POINTS - 1 - i
+        driven = j * step
+        at = s0 + driven
+        kappa = line[_sample_at(line, per_ds, at), _frenet.KAPPA]
+        u = driven * per_length
+        d = _lateral(u, goal, a, b)
+        bent = kappa / max(1.0 - kappa * d, 0.25) + _lateral_bend(u, a, b) * per_length * per_length
+        square = min(square, grip / max(abs(bent), 1e-6))
+        w = driven / reach
+        back = ((12.0 * w - 6.0) * aside + (6.0 * w - 4.0) * aside_slope) / (reach * reach)
+        x, y, _ = offset(line, ds, length, at, d + _fade_out(w, aside, aside_slope))
+        path[j, _view.PATH_X] = x
+        path[j, _view.PATH_Y] = y
+        if attack > 0.0:
+            speed = _attack_speed(line, per_ds, at, at_scale, attack)
+        else:
+            speed = at_scale * _speed_at(line, per_ds, at)
+        path[j, _view.PATH_SPEED] = min(speed, np.sqrt(square), cap)
+        path[j, _view.PATH_KAPPA] = bent + back
+        square += 2.0 * BRAKING * step
 
 
 @inner_kernel
@@ -411,97 +580,92 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
     line = track.line
     per_ds = 1.0 / track.ds
-    line_psi = line[_sample_at(line, per_ds, s0), _frenet.PSI]
-    slope = tangent(min(max(angle_between(course, line_psi), -1.2), 1.2))
+    here = _sample_at(line, per_ds, s0)
+    slope0 = tangent(min(max(angle_between(course, line[here, _frenet.PSI]), -1.2), 1.2))
+    slope0 *= max(1.0 - line[here, _frenet.KAPPA] * d0, 0.25)
     pace = _pace_now(theta[PACE], theta[PACE_BEHIND], view[_view.GAP])
     scale = view[_view.SPEED_LOW] + pace * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
-    # The yaw rate lags the steering; half of each is where the car is about to be.
-    kappa0 = 0.5 * (view[_view.OWN_PSI_DOT] / v + tangent(view[_view.OWN_DELTA]) / view[_view.WHEELBASE])
-    kappa0 = min(max(kappa0, -1.2), 1.2)
-    late = theta[LATE_BRAKING]
+    # What the line asks for at this pace the car can do, and at slow paces more than that.
+    grip = GRIP * max(scale * scale, 1.0)
 
-    distance = _near(v)
-    for first in range(0, GOALS, ACROSS):
-        _lay_goals(line, track.ds, track.length, view, distance, first, course, scratch)
-        distance *= FAR
-    solve_spirals(scratch, kappa0)
-    sample_spirals(scratch, kappa0, view[_view.OWN_X], view[_view.OWN_Y], course)
+    d, slope, bend, since, remembered = _plan_by_now(memory, s0, track.length, d0, slope0)
+    aside = HALF_FORGOTTEN * (d0 - d)
+    aside_slope = HALF_FORGOTTEN * (slope0 - slope) * _return_length(v)
+    _lay_moves(line, track.ds, s0, v, scale, grip, view[_view.OWN_WIDTH], d, slope, bend, aside, aside_slope, scratch)
     _measure_track(track, scratch, 0.5 * view[_view.OWN_WIDTH])
 
     gap = view[_view.GAP]
     laps = np.floor((gap + 0.5 * track.length) / track.length)
     gap -= laps * track.length  # what matters to a driver is where the other car stands, not how often it came round
-    meets = abs(gap) < SIGHT
-    follow = 0.65
+    long_reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + BUMPER_AIR
+    body = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
+    # Who follows has to see to it that nothing happens: a car that is followed holds its place.
+    in_line = abs(d0 - view[_view.OPP_D]) < body
+    meets = -(long_reach - (BUMPER_AIR if in_line else 0.0)) < gap < SIGHT
+    follow = SLOWEST
+    cap = np.inf
     # Right of way: the car ahead; level, the one nearer to the race line; as near, the one on the right.
     claim = gap + 0.5 * (abs(d0) - abs(view[_view.OPP_D]))
     gives_way = claim > 0.0 or (claim == 0.0 and d0 > view[_view.OPP_D])
     if meets:
-        _predict_opponent(line, per_ds, view, s0 + gap, gives_way, scratch)
-        if gap > 0.0:
-            wanted = view[_view.OPP_V] + 1.2 * (gap - 1.1)
-            follow = min(max(wanted / max(scale * _speed_at(line, per_ds, s0), 0.5), 0.0), 0.65)
+        # Side by side, each keeps its lane.
+        beside = abs(gap) < long_reach and abs(d0 - view[_view.OPP_D]) > 0.8 * body
+        _predict_opponent(line, per_ds, view, s0 + gap, scale, gives_way, beside, scratch)
+        if gap > 0.0 or (gives_way and gap > -long_reach):
+            follow = 1.0
+            cap = max(view[_view.OPP_V] + FOLLOW_GAIN * (gap - FOLLOW_GAP), 0.0)
     for f in range(SPEEDS):
-        scratch[_SCALE + f] = scale * (_SPEED_FACTORS[f] if f < SPEEDS - 1 else follow)
+        scratch[_SCALE + f] = scale * (_SPEED_FACTORS[f] if f < FOLLOWS else follow)
     steps = HORIZON_STEPS if meets else ALONE_STEPS
-    _predict(line, per_ds, s0, v, late, 0.5 * view[_view.OWN_WIDTH] + BODY_AIR, steps, scratch)
-    long_reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.12
-    body = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
-    margin = theta[SIDE_MARGIN] if gives_way else 0.5 * theta[SIDE_MARGIN]
-    followed = -CLOSE < gap < -long_reach
+    attack = theta[ATTACK] if meets and gap > 0.0 else 0.0
+    _predict(line, per_ds, s0, v, attack, cap < np.inf, 0.5 * view[_view.OWN_WIDTH] + BODY_AIR, steps, scratch)
+    margin = theta[SIDE_MARGIN]
     defend = 0.0
-    if meets and -4.0 < gap < 0.0:
+    if -4.0 < gap < 0.0:
         closing = view[_view.OPP_V] - view[_view.OWN_V]
         if closing > -0.5:
             defend = _power_of_ten(theta[BLOCKING]) * (1.0 + gap / 4.0) * min(closing + 0.5, 2.0)
-    remembered = memory[_M_VALID] > 0.5
-    since = 0.0
-    if remembered:
-        since = s0 - memory[_M_S]
-        if since < -0.5 * track.length:
-            since += track.length
 
-    _weigh_spirals(theta, memory, scratch, remembered, since, d0, slope, defend, view[_view.OPP_D])
-    _shape_paths(scratch, d0, slope)
+    _weigh_moves(theta, memory, scratch, remembered, since, defend, view[_view.OPP_D])
     best_goal = np.int64(0)  # the type is stated, or a second copy of _write_path is compiled for the constant
     best_speed = np.int64(0)
     best = 1e30
     w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + (steps - 1) * SPEEDS] - s0)
-    w_braking = _power_of_ten(theta[BRAKING]) / (3.0 * HORIZON_STEP * 10.0)
+    w_braking = _power_of_ten(theta[BRAKE]) / (3.0 * HORIZON_STEP * 10.0)
     w_overtaking = _power_of_ten(theta[OVERTAKING]) / 5.0
     w_lateral = 0.1 * _power_of_ten(theta[LATERAL])
     w_rate = 0.1 * _power_of_ten(theta[CURVATURE_RATE])
     w_proximity = _power_of_ten(theta[PROXIMITY]) / 6.0
-    # The path's speed falls with its curvature: a sharp turn aside is braking, too.
-    turns_from = min(SPIN_FROM, 1.2 * GRIP * scale * scale) if followed else SPIN_FROM
     for f in range(SPEEDS):
         driven = max(scratch[_OWN_S + (steps - 1) * SPEEDS + f] - s0, 0.1)
         fast = max(v, scratch[_OWN_V + 4 * SPEEDS + f])
         soon = scratch[_OWN_V + 2 * SPEEDS + f]
         speed_cost = w_progress / driven + w_braking * abs(soon - v)
-        if meets:
-            behind = min(max(scratch[_OPP_S + HORIZON_STEPS - 1] - s0 - driven, 0.0), 10.0)
-            speed_cost += w_overtaking * behind
-        at_speed = w_lateral * fast * fast
+        ahead = scratch[_OPP_S + HORIZON_STEPS - 1] - s0 if meets else -100.0
         in_time = w_rate * fast
+        share = soon / scratch[_OWN_V + 2 * SPEEDS + ATTACKS + 1]  # of the speed for which the bends were measured
+        share *= share
         costs = _COSTS + f * GOALS
         hopeful = 0
         for g in range(GOALS):
-            sideways = soon * soon * scratch[spiral.MAX_KAPPA + g]
+            sideways = share * scratch[_SIDEWAYS + g]
+            gained = (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(driven, scratch[_LENGTH + g])
+            behind = ahead - driven - gained
             cost = (
                 speed_cost
+                + w_overtaking * min(max(behind, 0.0), 10.0)
                 + scratch[_BASE + g]
-                + at_speed * scratch[spiral.MAX_KAPPA + g]
-                + in_time * scratch[spiral.KAPPA_RATE + g]
-                + STRAIN * max(sideways - STRAIN_FROM, 0.0)
-                + 0.03 * REJECTED * max(sideways - turns_from, 0.0)
+                + w_lateral * sideways
+                + in_time * scratch[_KAPPA_RATE + g]
+                + STRAIN * max(sideways - grip, 0.0)
+                + 0.03 * REJECTED * max(sideways - grip - SPIN_BEYOND, 0.0)
             )
             scratch[costs + g] = cost
             hopeful += 1 if cost < best + slack else 0
         if hopeful == 0:
             continue
         if meets:
-            _meet_opponent(scratch, f, d0, slope, s0, long_reach, body + margin, body, gives_way, followed)
+            _meet_opponent(scratch, f, s0, long_reach, body + margin, body)
             for g in range(GOALS):
                 scratch[costs + g] += w_proximity * scratch[_PROXIMITY + g] + scratch[_TROUBLE + g]
         for g in range(GOALS):
@@ -511,11 +675,26 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
                 best_speed = np.int64(f)
     memory[_M_VALID] = 1.0
     memory[_M_S] = s0
-    memory[_M_D] = d0
-    memory[_M_SLOPE] = slope
-    memory[_M_LENGTH] = scratch[spiral.LENGTH + best_goal]
+    memory[_M_LENGTH] = scratch[_LENGTH + best_goal]
     memory[_M_GOAL] = scratch[_GOAL_D + best_goal]
-    _write_path(line, per_ds, view, scratch, best_goal, kappa0, course, scratch[_SCALE + best_speed], scale, late, path)
+    memory[_M_A] = scratch[_A + best_goal]
+    memory[_M_B] = scratch[_B + best_goal]
+    at_scale = scratch[_SCALE + best_speed]
+    _write_path(
+        line,
+        track.ds,
+        track.length,
+        view,
+        scratch,
+        best_goal,
+        at_scale,
+        cap if best_speed == FOLLOWS else np.inf,
+        grip,
+        attack if best_speed == ATTACKS else 0.0,
+        aside,
+        aside_slope,
+        path,
+    )
 
 
 @kernel
@@ -538,16 +717,16 @@ def candidates(
     Returns
     -------
     points : ndarray, shape (64, 9, 2)
-        Points of each candidate in m (the four speeds of one spiral share them).
+        Points of each candidate in m (the four speeds of one move share them).
     costs : ndarray, shape (64,)
         Weighted cost; infinite where the candidate is rejected.
     """
     scratch = np.zeros(SCRATCH)
     _weigh_all(track, theta, view, memory.copy(), scratch, np.zeros((PATH_POINTS, 4)))
-    shape = (SEGMENTS + 1, GOALS)
-    x = scratch[spiral.POINT_X : spiral.POINT_X + shape[0] * GOALS].reshape(shape)
-    y = scratch[spiral.POINT_Y : spiral.POINT_Y + shape[0] * GOALS].reshape(shape)
-    points = np.stack([x.T, y.T], axis=-1)
+    points = np.empty((GOALS, SEGMENTS + 1, 2))
+    points[:, 0] = view[_view.OWN_X], view[_view.OWN_Y]
+    for axis, first in enumerate((_POINT_X, _POINT_Y)):
+        points[:, 1:, axis] = scratch[first : first + SEGMENTS * GOALS].reshape(SEGMENTS, GOALS).T
     costs = scratch[_COSTS : _COSTS + CANDIDATES].copy()
     costs[costs >= 0.02 * REJECTED] = np.inf
     return np.tile(points, (SPEEDS, 1, 1)), costs
@@ -562,4 +741,4 @@ LATTICE = Planner(
     candidates=candidates,
     sight=SIGHT,
 )
-"""The lattice planner of the paper."""
+"""The lattice planner: moves across the track along the race line."""

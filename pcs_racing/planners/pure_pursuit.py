@@ -23,7 +23,7 @@ from pcs_racing.track.frenet import angle_between, to_cartesian, wrap_s
 __all__ = ["PURE_PURSUIT", "gap_ahead", "gives_way", "line_index", "side_air", "within_walls"]
 
 PARAMETERS = (
-    Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
+    Parameter("pace", 0.0, 1.0, 0.2, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
     Parameter("lookahead", 1.0, 3.0, 1.5, "distance in which the path returns to the race line at standstill, m"),
     Parameter("lookahead_time", 0.1, 0.5, 0.2, "how that distance grows with the speed, s"),
     Parameter("follow_distance", 0.0, 4.0, 1.2, "distance to keep behind the opponent, m; 0 ignores it"),

@@ -5,7 +5,6 @@ import numpy as np
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.planners.view import (
-    OWN_BETA,
     OWN_PSI,
     OWN_V,
     OWN_X,
@@ -14,13 +13,23 @@ from pcs_racing.planners.view import (
     PATH_SPEED,
     PATH_X,
     PATH_Y,
+    REAR_AXLE,
+    REAR_SLIP,
     STEER_MAX,
     UNDERSTEER,
     UNDERSTEER_GAIN,
     WHEELBASE,
 )
 
-__all__ = ["COMMAND_SLOTS", "calm_speed", "follow_path", "hold_command", "leave_path", "pursuit_steering"]
+__all__ = [
+    "COMMAND_SLOTS",
+    "calm_speed",
+    "follow_path",
+    "hold_command",
+    "leave_path",
+    "pursuit_steering",
+    "steady_course",
+]
 
 COMMAND_SLOTS = 2  # memory that :func:`hold_command` reads: steering angle and speed
 
@@ -41,11 +50,28 @@ def hold_command(track, theta, view, memory, scratch, path, command):  # type: i
 
 
 @kernel(forceinline=True)
+def steady_course(view, kappa):  # type: ignore[no-untyped-def]
+    """Direction in which the car would move in a steady bend: its heading plus the slip that belongs to it, rad.
+
+    The slip of the moment says less: it lags the steering. A driver that steers by it weaves, above 6.5 m/s ever more:
+    the linearised car and pursuit then have eigenvalues outside the unit circle (``benchmarks/driving.py --stability``).
+
+    Parameters
+    ----------
+    view : ndarray
+        The driver's view.
+    kappa : float
+        Curvature of the bend, 1/m.
+    """
+    return view[OWN_PSI] + kappa * (view[REAR_AXLE] - view[REAR_SLIP] * view[OWN_V] * view[OWN_V])
+
+
+@kernel(forceinline=True)
 def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untyped-def]
     """Steering angle of pure pursuit towards a point.
 
-    The arc starts along the car's velocity (heading plus slip). The car's understeer makes up for the slip of the tyres
-    in steady cornering; under braking the load shifts to the front and it turns into oversteer.
+    The arc starts along the car's steady course (`steady_course`). The car's understeer makes up for the slip of the
+    tyres in steady cornering; under braking the load shifts to the front and it turns into oversteer.
 
     Parameters
     ----------
@@ -58,7 +84,7 @@ def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untype
     acceleration : float
         Longitudinal acceleration that the driver is about to ask for, m/s^2.
     """
-    course = view[OWN_PSI] + view[OWN_BETA]
+    course = steady_course(view, kappa)
     dx = x - view[OWN_X]
     dy = y - view[OWN_Y]
     sine, cosine = sine_cosine(course)

@@ -39,9 +39,10 @@ __all__ = [
     "starts_for",
 ]
 
-SCALES = tuple(np.round(np.arange(0.60, 1.301, 0.05), 2).tolist())
-HAZARD_WITHOUT_NOISE, BELOW_IT, WIDTH_WITHOUT_NOISE = 0.01, 0.09, 0.20
-HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.50, 0.32
+SCALES = tuple(np.round(np.arange(0.60, 1.801, 0.05), 2).tolist())
+FRICTION_SCALE = 1.43  # where the bends of the race line ask for all that the tyres' friction gives: mu g = 10.3 m/s^2
+HAZARD_WITHOUT_NOISE, WIDTH_WITHOUT_NOISE = 0.10, 0.30
+HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.50, 0.40
 SPACING_STEP, SPACING_STEPS = 0.1, 4  # m; other distances across the track are tried in such steps up and down
 NARROWEST = {"side-by-side": 0.5, "staggered": 0.0, "rolling": 0.0}  # m between the cars' centres
 SCAN_CARS, SCAN_SECONDS = 160, 40.0
@@ -176,9 +177,9 @@ def calibrate(
 ) -> CalibrationReport:
     """Find the speed range of a circuit for a race configuration, and the places to start from.
 
-    Without steering noise (preset ``paper``) the hazard is a step, and racing needs room to it: pace 1 lies 0.09 below
-    the scale at which a car alone begins to crash, pace 0 another 0.20 below. With noise (``contest``) pace 1 is the
-    scale at which a car alone crashes in 50 % of 40 s, and pace 0 lies 0.32 below.
+    Pace 1 is the scale at which a car alone crashes in 50 % of 40 s, and pace 0 lies 0.40 below. Without steering noise
+    (preset ``paper``) the hazard is nearly a step: there pace 1 is the scale of 10 %, and pace 0 lies 0.30 below. Pace 1 never asks for more than the friction of the
+    tyres: the vehicle model would give it, a road would not.
 
     Start places are those from which pairs of drivers get away (`pcs_racing.race.start_places`). Where none is left
     with the configuration's distance across the track, the nearest distance that works is taken.
@@ -198,7 +199,7 @@ def calibrate(
             f"track {track.name!r}: at speed scale {scales[0]:.2f} a car alone crashes in {hazard[0]:.0%} of 40 s; "
             "widen the track or lower steering_noise"
         )
-    high = _crossing(scales, hazard, allowed) - (0.0 if noisy else BELOW_IT)
+    high = min(_crossing(scales, hazard, allowed), FRICTION_SCALE)
     low = high - (WIDTH_WITH_NOISE if noisy else WIDTH_WITHOUT_NOISE)
     speed_range = (round(float(low), 2), round(float(high), 2))
     settings = kernel_settings(config, speed_range)

@@ -65,6 +65,8 @@ def _fill_fixed(own, opponent, settings, view):  # type: ignore[no-untyped-def]
         / (grip * _vehicle.GRAVITY)
         * (1.0 / (own[_vehicle.C_SF] * own[_vehicle.LR]) + 1.0 / (own[_vehicle.C_SR] * own[_vehicle.LF]))
     )
+    view[_view.REAR_SLIP] = 1.0 / (grip * own[_vehicle.C_SR])
+    view[_view.REAR_AXLE] = own[_vehicle.LR]
     view[_view.OPP_LENGTH] = opponent[_vehicle.LENGTH]
     view[_view.OPP_WIDTH] = opponent[_vehicle.WIDTH]
     view[_view.SPEED_LOW] = settings.speed_low

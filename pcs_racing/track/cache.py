@@ -56,7 +56,6 @@ _CODE = {
         "planners/pursuit.py",
         "planners/view.py",
         "planners/lattice.py",
-        "planners/spiral.py",
         "race/config.py",
         "race/contacts.py",
         "race/kernel.py",
