@@ -69,7 +69,6 @@ REFERENCE = {
     "pcs_racing_agents.learning.responses": "Responses learned from branched games",
     "pcs_racing_agents.learning.robust": "Robust answers and response oracles",
     "pcs_racing_agents.learning.self_play": "Self-play",
-    "pcs_racing_agents.learning.characteristics": "Learned characteristics",
     "pcs_racing_agents.explain": "Explanations",
     "pcs_racing_agents.study": "The study",
     "pcs_racing_agents.benchmark": "The benchmark",

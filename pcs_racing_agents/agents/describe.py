@@ -20,7 +20,6 @@ NEEDS = {
     "fit": "a fit to training races, the file `ARCHIVE-RACE-{name}.yaml` or `fit=FILE`",
     "network": "the network `ARCHIVE-RACE-{kind}`, or `network=FOLDER`",
     "networks": "the network set `ARCHIVE-RACE-{kind}`, or `networks=FOLDER`",
-    "table": "a table of behaviours of the archive's policies, `table=FOLDER`, which `pcs-racing match` writes",
 }
 
 

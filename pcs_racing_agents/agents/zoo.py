@@ -60,7 +60,7 @@ class Entry:
     source : str
         Where the idea comes from.
     needs : str
-        What must be trained before it can race: "", "fit", "network", "networks" or "table".
+        What must be trained before it can race: "", "fit", "network" or "networks".
     defaults : Mapping
         Options that differ from those of other entries with the same function.
     moves : bool
@@ -93,7 +93,6 @@ SHIPPED = {
     "psro": "pcs_racing_agents.agents.mixture:PSRO",
     "self-play": "pcs_racing_agents.agents.mixture:SELF_PLAY",
     "ppo": "pcs_racing_agents.agents.from_network:PPO",
-    "remember": "pcs_racing_agents.agents.remember:REMEMBER",
     "receding-horizon": "pcs_racing_agents.agents.receding_horizon:RECEDING_HORIZON",
     "random-policy": "pcs_racing_agents.agents.drivers:RANDOM_POLICY",
     "other-archive": "pcs_racing_agents.agents.drivers:OTHER_ARCHIVE",

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["main"]
+__all__ = ["main", "run_parsed"]
 
 FAILED = 2
 
@@ -22,10 +22,8 @@ FILES = {
     "policies": "policies",
     "synthesize": "synthesize",
     "headroom": "headroom",
-    "characteristics": "characteristics",
     "benchmark": "benchmark",
     "leaderboard": "benchmark",
-    "match": "match",
     "play": "play",
     "tree": "tree",
     "solve": "solve",
@@ -33,7 +31,6 @@ FILES = {
     "train": "train",
     "learn": "learn",
     "best-reply": "best_reply",
-    "robust-curve": "robust_curve",
     "ppo": "ppo",
     "study": "study",
     "explain": "explain",
@@ -56,9 +53,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         0, or 2 after an error that the user can correct, which is printed as one line on stderr.
     """
-    logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     words = sys.argv[1:] if arguments is None else list(arguments)
-    parsed = _parser(words[0] if words else None).parse_args(words)
+    return run_parsed(_parser(words[0] if words else None).parse_args(words))
+
+
+def run_parsed(parsed: argparse.Namespace) -> int:
+    """Run a command whose words were parsed, and return the exit status of :func:`main`."""
+    logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     try:
         parsed.run(parsed)
         sys.stdout.flush()

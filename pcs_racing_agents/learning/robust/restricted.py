@@ -7,7 +7,7 @@ all adversaries so far. The strategy to play is the mixture of the agents, in wh
 
 With p = 1 it is the response to the pool, which may lose much to an opponent that knows it; with p = 0 only the
 adversary counts, and the agent approaches an equilibrium. Between them lies the curve of gain against loss
-(:mod:`pcs_racing_agents.learning.robust.curve`).
+(``docs/reports/robust_curve.md``).
 """
 
 from collections.abc import Sequence

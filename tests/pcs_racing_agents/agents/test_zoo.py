@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from repository import REPOSITORY
-from zoo_games import made_up_behaviours, untrained
+from zoo_games import untrained
 
 import pcs_racing_agents
 from pcs_racing import InputError, UnknownNameError, load_archive, make_game
@@ -19,7 +19,6 @@ def learned(name: str, setting) -> dict:
         "best-fixed": {"target": 3},
         "best-lead-plan": {"targets": {"behind": 3, "ahead": 5}},
         "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
-        "remember": {"table": made_up_behaviours(setting)},
     }
     if name in SHIPPED and entries()[name].needs == "network" and name != "adaptive":
         return {"network": untrained(setting)}
