@@ -26,7 +26,8 @@ from pcs_racing_agents.agents import Agent, Driver, make_setting, names
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.measured import Measured
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.jobs import open_job, show_progress
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.tournament.pairings import schedule_pairing
 from pcs_racing_agents.tournament.round_robin import round_robin

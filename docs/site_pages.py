@@ -177,16 +177,23 @@ def _dotted(path: Path) -> str:
 
 
 def public_modules(package: str) -> list[str]:
-    """Modules of a package that say what of theirs is public."""
+    """Modules of a package in which something is public."""
     files = sorted((REPOSITORY / package.replace(".", "/")).glob("*.py"))
     return [_dotted(file) for file in files if file.stem != "__init__" and _public_names(file)]
 
 
 def _public_names(file: Path) -> list[str]:
+    """Names that a module defines without an underscore, or those of its ``__all__``."""
+    names: list[str] = []
     for node in ast.parse(file.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.Assign) and any(isinstance(to, ast.Name) and to.id == "__all__" for to in node.targets):
-            return list(ast.literal_eval(node.value))
-    return []
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.append(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names += [target.id for target in targets if isinstance(target, ast.Name)]
+            if "__all__" in names:
+                return list(ast.literal_eval(node.value))
+    return [name for name in names if not name.startswith("_")]
 
 
 def reference_page(package: str) -> str:

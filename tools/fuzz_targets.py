@@ -52,10 +52,10 @@ from pcs_racing.track.maps import find_map, read_map, shipped_folder
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
-from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
+from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.jobs.jobs import chunk_file, open_job
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.checkpoint import pack as pack_state
 from pcs_racing_agents.learning.ppo.checkpoint import unpack as unpack_state
 from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations

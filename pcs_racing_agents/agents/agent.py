@@ -21,8 +21,6 @@ from pcs_racing_agents.agents.drawing import draw
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 
-__all__ = ["Agent", "Competitor", "Decider", "Driver", "Strategy", "as_competitor", "competitor_hash"]
-
 Strategy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 """``strategy(observation (B, D)) -> (B, M)``: probabilities of the moves; each row sums to 1."""
 

@@ -21,21 +21,6 @@ from pcs_racing_agents.agents.observing import ObservationBatch, lead, moves_mad
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry
 
-__all__ = [
-    "ConstantStrategy",
-    "LeadPlanStrategy",
-    "OpenLoopStrategy",
-    "WalkStrategy",
-    "always",
-    "best_fixed",
-    "best_lead_plan",
-    "best_schedule",
-    "never_switch",
-    "path_moves",
-    "random_moves",
-    "walk_to",
-]
-
 Floats = NDArray[np.float64]
 
 LEAD_PLAN = ("behind", "ahead")

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import UnknownNameError
 
-__all__ = ["DECISIONS", "argmax", "get_decision", "regret_matching", "softmax"]
-
 Floats = NDArray[np.float64]
 
 

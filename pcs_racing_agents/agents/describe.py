@@ -13,8 +13,6 @@ from pcs_racing_agents.agents.measured import Measured, measured
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build, entries, options
 
-__all__ = ["NOT_SHIPPED", "describe", "facts_of", "microseconds", "option_meanings", "rating_text"]
-
 NEEDS = {
     "": "nothing",
     "fit": "a fit to training races, the file `ARCHIVE-RACE-{name}.yaml` or `fit=FILE`",

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import compiled, kernel
 
-__all__ = ["draw", "hash_rows"]
-
 
 @compiled(inline="always")
 def _mix(x):  # type: ignore[no-untyped-def]

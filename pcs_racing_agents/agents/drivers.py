@@ -11,8 +11,6 @@ from pcs_racing_agents.agents.agent import Driver
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry
 
-__all__ = ["other_archive", "planner_driver", "random_policy", "trained_driver"]
-
 
 def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0) -> Driver:
     """Drive every policy that the archive's synthesis evaluated: the paper's random agent.

@@ -6,8 +6,6 @@ families, and a family is either for training or for testing: never both. Studie
 
 from dataclasses import dataclass
 
-__all__ = ["FAMILIES", "OpponentFamily", "family_of"]
-
 TRAINING, TEST = "training", "test"
 
 

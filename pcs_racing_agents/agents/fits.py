@@ -15,19 +15,6 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing_agents.agents.setting import Setting
 
-__all__ = [
-    "Fit",
-    "FitSource",
-    "find_fit",
-    "fit_facts",
-    "game_fields",
-    "load_fit",
-    "make_fit",
-    "recorded_game",
-    "save_fit",
-    "shipped_fits",
-]
-
 FIT_FORMAT = ManifestFormat(
     "fit", ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"), "save_fit"
 )

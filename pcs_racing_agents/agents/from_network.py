@@ -17,16 +17,6 @@ from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network
 
-__all__ = [
-    "AdaptiveStrategy",
-    "NetworkSource",
-    "NetworkStrategy",
-    "adaptive",
-    "fitting_network",
-    "from_network",
-    "network_facts",
-]
-
 Floats = NDArray[np.float64]
 NetworkSource = str | RegretNetwork | None
 """A network, its name or folder, or None for the shipped one."""

@@ -9,8 +9,6 @@ from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.torch_layers import layers_from_torch
 
-__all__ = ["network_from_sb3"]
-
 
 def network_from_sb3(
     model: Any, identity: GameIdentity, name: str = "ppo", training: "dict[str, Any] | None" = None

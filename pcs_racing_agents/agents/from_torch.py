@@ -9,8 +9,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.optional import require
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 
-__all__ = ["TorchPolicy"]
-
 
 class TorchPolicy:
     """A competitor that makes the move to which a torch module gives the largest output.

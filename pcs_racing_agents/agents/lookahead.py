@@ -15,8 +15,6 @@ from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.races import advance
 from pcs_racing_agents.solvers import solve_matrix_games
 
-__all__ = ["guess_games", "look_ahead", "merge_histories", "root_games", "search_game"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 

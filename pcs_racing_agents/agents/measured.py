@@ -13,8 +13,6 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["AGAINST", "NUMBERS", "TEXTS", "Measured", "measured", "measured_file", "measurements"]
-
 AGAINST = "against "
 TEXTS = ("archive", "race", "agent", "sha256", "tracks")
 NUMBERS = ("races", "score", "rating", "rating_low", "rating_high", "own_crash", "one_us", "many_us")

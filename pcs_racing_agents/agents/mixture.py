@@ -21,8 +21,6 @@ from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network_sets import NetworkSet, list_network_sets, load_network_set
 
-__all__ = ["Mixture", "NetworkSetSource", "from_network_set", "make_mixture"]
-
 Floats = NDArray[np.float64]
 NetworkSetSource = str | NetworkSet | None
 """A network set, its name or folder, or None for the shipped one."""

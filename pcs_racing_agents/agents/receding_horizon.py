@@ -25,8 +25,6 @@ from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.solvers import solve_matrix_games
 
-__all__ = ["DECISIONS", "LEAVES", "OPPONENTS", "RecedingHorizon", "receding_horizon"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 

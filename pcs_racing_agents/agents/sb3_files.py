@@ -20,8 +20,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.optional import require
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 
-__all__ = ["Sb3Policy", "load_sb3_policy"]
-
 Floats = NDArray[np.float64]
 
 MAX_BYTES = 50_000_000

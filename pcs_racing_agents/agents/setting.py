@@ -16,8 +16,6 @@ from pcs_racing.game.moves import move_names, move_table
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 
-__all__ = ["Setting", "make_setting"]
-
 
 @dataclass(frozen=True, eq=False)
 class Setting:

@@ -26,20 +26,6 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 
-__all__ = [
-    "ENTRY_POINTS",
-    "SHIPPED",
-    "Entry",
-    "build",
-    "build_member",
-    "entries",
-    "make",
-    "names",
-    "options",
-    "parse_agent",
-    "register_agent",
-]
-
 ENTRY_POINTS = "pcs_racing.agents"
 """Entry point group in which a distribution names its agents: ``name = "package.module:function"``."""
 

@@ -14,8 +14,6 @@ from pcs_racing_agents.benchmark.scoring import CardScore
 from pcs_racing_agents.results.text_table import markdown, with_interval
 from pcs_racing_agents.study.report import page_environment
 
-__all__ = ["Card", "card_markdown", "card_page", "read_card", "write_card"]
-
 FORMAT = "pcs-racing card 1"
 LARGEST = 1_000_000
 

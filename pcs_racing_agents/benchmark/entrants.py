@@ -12,8 +12,6 @@ from pcs_racing_agents.agents.sb3_files import load_sb3_policy
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import parse_agent
 
-__all__ = ["load_entrant"]
-
 
 def load_entrant(
     text: str, setting: Setting, *, drive: bool = False, weights: Path | None = None, name: str | None = None

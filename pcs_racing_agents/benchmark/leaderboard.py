@@ -7,8 +7,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.benchmark.card import Card, read_card, render
 from pcs_racing_agents.results.text_table import with_interval
 
-__all__ = ["BOARD_COLUMNS", "board_page", "board_rows", "read_cards"]
-
 BOARD_COLUMNS = ("agent", "score", "95 % interval", "seen", "unseen", "own crashes", "gain", "best reply", "us")
 
 

@@ -24,8 +24,6 @@ from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.tournament.play import game_rules
 
-__all__ = ["KINDS", "Protocol", "ProtocolConfig", "load_protocol"]
-
 KINDS = {
     "keeps": "keep one policy of the archive",
     "switches": "change their policy at random",

@@ -13,14 +13,13 @@ from pcs_racing.game.competitor import competitor_name
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.agents.measured import measurements
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
-
-__all__ = ["CardScore", "CellRaces", "decision_cost", "gain", "play_protocol", "rating", "summarise"]
 
 Floats = NDArray[np.float64]
 

@@ -8,8 +8,6 @@ from pcs_racing.race.replay import Replay
 from pcs_racing_agents.benchmark.scoring import CellRaces
 from pcs_racing_agents.tournament.watching import record_game
 
-__all__ = ["telling_races"]
-
 
 def telling_races(own: Sequence[CellRaces], others: Sequence[CellRaces], count: int) -> list[tuple[str, Replay]]:
     """Return recordings, with titles, of the races in which an agent and another one came off most differently.

@@ -6,8 +6,6 @@ from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.cli.options import Commands, add_command, add_race
 from pcs_racing_agents.results.text_table import aligned
 
-__all__ = ["add"]
-
 
 def add(commands: Commands) -> None:
     """Add the command ``agents``."""

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.cli.options import Commands, add_command, output_folder
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
     from pcs_racing_agents.benchmark.scoring import CellRaces
     from pcs_racing_agents.jobs.jobs import Job
 
-__all__ = ["add"]
 
 WATCHED = 3
 REPLY_RACES = 4000

@@ -5,8 +5,6 @@ import sys
 import webbrowser
 from http.server import ThreadingHTTPServer
 
-__all__ = ["open_page", "serve"]
-
 
 def open_page(address: str) -> None:
     """Open a browser if there is a display; without one, Python would start a browser in this terminal."""

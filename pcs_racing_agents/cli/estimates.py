@@ -25,24 +25,6 @@ from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 
-__all__ = [
-    "announce",
-    "cores_of",
-    "duration_text",
-    "ego_seconds",
-    "ppo_seconds",
-    "psro_seconds",
-    "racing_seconds",
-    "response_seconds",
-    "robust_seconds",
-    "self_play_seconds",
-    "shared_seconds",
-    "stage_estimates",
-    "synthesis_seconds",
-    "training_seconds",
-    "tree_seconds",
-]
-
 RACING = 6.4e-5
 """Processor seconds for a second of a race between two cars of the lattice planner."""
 SHARED = 0.45

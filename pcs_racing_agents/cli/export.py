@@ -8,8 +8,6 @@ from pcs_racing_agents.cli.options import Commands, add_command, output_file
 from pcs_racing_agents.solvers.efg import write_efg
 from pcs_racing_agents.trees import load_trees
 
-__all__ = ["add"]
-
 
 def add(commands: Commands) -> None:
     """Add the command ``export``."""

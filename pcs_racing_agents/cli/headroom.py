@@ -11,7 +11,9 @@ from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.track.loading import as_track, load_track
 from pcs_racing_agents.cli.options import POLICY_HELP, Commands, add_command, add_rules, add_tracks, rules
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
 

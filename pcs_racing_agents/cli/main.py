@@ -10,8 +10,6 @@ from importlib.metadata import PackageNotFoundError, version
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["main", "run_parsed"]
-
 FAILED = 2
 
 FILES = {

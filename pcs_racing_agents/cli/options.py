@@ -9,22 +9,6 @@ from typing import Any, Protocol
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.config import PRESETS, RaceConfig, load_race_config
 
-__all__ = [
-    "DEFAULT_TRACK",
-    "POLICY_HELP",
-    "TRACK_HELP",
-    "Commands",
-    "add_command",
-    "add_race",
-    "add_rules",
-    "add_track",
-    "add_tracks",
-    "can_draw",
-    "output_file",
-    "output_folder",
-    "rules",
-]
-
 DEFAULT_TRACK = "Quillburg"
 """The circuit that commands and environments use by default."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"

@@ -6,8 +6,6 @@ from pcs_racing.base.checks import check_seed
 from pcs_racing_agents.cli.browser import serve
 from pcs_racing_agents.cli.options import Commands, add_command, add_rules, add_track, rules
 
-__all__ = ["add"]
-
 
 def add(commands: Commands) -> None:
     """Add the command ``play``."""

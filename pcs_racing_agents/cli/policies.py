@@ -7,8 +7,6 @@ from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing_agents.cli.options import Commands, add_command
 from pcs_racing_agents.results.text_table import aligned
 
-__all__ = ["add"]
-
 
 def add(commands: Commands) -> None:
     """Add the command ``policies``."""

@@ -22,8 +22,6 @@ from pcs_racing_agents.cli.options import (
     rules,
 )
 
-__all__ = ["add"]
-
 # The default race. It lasts its full time and has an overtake; `python benchmarks/first_race.py` searched the seed.
 EGO = "lattice:pace=0.8,overtaking=1"
 OPPONENT = "lattice:pace=0.4"

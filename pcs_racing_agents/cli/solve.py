@@ -13,15 +13,12 @@ from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.solvers.compare import METHODS, MethodRow, compare_methods
 from pcs_racing_agents.trees import load_trees
 
-__all__ = ["add", "solve_table"]
-
-
 NOTE = """value: what car 0 gets; exploitability: half of what both could gain by best responses; units of the utility
 agreement: decisions whose likeliest move is a best one against the exact solution; on path: the same, each as often
 as the exact solution leads to it; decisions at which all moves are worth the same do not count"""
 
 
-class SolvedTree(NamedTuple):
+class _SolvedTree(NamedTuple):
     """The results of all methods on one tree.
 
     Attributes
@@ -74,7 +71,7 @@ def run(arguments: argparse.Namespace) -> None:
     for number, tree in enumerate(trees):
         first, second = (int(policy) for policy in tree.policies)
         rows = compare_methods(tree.game_tree(), arguments.iterations, arguments.methods)
-        solved.append(SolvedTree(number, (first, second), len(tree.seeds), rows))
+        solved.append(_SolvedTree(number, (first, second), len(tree.seeds), rows))
     names = {key: trees.settings[key]["name"] for key in ("archive", "track")}
     print(
         f"{len(trees)} trees of archive {names['archive']} on {names['track']}, preset {trees.settings['preset']}; "
@@ -85,7 +82,7 @@ def run(arguments: argparse.Namespace) -> None:
         print(f"table: {write_csv(_csv_rows(solved), target)}")
 
 
-def solve_table(solved: Sequence[SolvedTree]) -> str:
+def solve_table(solved: Sequence[_SolvedTree]) -> str:
     """Return a text table of every tree and method, and of the means over the trees."""
     lines: list[tuple[str, ...]] = [
         ("tree", "policies", "method", "value", "exploitability", "agreement", "on path", "ms")
@@ -108,7 +105,7 @@ def _cells(row: MethodRow) -> tuple[str, ...]:
     return row.method, f"{row.value:.4f}", exploited, *agreed, f"{1e3 * row.seconds:.1f}"
 
 
-def _csv_rows(solved: Sequence[SolvedTree]) -> Iterator[tuple[object, ...]]:
+def _csv_rows(solved: Sequence[_SolvedTree]) -> Iterator[tuple[object, ...]]:
     yield ("tree", "policy_0", "policy_1", "seeds", *MethodRow._fields)
     for tree in solved:
         for row in tree.rows:

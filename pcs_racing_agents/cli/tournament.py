@@ -14,9 +14,9 @@ from pcs_racing_agents.cli.options import (
     can_draw,
     rules,
 )
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
-
-__all__ = ["add"]
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 
 
 def add(commands: Commands) -> None:

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from pcs_racing_agents.view.results_folder import ResultsFolder
     from pcs_racing_agents.view.view_page import ViewContent
 
-__all__ = ["add"]
 
 REPLAYS = 60
 MOST_REPLAYS = 2000
@@ -142,7 +141,7 @@ def _content(
     arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None", picks: "Sequence[SelectedRace]"
 ) -> "ViewContent":
     """Simulate the selected races, and return the content of the page."""
-    from pcs_racing_agents.jobs.jobs import show_progress
+    from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.view.race_replays import RaceRepeater
     from pcs_racing_agents.view.view_page import ViewContent
 

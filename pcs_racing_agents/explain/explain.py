@@ -24,18 +24,6 @@ from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.tournament.games import PlayedGames
 from pcs_racing_agents.tournament.watching import record_game
 
-__all__ = [
-    "DefaultStrategy",
-    "ExplainedDecision",
-    "Explanation",
-    "Unit",
-    "explain_game",
-    "is_blind",
-    "mark_moves",
-    "observed_lead",
-    "value_unit",
-]
-
 Floats = NDArray[np.float64]
 
 

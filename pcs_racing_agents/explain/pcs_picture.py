@@ -11,8 +11,6 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import move_names, move_table
 from pcs_racing_agents.pictures.style import COLOURS, INK, SOFT, new_figure, picture, place_labels, short, tidy
 
-__all__ = ["archive_picture", "draw_archive", "draw_arrow", "in_units", "plane"]
-
 Floats = NDArray[np.float64]
 
 

@@ -9,8 +9,6 @@ from pcs_racing_agents.explain.explain import Explanation
 from pcs_racing_agents.explain.pcs_picture import draw_archive, draw_arrow, in_units, plane
 from pcs_racing_agents.pictures.style import CARS, EDGE, INK, SOFT, new_figure, picture, short, tidy
 
-__all__ = ["draw_lead", "draw_space", "draw_track", "draw_values", "explanation_picture"]
-
 
 @picture
 def explanation_picture(explanation: Explanation) -> Any:

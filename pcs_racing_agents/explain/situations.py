@@ -21,8 +21,6 @@ from pcs_racing_agents.explain.explain import observed_lead
 from pcs_racing_agents.pictures.style import INK, SOFT, new_figure, picture, short
 from pcs_racing_agents.results.csv_files import write_csv
 
-__all__ = ["LEADS", "PACES", "Situations", "situations_picture", "situations_text", "summarise", "write_situations"]
-
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
 

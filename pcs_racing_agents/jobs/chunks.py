@@ -17,8 +17,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited, unpack_arrays
 
-__all__ = ["Arrays", "chunk_file", "read_chunk", "write_chunk"]
-
 Arrays = dict[str, NDArray[Any]]
 
 _MARK = b"pcs-racing chunk "

@@ -5,8 +5,6 @@ from typing import Any, TypeVar
 
 from pcs_racing.base.settings import Settings, load_settings
 
-__all__ = ["load_config", "shipped_configs"]
-
 Kind = TypeVar("Kind", bound=Settings)
 
 

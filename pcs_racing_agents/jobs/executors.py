@@ -22,16 +22,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.jobs.folders import JobError, package_version
 
-__all__ = [
-    "EXECUTORS",
-    "add_executor_options",
-    "executor_from",
-    "is_lost",
-    "make_executor",
-    "sent_once",
-    "tasks_in_flight",
-]
-
 EXECUTORS = {
     "serial": "one task after the other",
     "threads": "threads of this process",

@@ -17,8 +17,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import plain_yaml, read_limited
 
-__all__ = ["GO_ON", "JobError", "claim_folder", "clear_half_written", "hold_folder", "package_version", "read_job"]
-
 FORMAT = "pcs-racing job"
 VERSION = 1
 GO_ON = "what is done is kept: mend that and start the same again to go on"

@@ -21,30 +21,10 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.jobs.chunks import Arrays, chunk_file, read_chunk, write_chunk
-from pcs_racing_agents.jobs.executors import add_executor_options, executor_from, make_executor
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.folders import GO_ON, JobError, claim_folder, package_version
-from pcs_racing_agents.jobs.progress import Progress, show_line, show_progress
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import Task, numbered_tasks, run_tasks
-
-__all__ = [
-    "Arrays",
-    "Job",
-    "JobError",
-    "Progress",
-    "TaskGroup",
-    "add_executor_options",
-    "chunk_file",
-    "executor_from",
-    "make_executor",
-    "open_job",
-    "package_version",
-    "read_chunk",
-    "run_groups",
-    "run_with_or_without",
-    "show_line",
-    "show_progress",
-]
 
 A = TypeVar("A")
 

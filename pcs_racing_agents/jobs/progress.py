@@ -4,8 +4,6 @@ import sys
 import time
 from collections.abc import Callable
 
-__all__ = ["Progress", "show_line", "show_progress"]
-
 Progress = Callable[[int, int, str], None]
 """``progress(done, total, label)``: called after every finished task."""
 

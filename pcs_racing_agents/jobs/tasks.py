@@ -9,8 +9,6 @@ from typing import Any, Generic, NamedTuple, TypeVar, cast
 from pcs_racing_agents.jobs.executors import is_lost, sent_once, tasks_in_flight
 from pcs_racing_agents.jobs.folders import GO_ON, JobError
 
-__all__ = ["Task", "in_other_processes", "numbered_tasks", "run_task", "run_tasks"]
-
 A = TypeVar("A")
 K = TypeVar("K")
 R = TypeVar("R")

@@ -14,8 +14,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.networks.rows import Rows, pair_number
 from pcs_racing_agents.trees.ego import EgoTrees
 
-__all__ = ["Continuation", "ego_rows", "ego_values"]
-
 Floats = NDArray[np.float64]
 
 Continuation = str | Callable[[NDArray[np.float32]], ArrayLike]

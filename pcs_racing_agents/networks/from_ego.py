@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.jobs.jobs import Progress
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.networks.ego_rows import ego_rows, ego_values
 from pcs_racing_agents.networks.from_trees import TrainedOnTrees, hold_out
 from pcs_racing_agents.networks.metrics import Play, constant_plays, follow, score_rows
@@ -22,8 +22,6 @@ from pcs_racing_agents.networks.settings import TrainSettings, settings_for_tree
 from pcs_racing_agents.networks.training import TrainingResult, train_network
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.trees.ego import EgoTrees
-
-__all__ = ["check_ego_target", "ego_score_table", "score_ego", "take_roots", "train_on_ego"]
 
 TARGET = "static-q"
 BEST = "best in hindsight"

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing.game.moves import STAY
-from pcs_racing_agents.jobs.jobs import Progress
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
 from pcs_racing_agents.networks.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
 from pcs_racing_agents.networks.network import RegretNetwork
@@ -20,8 +20,6 @@ from pcs_racing_agents.networks.settings import TrainSettings, settings_for_tree
 from pcs_racing_agents.networks.targets import get_target, solve_for
 from pcs_racing_agents.networks.training import TrainingResult, train_network
 from pcs_racing_agents.networks.tree_rows import PlayedTree, tree_rows
-
-__all__ = ["TrainedOnTrees", "hold_out", "train_on_trees"]
 
 
 class TrainedOnTrees(NamedTuple):

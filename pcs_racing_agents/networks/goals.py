@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from pcs_racing_agents.networks.rows import Rows
 from pcs_racing_agents.networks.settings import TrainSettings
 
-__all__ = ["Scaling", "row_goals", "scale_rows"]
-
 Floats = NDArray[np.float32]
 
 

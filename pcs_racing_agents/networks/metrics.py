@@ -24,19 +24,6 @@ from pcs_racing_agents.solvers import (
     uniform_profile,
 )
 
-__all__ = [
-    "Play",
-    "RowScore",
-    "TreeScore",
-    "constant_plays",
-    "follow",
-    "play_profile",
-    "score_rows",
-    "score_table",
-    "score_tree",
-    "score_trees",
-]
-
 Play = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 """Probabilities of the moves, shape (R, A), for observations (R, D)."""
 

@@ -17,8 +17,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
 from pcs_racing.game.rules import RaceGame
 
-__all__ = ["RegretNetwork"]
-
 Floats = NDArray[np.float32]
 
 

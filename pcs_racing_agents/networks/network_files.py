@@ -10,8 +10,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.networks.network import RegretNetwork
 
-__all__ = ["NETWORK_FORMAT", "list_networks", "load_network", "save_network"]
-
 _SCALING = ("input.mean", "input.scale")
 
 _IDENTITY = ("elements", "moves", "epsilon", "archive", "archive_sha256", "preset")

@@ -20,8 +20,6 @@ from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network, save_network
 
-__all__ = ["NetworkSet", "list_network_sets", "load_network_set", "save_network_set"]
-
 SET_FILE = "set.yaml"
 SET_FORMAT = ManifestFormat(
     "network set", ("name", "decision", "weights", "networks", "digests", "training"), "save_network_set"

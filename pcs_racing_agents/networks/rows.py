@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["Rows", "draw_pairs", "join_rows", "pair_number", "split_by_pair"]
-
 
 @dataclass(frozen=True, eq=False)
 class Rows:

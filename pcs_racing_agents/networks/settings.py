@@ -10,8 +10,6 @@ from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.networks.targets import OPPONENTS, ROW_WEIGHTS, TARGETS
 from pcs_racing_agents.solvers import VARIANTS
 
-__all__ = ["TrainSettings", "load_train_settings", "settings_for_trees"]
-
 
 @dataclass(frozen=True)
 class TrainSettings(Settings):

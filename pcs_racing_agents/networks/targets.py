@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.solvers import CFRResult, ExactResult, GameTree, best_response, cfr, solve_exact
 
-__all__ = ["OPPONENTS", "ROW_WEIGHTS", "TARGETS", "Target", "best_moves", "get_target", "node_targets", "solve_for"]
-
 Floats = NDArray[np.float64]
 Solution = CFRResult | ExactResult
 """What :func:`solve_for` returns."""
@@ -144,12 +142,12 @@ def node_targets(
         return list(solution.advantages)
     if target == "nash":
         return list(solution.profile)
-    profile = static_profile(tree, opponent, stay)
+    profile = _static_profile(tree, opponent, stay)
     q = [best_response(tree, profile, player).q for player in (0, 1)]
     return list(zip(*q, strict=True))
 
 
-def static_profile(tree: GameTree, opponent: str, stay: int | None) -> list[tuple[Floats, Floats]]:
+def _static_profile(tree: GameTree, opponent: str, stay: int | None) -> list[tuple[Floats, Floats]]:
     """Return the profile of two static opponents.
 
     Raises

@@ -13,8 +13,6 @@ import numpy as np
 
 from pcs_racing.base.dense import DenseLayers
 
-__all__ = ["initial_layers", "layers_from_torch", "relu_forward", "torch_alone"]
-
 _TURN = threading.RLock()
 
 

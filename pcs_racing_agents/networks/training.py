@@ -15,7 +15,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.jobs.jobs import Progress
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.networks.goals import row_goals, scale_rows
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, split_by_pair
@@ -23,8 +23,6 @@ from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.networks.targets import best_moves
 from pcs_racing_agents.networks.torch_layers import initial_layers, layers_from_torch, relu_forward, torch_alone
 from pcs_racing_agents.pictures.curves import Curve
-
-__all__ = ["Epoch", "TrainingResult", "epoch_curves", "train_layers", "train_network", "write_epochs"]
 
 Floats = NDArray[np.float32]
 

@@ -10,8 +10,6 @@ from pcs_racing_agents.networks.rows import Rows, pair_number
 from pcs_racing_agents.networks.targets import ROW_WEIGHTS, Solution, node_targets
 from pcs_racing_agents.solvers import CFRResult, GameTree, reach_probabilities
 
-__all__ = ["PlayedTree", "tree_rows"]
-
 Floats = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.payoffs.headroom import cyclic_planes, ratings
 
-__all__ = ["choose_pool", "denoised", "pool_headroom"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

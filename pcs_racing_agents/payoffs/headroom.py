@@ -15,19 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = [
-    "CyclicPlane",
-    "Headroom",
-    "checked_payoffs",
-    "cross_fitted",
-    "cyclic_part",
-    "cyclic_planes",
-    "headroom",
-    "jackknife_error",
-    "ratings",
-    "transitive_share",
-]
-
 Floats = NDArray[np.float64]
 
 _NOISE_DRAWS = 200

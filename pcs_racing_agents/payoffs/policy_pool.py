@@ -22,9 +22,8 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
-
-__all__ = ["PolicyPool", "pool_payoffs", "race_scores", "slot_payoffs", "spanning_policies"]
+from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
+from pcs_racing_agents.jobs.progress import Progress
 
 Floats = NDArray[np.float64]
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.pictures.style import COLOURS, SOFT, new_figure, picture, short, spread_labels, tidy
 
-__all__ = ["Curve", "curves_picture", "write_tensorboard"]
-
 Floats = NDArray[np.float64]
 
 

@@ -12,8 +12,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited
 
-__all__ = ["CsvTable", "read_csv", "write_csv"]
-
 MAX_BYTES = 500_000_000
 MAX_COLUMNS = 1000
 

@@ -20,8 +20,6 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.results.races import CRASHES, FAULTS, WINNERS, Categorical, RaceRow, RaceTable, narrow
 
-__all__ = ["NEEDED", "race_table", "read_results", "write_results"]
-
 NEEDED = ("ego", "opponent", "track", "race", "start_s", "side", "seed", "lead", "winner", "crash", "fault")
 """Columns that every results file has; the others tell details."""
 LONGEST_TEXT = 300

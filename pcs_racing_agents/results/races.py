@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["CRASHES", "FAULTS", "WINNERS", "Categorical", "RaceRow", "RaceTable", "concatenate_races", "narrow"]
-
 WINNERS = ("ego", "opponent", "none")
 """Words of ``RaceTable.winner``; the last one stands for -1, too."""
 CRASHES = ("none", "wall", "car")

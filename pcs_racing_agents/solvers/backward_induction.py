@@ -9,8 +9,6 @@ from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 
-__all__ = ["ExactResult", "solve_exact"]
-
 
 class ExactResult(NamedTuple):
     """The solution of a tree whose players see all past moves.

@@ -13,8 +13,6 @@ from pcs_racing_agents.solvers.cfr_kernels import Layout, State, initial_state, 
 from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 
-__all__ = ["VARIANTS", "CFRResult", "Variant", "cfr"]
-
 CHUNK = 200
 """Iterations of one compiled call; Ctrl-C is handled in between."""
 

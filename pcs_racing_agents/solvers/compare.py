@@ -12,8 +12,6 @@ from pcs_racing_agents.solvers.cfr import VARIANTS, cfr
 from pcs_racing_agents.solvers.evaluation import Profile, exploitability, reach_probabilities
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 
-__all__ = ["METHODS", "MethodRow", "agreement", "compare_methods", "regret_argmax"]
-
 METHODS = ("exact", *VARIANTS, "argmax-regret")
 """``exact`` is backward induction; then the average strategies of the variants of CFR; ``argmax-regret`` is the
 decision rule of the paper: always the move of largest cumulative regret (of ``vanilla``)."""

@@ -11,8 +11,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.solvers.game_tree import GameTree
 
-__all__ = ["efg_text", "infoset_name", "write_efg"]
-
 MOST_LEAVES = 2_000_000
 
 

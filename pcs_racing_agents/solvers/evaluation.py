@@ -11,21 +11,6 @@ from numpy.typing import ArrayLike
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
 
-__all__ = [
-    "BestResponse",
-    "Exploitability",
-    "Profile",
-    "advantages",
-    "best_response",
-    "check_profile",
-    "exploitability",
-    "node_values",
-    "play_value",
-    "q_values",
-    "reach_probabilities",
-    "uniform_profile",
-]
-
 Profile = list[tuple[Floats, Floats]]
 """For each level the strategies of car 0, shape (rows, A_k), and car 1, shape (rows, B_k): a distribution per row."""
 

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["Floats", "GameTree", "Integers"]
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 

@@ -18,8 +18,6 @@ from pcs_racing_agents.solvers.efg import efg_text
 from pcs_racing_agents.solvers.evaluation import Profile, check_profile
 from pcs_racing_agents.solvers.game_tree import GameTree
 
-__all__ = ["GAME_NAME", "efg_game", "efg_policy", "efg_profile", "python_game", "register_game", "register_tree"]
-
 GAME_NAME = "python_pcs_racing_tree"
 """Short name of the game in OpenSpiel; its parameter ``tree`` is a name given to :func:`register_tree`."""
 

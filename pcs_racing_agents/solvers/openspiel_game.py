@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.solvers.game_tree import GameTree
 
-__all__ = ["information_tensors", "register"]
-
 
 def information_tensors(tree: GameTree) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """Information-state tensors of each level and player, shape (rows, D).

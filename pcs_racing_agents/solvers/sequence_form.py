@@ -8,8 +8,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
 
-__all__ = ["SequenceSolution", "solve_sequence_form"]
-
 
 class SequenceSolution(NamedTuple):
     """An equilibrium of a tree.

@@ -8,8 +8,6 @@ from pathlib import Path
 
 from pcs_racing.base.files import write_atomically
 
-__all__ = ["seconds_counted"]
-
 BEAT = 20.0  # s: longest time that is lost when the process is killed
 
 

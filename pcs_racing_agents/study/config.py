@@ -18,8 +18,6 @@ from pcs_racing_agents.learning.self_play.settings import load_self_play_setting
 from pcs_racing_agents.networks.targets import get_target
 from pcs_racing_agents.synthesis.config import load_archive_config
 
-__all__ = ["BEST_BLIND", "StudyConfig", "load_study_config"]
-
 BEST_BLIND = ("best-fixed", "best-schedule", "best-lead-plan")
 """Blind agents, fitted on training races: the best fixed policy, the best open-loop sequence, the best lead plan."""
 

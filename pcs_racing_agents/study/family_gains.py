@@ -14,8 +14,6 @@ from pcs_racing_agents.results.text_table import interval_text
 from pcs_racing_agents.study.table import matched_scores
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
-__all__ = ["FAMILY_HEAD", "FamilyGain", "family_gains", "family_rows", "write_family_gains"]
-
 FAMILY_HEAD = ("family", "used for", "opponents", "circuits", "races", "gain", "95 % interval")
 COLUMNS = ("family", "use", "opponents", "tracks", "races", "gain", "low", "high", "se", "df")
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.pictures.curves import curves_picture
 from pcs_racing_agents.pictures.style import (
     COLOURS,
     INK,
@@ -17,17 +16,6 @@ from pcs_racing_agents.pictures.style import (
 )
 from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import StudyTable, TableRow
-from pcs_racing_agents.tournament.pictures import payoffs_picture, ratings_picture
-
-__all__ = [
-    "adaptivity_picture",
-    "curves_picture",
-    "differences_picture",
-    "exploitability_picture",
-    "payoffs_picture",
-    "ratings_picture",
-    "scores_picture",
-]
 
 PAPER = "#c22443"
 

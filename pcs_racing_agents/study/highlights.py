@@ -12,8 +12,6 @@ from pcs_racing_agents.explain.words import story
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.pairings import Pairing
 
-__all__ = ["KINDS", "ExplainedRace", "Highlight", "select_highlights", "watch_race"]
-
 KINDS = ("win", "loss", "crash")
 
 

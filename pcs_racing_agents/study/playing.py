@@ -20,15 +20,6 @@ from pcs_racing_agents.learning.self_play.settings import load_self_play_setting
 from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
 from pcs_racing_agents.study.study import Study
 
-__all__ = [
-    "PLAYING_SEED",
-    "REPLY_SEED",
-    "learn_psro_agent",
-    "learn_robust_agent",
-    "measure_replies",
-    "play_against_itself",
-]
-
 PLAYING_SEED = 4_000
 REPLY_SEED = 7_000_000
 """Added to the study's seed: other games than those of responses and tables."""

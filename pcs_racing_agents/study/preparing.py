@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents.fits import save_fit
-from pcs_racing_agents.jobs.jobs import Progress, open_job, run_groups
+from pcs_racing_agents.jobs.jobs import open_job, run_groups
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
 from pcs_racing_agents.networks.network_files import load_network, save_network
@@ -25,15 +26,6 @@ from pcs_racing_agents.trees.tree import RaceTree
 if TYPE_CHECKING:
     from pcs_racing_agents.networks.from_trees import TrainedOnTrees
 
-__all__ = [
-    "choose_blind",
-    "learn_responses",
-    "make_the_archive",
-    "play_trees",
-    "stored_trees",
-    "train_networks",
-    "train_ppo_baseline",
-]
 
 # Added to the study's seed: other start policies and other noise than in the races of the tables. Which start places
 # training and tables may draw from is decided in pcs_racing.race.races.start_lines.

@@ -23,8 +23,6 @@ from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
 
-__all__ = ["Picture", "ReportContent", "TitledTable", "page_environment", "report_page", "write_page"]
-
 
 class TitledTable(NamedTuple):
     """A table with a title.

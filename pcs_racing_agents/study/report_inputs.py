@@ -15,17 +15,6 @@ from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study.table import StudyTable
 
-__all__ = [
-    "ReplyLoss",
-    "ScoreAndLoss",
-    "mean_scores",
-    "read_curves",
-    "read_losses",
-    "scores_and_losses",
-    "software",
-    "total_losses",
-]
-
 Floats = NDArray[np.float64]
 
 

@@ -35,8 +35,6 @@ from pcs_racing_agents.study.table_text import (
 from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
 
-__all__ = ["best_blind", "study_table", "write_report"]
-
 
 def write_report(study: Study, seconds: Mapping[str, float]) -> None:
     """Write ``results.csv``, ``table.csv``, ``table.md``, ``table.txt`` and ``report.html``.

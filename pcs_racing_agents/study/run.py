@@ -20,8 +20,6 @@ from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.stages import DONE, STAGES, Stage
 from pcs_racing_agents.study.study import Study
 
-__all__ = ["run_study", "stages_to_run"]
-
 
 def run_study(
     config: StudyConfig,
@@ -41,7 +39,7 @@ def run_study(
     only : sequence of str, optional
         Names of stages to run; each needs the results of some earlier ones. All by default.
     executor : Executor, optional
-        Runs the jobs (:func:`pcs_racing_agents.jobs.jobs.make_executor`). It does not change the results.
+        Runs the jobs (:func:`pcs_racing_agents.jobs.executors.make_executor`). It does not change the results.
     quiet : bool
         Show no progress.
 

@@ -12,8 +12,6 @@ from pcs_racing_agents.study.racing import StudyRaces
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament.runner import play_pairings
 
-__all__ = ["moves_in_situations"]
-
 SEED = 7_000_000
 
 

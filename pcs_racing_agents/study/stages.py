@@ -13,8 +13,6 @@ from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.synthesis.config import load_archive_config
 
-__all__ = ["DONE", "STAGES", "Stage", "stage_seconds"]
-
 DONE = "done.yaml"
 """File in the folder of a finished stage."""
 

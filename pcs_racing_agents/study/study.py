@@ -15,10 +15,8 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.jobs import Progress, show_progress
+from pcs_racing_agents.jobs.progress import Progress, show_progress
 from pcs_racing_agents.study.config import BEST_BLIND, StudyConfig
-
-__all__ = ["Study"]
 
 NETWORK_AGENTS = {
     "cfr-argmax": "regret",

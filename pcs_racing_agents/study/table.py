@@ -15,18 +15,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.statistics import Comparison, clustered_mean, compare, holm, match_units
 
-__all__ = [
-    "PAPER_OPPONENTS",
-    "PAPER_TABLE",
-    "ArmResult",
-    "Difference",
-    "PaperRow",
-    "StudyTable",
-    "TableRow",
-    "make_table",
-    "matched_scores",
-]
-
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
 

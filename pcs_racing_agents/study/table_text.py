@@ -11,20 +11,6 @@ from pcs_racing_agents.results.text_table import aligned, interval_text, markdow
 from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
 from pcs_racing_agents.tournament.statistics import Comparison
 
-__all__ = [
-    "DETAILS",
-    "detail_rows",
-    "difference_text",
-    "notes",
-    "overview_rows",
-    "p_text",
-    "paper_text",
-    "table_markdown",
-    "table_text",
-    "verdict_text",
-    "write_table",
-]
-
 DETAILS = ("agent", "score", "sd", "crash", "own fault", "difference", "95 % interval", "p", "p (Holm)", "paired t")
 """Columns of :func:`detail_rows`."""
 

@@ -37,8 +37,6 @@ from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
 from pcs_racing_agents.synthesis.selection import beaten, difference_errors, spread_first, thin_out
 from pcs_racing_agents.synthesis.synthesize import synthesize
 
-__all__ = ["choose", "draw_policies", "make_archive", "measure", "stage_scenarios"]
-
 Floats = NDArray[np.float64]
 Notes = Mapping[str, str | float]
 
@@ -61,7 +59,7 @@ def make_archive(
     folder : str or Path
         A new or empty folder, or one in which the same synthesis was begun.
     executor : Executor, optional
-        Where policies race (:func:`pcs_racing_agents.jobs.jobs.make_executor`). It has no influence on the result.
+        Where policies race (:func:`pcs_racing_agents.jobs.executors.make_executor`). It has no influence on the result.
     callback : callable, optional
         Called with the :class:`~pcs_racing_agents.synthesis.archive_search.ArchiveProgress` as the work goes on.
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.diverse import greedy_map, similarity
@@ -26,8 +27,6 @@ from pcs_racing_agents.synthesis.pareto_archive import Scale
 from pcs_racing_agents.synthesis.scenarios import Scenarios
 from pcs_racing_agents.synthesis.search import Generation
 from pcs_racing_agents.synthesis.synthesize import Evaluated
-
-__all__ = ["REFERENCE", "ArchiveCallback", "ArchiveProgress", "PolicyRaces"]
 
 Floats = NDArray[np.float64]
 

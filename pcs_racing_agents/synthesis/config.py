@@ -25,8 +25,6 @@ from pcs_racing_agents.jobs.configuration import load_config, shipped_configs
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS
 from pcs_racing_agents.synthesis.optimisers import METHODS
 
-__all__ = ["ArchiveConfig", "list_archive_configs", "load_archive_config"]
-
 CHOICES = ("pareto", "headroom")
 """How policies are chosen for an archive: those that none clearly beats, or a pool that holds a game."""
 

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_choice, check_number, check_whole
 from pcs_racing.game.archive import PolicyArchive
 
-__all__ = ["METHODS", "greedy_map", "log_elementary_symmetric", "sample_kdpp", "select_diverse", "similarity"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

@@ -17,8 +17,6 @@ from pcs_racing.track.loading import as_track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies
 
-__all__ = ["Evaluation", "PolicyTask", "evaluate", "join", "on_worker", "race_policies", "race_segments", "summarise"]
-
 Floats = NDArray[np.float64]
 
 RACES_AT_ONCE = 4096  # bounded memory

@@ -21,8 +21,6 @@ from pcs_racing_agents.synthesis.archive_search import PolicyRaces
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import Evaluation
 
-__all__ = ["best_of_each_interval", "choose_for_headroom", "judge_headroom"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Notes = Mapping[str, str | float]

@@ -11,16 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.optional import require
 
-__all__ = [
-    "contributions",
-    "distance_to_improvement",
-    "hypervolume",
-    "non_dominated",
-    "search_corners",
-    "total_hypervolume",
-    "uncrowded_improvement",
-]
-
 Floats = NDArray[np.float64]
 
 

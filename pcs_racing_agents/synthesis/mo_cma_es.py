@@ -33,18 +33,6 @@ from pcs_racing_agents.synthesis.indicators import (
 )
 from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
 
-__all__ = [
-    "LOSSES",
-    "MEANS",
-    "MOCMAES",
-    "CubeCMAES",
-    "OptimiserOptions",
-    "cma_options",
-    "hypervolume_loss",
-    "latin_hypercube",
-    "middle_of_the_best",
-]
-
 Floats = NDArray[np.float64]
 
 LOSSES = ("uhvi", "total_hypervolume")

@@ -25,8 +25,6 @@ from pcs_racing.base.optional import require
 from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, OptimiserOptions, cma_options, middle_of_the_best
 from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
 
-__all__ = ["METHODS", "Optimiser", "make_optimiser"]
-
 Floats = NDArray[np.float64]
 
 

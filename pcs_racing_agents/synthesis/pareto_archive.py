@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.synthesis.indicators import non_dominated
 
-__all__ = ["ParetoArchive", "Scale"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

@@ -21,8 +21,6 @@ from pcs_racing.race.races import start_lines
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 
-__all__ = ["Scenarios", "check_policies", "draw_scenarios"]
-
 Floats = NDArray[np.float64]
 
 

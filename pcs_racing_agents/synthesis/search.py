@@ -17,8 +17,6 @@ from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS, OptimiserOption
 from pcs_racing_agents.synthesis.optimisers import make_optimiser
 from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
 
-__all__ = ["Generation", "Search", "Synthesis"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

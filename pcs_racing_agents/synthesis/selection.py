@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.jobs.chunks import Arrays
 
-__all__ = ["beaten", "difference_errors", "front_layers", "spread_first", "thin_out"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

@@ -11,8 +11,6 @@ from pcs_racing.base.checks import check_array, check_number, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.synthesis.search import Generation, Search, Synthesis
 
-__all__ = ["Evaluated", "synthesize"]
-
 BLOCKS = 16  # of a generation, when an executor evaluates them
 
 

@@ -23,21 +23,12 @@ from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.tournament.games import PlayedGames
 from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import draw_schedule
-
-__all__ = [
-    "OBJECTIVES",
-    "MetaStrategy",
-    "TrainingRaces",
-    "fit_best_fixed",
-    "fit_best_lead_plan",
-    "fit_best_schedule",
-    "fit_psro",
-]
 
 Choices = tuple[int, ...]
 

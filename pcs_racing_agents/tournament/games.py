@@ -21,15 +21,6 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.tournament.shared_driving import SharedGames, drive_shared
 
-__all__ = [
-    "PlayedGames",
-    "game_between",
-    "join_played",
-    "play_each",
-    "play_games",
-    "variant_count",
-]
-
 BATCH = 4096  # games advanced together: bounded memory
 
 CARS = ("ego", "opponent")

@@ -13,8 +13,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.optional import require
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 
-__all__ = ["Equilibrium", "alpha_rank", "excess", "zero_sum_equilibrium"]
-
 Floats = NDArray[np.float64]
 
 

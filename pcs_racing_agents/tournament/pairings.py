@@ -29,8 +29,6 @@ from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
 from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_each, variant_count
 from pcs_racing_agents.tournament.schedule import RaceSchedule
 
-__all__ = ["Pairing", "cross_pairing", "schedule_pairing"]
-
 LINE_SETS = 8  # start lines on a circuit, as a multiple of those of one pair of variants
 
 

@@ -10,8 +10,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
 from pcs_racing_agents.tournament.ratings import Ratings
 
-__all__ = ["payoffs_picture", "ratings_picture"]
-
 
 @picture
 def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:

@@ -19,24 +19,14 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races
 from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.schedule import RaceSchedule, draw_schedule
 from pcs_racing_agents.tournament.watching import Recording, record_game
-
-__all__ = [
-    "Tournament",
-    "TournamentPlan",
-    "game_rules",
-    "plan_tournament",
-    "play_plan",
-    "play_tournament",
-    "record_row",
-    "tournament_settings",
-]
 
 Entrant = str | Policy | Competitor
 Rules = GameConfig | RaceConfig | str | Path
@@ -195,8 +185,8 @@ def play_tournament(
     executor : Executor, optional
         Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
-        Called as ``progress(done, total, label)``, counting races; :func:`pcs_racing_agents.jobs.jobs.show_progress`
-        prints a line.
+        Called as ``progress(done, total, label)``, counting races;
+        :func:`pcs_racing_agents.jobs.progress.show_progress` prints a line.
 
     Returns
     -------

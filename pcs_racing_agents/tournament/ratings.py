@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.tournament.statistics.student_t import check_level
 
-__all__ = ["Ratings", "rate"]
-
 Floats = NDArray[np.float64]
 
 BATCH = 100  # bootstrap replicates that are fitted together

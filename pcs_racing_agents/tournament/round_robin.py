@@ -15,8 +15,6 @@ from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.meta_game import alpha_rank, excess, zero_sum_equilibrium
 from pcs_racing_agents.tournament.ratings import Ratings, rate
 
-__all__ = ["RoundRobin", "drivers", "round_robin"]
-
 Floats = NDArray[np.float64]
 
 FEWEST_LINES = 5

@@ -17,13 +17,12 @@ from pcs_racing.track.track import Track, calibration_values
 from pcs_racing_agents.agents.agent import Driver, competitor_hash
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import numbered_tasks, run_tasks
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.games import PlayedGames, join_played
 from pcs_racing_agents.tournament.pairings import Pairing
-
-__all__ = ["play_pairing", "play_pairings"]
 
 BLOCK = 400  # races of one task: about a second of work
 
@@ -63,6 +62,7 @@ class RaceWorker:
     observations: bool
 
     def __call__(self, block: RaceBlock) -> dict[str, NDArray[Any]]:
+        """Race a block of a group, and return the columns of its table."""
         group = self.groups[block.group]
         races = group[0].take(np.arange(block.first, block.last))
         played = join_played(races.play_each([pairing.ego for pairing in group]))

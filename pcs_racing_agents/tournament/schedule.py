@@ -14,8 +14,6 @@ from pcs_racing.race.races import draw_starts
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track
 
-__all__ = ["RaceSchedule", "draw_schedule"]
-
 MOST_RACES = 2000
 
 

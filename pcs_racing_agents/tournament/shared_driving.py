@@ -20,8 +20,6 @@ from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver
 
-__all__ = ["SharedGames", "drive_shared"]
-
 Indices = NDArray[np.int64]
 
 

@@ -13,15 +13,6 @@ from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.tournament.play import Tournament
 from pcs_racing_agents.tournament.round_robin import RoundRobin, drivers, round_robin
 
-__all__ = [
-    "Standing",
-    "payoff_matrix",
-    "payoff_picture",
-    "standings",
-    "sum_up",
-    "tournament_text",
-]
-
 COLUMNS = ("agent", "races", "score", "rating", "95 %", "win", "tie", "loss", "crash: own", "other's", "overtakes")
 META = ("equilibrium", "alpha-rank")
 

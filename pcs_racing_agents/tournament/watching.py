@@ -15,8 +15,6 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_games
 
-__all__ = ["Recording", "record_game"]
-
 
 class Recording(NamedTuple):
     """A recorded game.

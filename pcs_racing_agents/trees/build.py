@@ -16,8 +16,6 @@ from pcs_racing_agents.trees.far import finish
 from pcs_racing_agents.trees.paths import PolicyPaths, check_size, policy_paths
 from pcs_racing_agents.trees.tree import RaceTree
 
-__all__ = ["build_tree", "check_game"]
-
 
 def build_tree(
     game: RaceGame,

@@ -18,8 +18,6 @@ from pcs_racing.race.races import advance
 from pcs_racing.race.rates import PLAN_EVERY
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 
-__all__ = ["RaceEnds", "drive_children", "drive_to_the_end"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 

@@ -23,8 +23,6 @@ from pcs_racing_agents.trees.driving import drive_children
 from pcs_racing_agents.trees.far import finish
 from pcs_racing_agents.trees.paths import PolicyPaths, policy_paths
 
-__all__ = ["OPPONENTS", "EgoTrees", "check_ego", "join_ego", "play_ego"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 

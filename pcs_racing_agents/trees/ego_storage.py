@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.jobs.jobs import Progress, chunk_file, open_job, read_chunk
+from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.trees.ego import MOST_ROOTS, EgoTrees, check_ego, join_ego, play_ego
 from pcs_racing_agents.trees.storage import MAKE_AGAIN, game_settings, read_settings
-
-__all__ = ["build_ego_trees", "load_ego_trees"]
 
 KIND = "ego trees"
 NAME = "ego"

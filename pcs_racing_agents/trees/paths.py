@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["MAX_LEAVES", "PolicyPaths", "check_size", "own_histories", "policy_paths"]
-
 Indices = NDArray[np.int64]
 
 MAX_LEAVES = 10_000_000

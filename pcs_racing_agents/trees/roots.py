@@ -10,8 +10,6 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.start_grid import Starts
 
-__all__ = ["Root", "choose_pairs", "default_seeds", "draw_root"]
-
 Indices = NDArray[np.int64]
 
 ATTEMPTS = 20  # as many as RaceGame.reset makes

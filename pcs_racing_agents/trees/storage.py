@@ -15,21 +15,13 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
+from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk
 from pcs_racing_agents.jobs.folders import read_job
-from pcs_racing_agents.jobs.jobs import Progress, TaskGroup, chunk_file, open_job, read_chunk, run_groups
+from pcs_racing_agents.jobs.jobs import TaskGroup, open_job, run_groups
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.trees.build import build_tree, check_game
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
-
-__all__ = [
-    "StoredTrees",
-    "build_trees",
-    "game_settings",
-    "load_trees",
-    "open_trees",
-    "read_settings",
-    "stored_identity",
-]
 
 KIND = "game trees"
 NAME = "tree"

@@ -15,7 +15,6 @@ from pcs_racing_agents.trees.paths import PolicyPaths, check_size, own_histories
 if TYPE_CHECKING:
     from pcs_racing_agents.solvers import GameTree
 
-__all__ = ["RaceTree", "TreeStatistics", "tree_from_arrays"]
 
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]

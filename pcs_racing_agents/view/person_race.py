@@ -28,8 +28,6 @@ from pcs_racing_agents.tournament.watching import record_game
 from pcs_racing_agents.view.view_page import fill, player_parts, template
 from pcs_racing_agents.view.view_server import Answer, error_answer
 
-__all__ = ["MOST_RACES", "PersonRaces", "first_frames", "play_page"]
-
 MOST_RACES = 1_000_000
 
 _ADDRESS = re.compile(r"/race/([0-9]{1,6})/((?:[0-9]{1,3}(?:-[0-9]{1,3})*)?)(\.html)?")

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.results.races import RaceTable
 
-__all__ = ["OUTCOMES", "SelectedRace", "choose_races", "outcomes"]
-
 OUTCOMES = (
     "a win by switching",
     "a loss",

@@ -25,8 +25,6 @@ from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.watching import record_game
 from pcs_racing_agents.view.results_folder import ResultsFolder
 
-__all__ = ["PLACES", "RaceRepeater", "RepeatedRace", "circuit_values", "race_values", "space_values"]
-
 PLACES = 4000  # resolution of positions: steps across the picture
 PLAN_SKIP = 2  # every second plan is kept
 MOST_PAIRINGS = 64

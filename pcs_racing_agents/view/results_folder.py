@@ -30,8 +30,6 @@ from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, schedule_pairing
 from pcs_racing_agents.tournament.schedule import draw_schedule
 
-__all__ = ["ResultsFolder", "open_results"]
-
 MANIFEST = "job.yaml"
 
 

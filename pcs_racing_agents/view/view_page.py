@@ -20,8 +20,6 @@ from pcs_racing_agents.results.races import Categorical, RaceTable
 from pcs_racing_agents.view.race_choice import SelectedRace
 from pcs_racing_agents.view.race_replays import RepeatedRace
 
-__all__ = ["ViewContent", "fill", "packed_races", "player_parts", "template", "view_page"]
-
 _SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTALL)
 
 

@@ -18,8 +18,6 @@ from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.race.replay_files import safe_json
 from pcs_racing_agents.view.race_replays import RaceRepeater
 
-__all__ = ["MOST_KEPT", "Answer", "RaceService", "error_answer", "make_server"]
-
 MOST_KEPT = 200  # answers kept in memory, some 40 kB each
 LONGEST_PATH = 100
 

@@ -15,13 +15,12 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.learned import LearnedCharacteristics, register_learned
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
 from pcs_racing_agents.synthesis.scenarios import draw_scenarios
 from research.axes.behaviour import run_blocks
 from research.axes.learn import spread_over
-
-__all__ = ["ApplySettings", "apply_characteristics"]
 
 
 @dataclass(frozen=True)

@@ -13,19 +13,11 @@ from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
+from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import race_scores
 from pcs_racing_agents.synthesis.evaluate import PolicyTask, join, race_policies, race_segments
 from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
-
-__all__ = [
-    "common_planner",
-    "measure_behaviour",
-    "measure_payoffs",
-    "parameters_of",
-    "race_learned",
-    "run_blocks",
-]
 
 Floats = NDArray[np.float64]
 

@@ -24,14 +24,14 @@ from pcs_racing_agents.cli.options import (
     can_draw,
     rules,
 )
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, spanning_policies
 from research.axes.apply import ApplySettings, apply_characteristics
 from research.axes.learn import LearnSettings, learn_characteristics
 from research.axes.pools import CANDIDATE_RACES, CANDIDATES, draw_pool
 from research.axes.report import learned_text, learning_text, write_weights
-
-__all__ = ["add"]
 
 FILE = "characteristics.yaml"
 _LEARN_OPTIONS = ("name", "inputs", "degree", "segments", "opponents", "starts", "folds")

@@ -9,8 +9,6 @@ from pcs_racing.base.checks import check_array
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.payoffs.headroom import cyclic_planes, ratings
 
-__all__ = ["COORDINATES", "PayoffCoordinates", "payoff_coordinates"]
-
 Floats = NDArray[np.float64]
 
 COORDINATES = ("rating", "cycle_1", "cycle_2")

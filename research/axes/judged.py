@@ -17,7 +17,9 @@ import numpy as np
 
 from pcs_racing import load_archive, load_race_config
 from pcs_racing.planners.registry import get_planner
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, spanning_policies
 from pcs_racing_agents.results.text_table import markdown
 from research.axes.behaviour import measure_behaviour, measure_payoffs

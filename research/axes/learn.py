@@ -20,7 +20,8 @@ from pcs_racing.base.settings import Settings, checked, names, plain_settings, s
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics, LearnedInput, check_set_name
 from pcs_racing.planners.planner import Policy
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from research.axes.behaviour import common_planner, measure_behaviour
 from research.axes.coordinates import (
@@ -36,15 +37,6 @@ from research.axes.ridge import (
     term_values,
 )
 from research.axes.validation import Accuracy, cross_validate, draw_rows
-
-__all__ = [
-    "JUDGED",
-    "LearnSettings",
-    "Learning",
-    "fit_characteristics",
-    "learn_characteristics",
-    "spread_over",
-]
 
 Floats = NDArray[np.float64]
 

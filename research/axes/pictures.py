@@ -8,8 +8,6 @@ from pcs_racing_agents.pictures.style import COLOURS, EDGE, new_figure, picture,
 from research.axes.coordinates import COORDINATES
 from research.axes.learn import JUDGED, Learning
 
-__all__ = ["learning_picture"]
-
 MOST_BARS = 10
 
 

@@ -11,14 +11,13 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import race_scores
 from pcs_racing_agents.synthesis.archive_run import draw_policies
 from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
 from pcs_racing_agents.synthesis.scenarios import draw_scenarios
 from research.axes.behaviour import run_blocks
-
-__all__ = ["CANDIDATES", "CANDIDATE_RACES", "best_of_intervals", "draw_pool"]
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,6 @@ from research.axes.coordinates import COORDINATES
 from research.axes.learn import Learning
 from research.axes.validation import Accuracy
 
-__all__ = ["axis_words", "learned_text", "learning_text", "score_rows", "write_weights"]
-
 MOST_WORDS = 6
 """Terms of an axis that its sentence names; tables and files hold all."""
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.game.learned import BOUND, TIMES
 
-__all__ = ["PENALTIES", "Regression", "fit_ridge", "input_scales", "standardise", "term_names", "term_values"]
-
 Floats = NDArray[np.float64]
 
 PENALTIES = tuple(float(10.0**k) for k in range(-4, 2))

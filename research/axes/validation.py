@@ -18,8 +18,6 @@ from research.axes.ridge import (
     term_values,
 )
 
-__all__ = ["DRAWS", "Accuracy", "cross_validate", "draw_rows", "explained", "judge"]
-
 Floats = NDArray[np.float64]
 
 DRAWS = 16

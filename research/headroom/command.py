@@ -7,7 +7,9 @@ from pcs_racing.track.loading import as_track
 from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
 from pcs_racing_agents.cli.headroom import add_pool_options, pool_from, pool_settings
 from pcs_racing_agents.cli.options import Commands, add_command, can_draw
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.payoffs.policy_pool import slot_payoffs
 from pcs_racing_agents.pictures.style import save_picture
 from pcs_racing_agents.results.csv_files import write_csv

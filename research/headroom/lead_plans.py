@@ -17,10 +17,9 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
+from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, race_scores
-
-__all__ = ["LeadPlanValue", "lead_plan_payoffs", "lead_plan_value", "make_lead_plans", "plan_members"]
 
 Floats = NDArray[np.float64]
 Plan = tuple[int, int]

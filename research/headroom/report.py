@@ -24,16 +24,6 @@ from pcs_racing_agents.tournament.meta_game import zero_sum_equilibrium
 from research.headroom.lead_plans import LeadPlanValue
 from research.headroom.slots import SlotHeadroom, slot_headroom
 
-__all__ = [
-    "LEAD_NOTE",
-    "TrackGame",
-    "headroom_picture",
-    "headroom_text",
-    "lead_plan_rows",
-    "track_game",
-    "write_headroom",
-]
-
 Floats = NDArray[np.float64]
 
 HEAD = (

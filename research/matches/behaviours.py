@@ -24,8 +24,6 @@ from pcs_racing_agents.agents.fits import game_fields, recorded_game
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 
-__all__ = ["Behaviours", "features", "load_behaviours", "save_behaviours"]
-
 Floats = NDArray[np.float64]
 
 BEHAVIOURS_FORMAT = ArtifactFormat(

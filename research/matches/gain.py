@@ -19,15 +19,14 @@ from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
+from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 from research.matches.behaviours import Behaviours
 from research.matches.play import FixedChoice, KnownOpponentChoice, play_matches
 from research.matches.remember import RememberedReply
-
-__all__ = ["ARMS", "MatchTest", "TrackGain", "gain_text", "match_gains", "write_gains"]
 
 Floats = NDArray[np.float64]
 

@@ -19,11 +19,10 @@ from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
+from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
+from pcs_racing_agents.jobs.progress import Progress
 from research.matches.behaviours import Behaviours, features
 from research.matches.play import play_matches
-
-__all__ = ["LearningRaces", "learn_behaviours"]
 
 RACES_AT_ONCE = 512
 

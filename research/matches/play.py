@@ -9,8 +9,6 @@ from pcs_racing.game.competitor import Chooser, ask_moves
 from pcs_racing.game.match import KEEP, MatchGame, MatchState
 from pcs_racing.game.match_choices import ask_choices
 
-__all__ = ["FixedChoice", "KnownOpponentChoice", "PlayedMatches", "play_matches"]
-
 Floats = NDArray[np.float64]
 
 

@@ -23,8 +23,6 @@ from pcs_racing_agents.agents.zoo import register_agent
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from research.matches.behaviours import Behaviours, features, load_behaviours
 
-__all__ = ["REPLIES", "MatchAgent", "RememberedReply", "remember"]
-
 Floats = NDArray[np.float64]
 
 REPLIES = ("likely", "nearest")

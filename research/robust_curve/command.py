@@ -8,9 +8,9 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.cli.learn import add_pool, games_of, pool_of, run_identity
 from pcs_racing_agents.cli.options import Commands, add_command, add_rules, add_tracks, can_draw
 from pcs_racing_agents.jobs.configuration import shipped_configs
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
-
-__all__ = ["add"]
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 
 SHARES = (0.0, 0.5, 0.75, 0.9, 1.0)
 

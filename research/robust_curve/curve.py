@@ -13,7 +13,8 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Competitor
 from pcs_racing_agents.agents.mixture import from_network_set
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.best_reply import best_reply, race_on_circuits
 from pcs_racing_agents.learning.responses.learner import ResponseSettings
 from pcs_racing_agents.learning.robust.restricted import learn_robust
@@ -21,8 +22,6 @@ from pcs_racing_agents.learning.robust.settings import RobustSettings
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
-
-__all__ = ["CurvePoint", "check_shares", "gain_over", "robust_curve"]
 
 
 class CurvePoint(NamedTuple):

@@ -9,8 +9,6 @@ from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned, interval_text
 from research.robust_curve.curve import CurvePoint
 
-__all__ = ["curve_picture", "curve_text", "write_curve"]
-
 HEAD = ("p", "gain", "95 % interval", "loss", "95 % interval", "races", "networks")
 COLUMNS = ("pool_share", "gain", "gain_low", "gain_high", "loss", "loss_low", "loss_high", "races", "networks")
 NOTE = """p: share of the training games against the pool, the others against learned adversaries; gain: score against

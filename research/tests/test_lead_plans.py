@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, load_race_config, parse_policy
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from research.headroom.lead_plans import lead_plan_payoffs, lead_plan_value, make_lead_plans
 

@@ -10,8 +10,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.learning.ppo.learner import Learner
 
-__all__ = ["pack", "restore_learner", "store_learner", "under"]
-
 PLAIN = "plain"
 
 

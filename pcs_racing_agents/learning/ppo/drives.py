@@ -37,8 +37,6 @@ from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, sco
 from pcs_racing_agents.learning.ppo.settings import DriveSettings
 from pcs_racing_agents.learning.ppo.tasks import split_envs
 
-__all__ = ["ACTION_LIMIT", "DriveTask", "Drives", "LearnerBatch", "make_drive_task"]
-
 ACTION_LIMIT = 10.0  # tanh of it is 1 but for 4e-9
 EVALUATION_SEED = 1_000_003  # root of the races of evaluations
 

@@ -29,8 +29,6 @@ from pcs_racing_agents.learning.ppo.tasks import group_seeds, split_envs
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import save_network
 
-__all__ = ["DuelTask", "make_duel_task", "play_duels"]
-
 Floats = NDArray[np.float32]
 
 

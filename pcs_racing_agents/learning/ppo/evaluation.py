@@ -13,18 +13,6 @@ from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv, write_csv
 from pcs_racing_agents.results.text_table import aligned
 
-__all__ = [
-    "EvaluationCurve",
-    "Matchup",
-    "MatchupScore",
-    "evaluation_curves",
-    "mean_score",
-    "read_evaluations",
-    "score_races",
-    "score_table",
-    "write_evaluations",
-]
-
 
 class Matchup(NamedTuple):
     """The races of an evaluation that share circuit, rules and opponent.

@@ -23,14 +23,6 @@ from pcs_racing_agents.networks.torch_layers import layers_from_torch, torch_alo
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
 
-__all__ = [
-    "Learner",
-    "actor_layers",
-    "check_packages",
-    "learn_once",
-    "make_learner",
-    "own_randomness",
-]
 
 FIGURES = ("approx_kl", "clip_fraction", "entropy_loss", "explained_variance", "value_loss")
 """Recorded figures of every update, by the names of Stable-Baselines3."""
@@ -60,6 +52,7 @@ class LinearRate:
         self.steps = 0
 
     def __call__(self, _: float) -> float:
+        """Return the rate after the steps so far."""
         share = min(self.steps / self.total, 1.0)
         return self.first + share * (self.last - self.first)
 

@@ -14,8 +14,6 @@ from pcs_racing_agents.learning.ppo.learner import Learner, actor_layers, learn_
 from pcs_racing_agents.learning.ppo.settings import PPOSettings
 from pcs_racing_agents.learning.ppo.tasks import LearningTask
 
-__all__ = ["SeedRecord", "SeedTraining"]
-
 
 @dataclass
 class SeedRecord:

@@ -23,8 +23,6 @@ from pcs_racing.base.settings import (
 )
 from pcs_racing_agents.jobs.configuration import shipped_configs
 
-__all__ = ["LEVELS", "DriveSettings", "DuelSettings", "PPOSettings", "load_ppo_settings"]
-
 TRAINING_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
 _OPPONENTS = weights(1, 1000)

@@ -14,8 +14,6 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore
 
-__all__ = ["LearningTask", "group_seeds", "split_envs"]
-
 
 class LearningTask(Protocol):
     """A learning task: :class:`pcs_racing_agents.learning.ppo.duels.DuelTask` or ``DriveTask``.

@@ -20,7 +20,8 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Progress, open_job
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes
 from pcs_racing_agents.learning.ppo.drives import make_drive_task
 from pcs_racing_agents.learning.ppo.duels import make_duel_task
@@ -36,8 +37,6 @@ from pcs_racing_agents.learning.ppo.seed_training import SeedRecord, SeedTrainin
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, PPOSettings, load_ppo_settings
 from pcs_racing_agents.learning.ppo.tasks import LearningTask
 from pcs_racing_agents.results.csv_files import write_csv
-
-__all__ = ["PPOResult", "check_checkpoint_seconds", "make_task", "train_ppo"]
 
 CHECKPOINT_SECONDS = 20.0
 

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecEnv
 
-__all__ = ["TUNED_FILE", "TunedPPO", "tuned_environments", "tuned_ppo"]
 
 TUNED_FILE = shipped_configs("sb3")["ppo"]
 """The file with the settings of all environments, in the format of rl_zoo3."""

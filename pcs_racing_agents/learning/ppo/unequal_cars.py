@@ -16,8 +16,6 @@ try:
 except ImportError as error:
     raise ImportError('self-play needs Stable-Baselines3: pip install "pcs-racing[learning]"') from error
 
-__all__ = ["UnequalCars"]
-
 
 class UnequalCars(VecEnvWrapper):
     """Self-play in which one car of each race is slower, and in half of the races blind; drawn anew for each race.

@@ -19,15 +19,14 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
 from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.results.races import RaceTable, concatenate_races
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
-
-__all__ = ["BestReply", "best_reply", "excess_estimate", "learn_best_reply", "race_on_circuits"]
 
 LINES = 5
 """Start lines of each pair of variants, each driven from both sides."""

@@ -16,8 +16,6 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing_agents.agents.agent import Competitor, Driver
 
-__all__ = ["WORTH", "Branches", "branch_games", "outcome"]
-
 WORTH = ("win", "utility")
 """Values of an outcome: 1 for a race won, 0.5 for a tie and 0 otherwise ("win"), or the game's utility."""
 

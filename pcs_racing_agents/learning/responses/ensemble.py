@@ -10,8 +10,6 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.networks import RegretNetwork
 
-__all__ = ["merge_networks"]
-
 
 def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwork:
     """Return a network whose output is the mean of the outputs of several networks.

@@ -17,10 +17,8 @@ from pcs_racing_agents.jobs.tasks import in_other_processes
 from pcs_racing_agents.networks import RegretNetwork, Rows, train_network
 from pcs_racing_agents.networks.settings import TrainSettings
 
-__all__ = ["train_kept"]
 
-
-class NetworkTask(NamedTuple):
+class _NetworkTask(NamedTuple):
     """One network to train, by what it depends on.
 
     Attributes
@@ -60,12 +58,12 @@ def train_kept(
         Where they are trained, if its tasks run in other processes.
     """
     digest = fingerprint(rows.observations, rows.targets, rows.weights, rows.pair)
-    tasks = [NetworkTask(digest, one) for one in settings]
+    tasks = [_NetworkTask(digest, one) for one in settings]
     kept = job.run(part, partial(_learn, rows, identity, name), tasks, executor=in_other_processes(executor))
     return [_unpacked(arrays, identity, name) for arrays in kept]
 
 
-def _learn(rows: Rows, identity: GameIdentity, name: str, task: NetworkTask) -> Arrays:
+def _learn(rows: Rows, identity: GameIdentity, name: str, task: _NetworkTask) -> Arrays:
     network, _ = train_network(rows, identity, task.settings, name=name, target="advantage")
     layers = network.layers
     arrays = {f"weights_{i}": weights for i, weights in enumerate(layers.weights)}

@@ -24,8 +24,10 @@ from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import ConstantStrategy
 from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.configuration import load_config
-from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.branches import branch_games
 from pcs_racing_agents.learning.responses.ensemble import merge_networks
 from pcs_racing_agents.learning.responses.kept_networks import train_kept
@@ -33,8 +35,6 @@ from pcs_racing_agents.learning.responses.learner_settings import LearnerSetting
 from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.tournament.games import game_between
-
-__all__ = ["ResponseSettings", "learn_response", "load_response_settings"]
 
 BLOCK = 256  # games branched in one task: about a second of work
 

@@ -6,8 +6,6 @@ from pcs_racing.base.settings import Settings, choice, number, setting, whole, w
 from pcs_racing_agents.learning.responses.branches import WORTH
 from pcs_racing_agents.networks.settings import TrainSettings
 
-__all__ = ["LearnerSettings"]
-
 ROWS_PER_EPOCH = 50_000
 
 

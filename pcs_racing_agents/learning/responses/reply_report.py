@@ -12,8 +12,6 @@ from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.results.text_table import aligned, interval_text
 from pcs_racing_agents.tournament.statistics import Estimate
 
-__all__ = ["REPLY_HEAD", "REPLY_NOTE", "reply_rows", "reply_text", "write_replies"]
-
 ALL = "all"
 REPLY_HEAD = ("agent", "circuit", "loss", "95 % interval", "races", "reply won", "agent won", "agent's own crashes")
 REPLY_NOTE = """loss: half of the reply's wins minus the agent's, as a share of the races; 0.1 means that the reply

@@ -13,13 +13,12 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.learner import learn_response
 from pcs_racing_agents.learning.robust.settings import PSROSettings
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork
 from pcs_racing_agents.tournament.fitting import MetaStrategy, TrainingRaces, fit_psro
-
-__all__ = ["learn_psro"]
 
 MIXING_SEED = 6_000_000
 """Added to the settings' seed: other races than those that responses learn from."""

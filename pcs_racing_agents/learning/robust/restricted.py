@@ -19,12 +19,11 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
 from pcs_racing_agents.learning.robust.settings import RobustSettings
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork
-
-__all__ = ["learn_robust"]
 
 
 def learn_robust(

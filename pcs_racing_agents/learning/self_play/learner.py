@@ -23,13 +23,12 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.ensemble import merge_networks
 from pcs_racing_agents.learning.responses.kept_networks import train_kept
 from pcs_racing_agents.learning.self_play.settings import SelfPlaySettings
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork, Rows, join_rows
-
-__all__ = ["Arena", "learn_self_play"]
 
 BLOCK = 256
 """Games branched in one task: about a second of work."""
@@ -69,7 +68,7 @@ class Arena(Protocol):
         """
 
 
-class TraversalTask(NamedTuple):
+class _TraversalTask(NamedTuple):
     """The games of one task.
 
     Attributes
@@ -158,7 +157,7 @@ def learn_self_play(
     return NetworkSet(name, tuple(networks), np.array(weights), "regret-matching", facts)
 
 
-def _tasks(arenas: int, steps: int, settings: SelfPlaySettings, iteration: int) -> list[TraversalTask]:
+def _tasks(arenas: int, steps: int, settings: SelfPlaySettings, iteration: int) -> list[_TraversalTask]:
     tasks = []
     for arena in range(arenas):
         for step in range(steps):
@@ -166,18 +165,18 @@ def _tasks(arenas: int, steps: int, settings: SelfPlaySettings, iteration: int) 
             root = int(spawn.generate_state(1, np.uint64)[0] >> np.uint64(1))
             for first in range(0, settings.starts, BLOCK):
                 last = min(first + BLOCK, settings.starts)
-                tasks.append(TraversalTask(arena, step, iteration, first, last, root))
+                tasks.append(_TraversalTask(arena, step, iteration, first, last, root))
     return tasks
 
 
 def _traverse(
-    arenas: Sequence[Arena], network: RegretNetwork | None, exploration: float, task: TraversalTask
+    arenas: Sequence[Arena], network: RegretNetwork | None, exploration: float, task: _TraversalTask
 ) -> Arrays:
     keys = race_seeds(task.root, task.last)[task.first :]
     return arenas[task.arena].traverse(network, exploration, task.step, keys)
 
 
-def _rows(arrays: Arrays, task: TraversalTask, weight: float) -> Rows:
+def _rows(arrays: Arrays, task: _TraversalTask, weight: float) -> Rows:
     count = len(arrays["game"])
     # A number of its own for each game: its row is either learned from or validated on.
     offset = ((task.iteration * 100 + task.step) * 1000 + task.arena) * 1_000_000

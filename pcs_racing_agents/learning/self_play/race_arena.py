@@ -17,8 +17,6 @@ from pcs_racing_agents.learning.responses.branches import branch_games
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament.games import game_between
 
-__all__ = ["ExploringStrategy", "RaceArena"]
-
 Floats = NDArray[np.float64]
 
 

@@ -9,8 +9,6 @@ from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.learning.responses.learner_settings import LearnerSettings
 from pcs_racing_agents.networks.settings import TrainSettings
 
-__all__ = ["WEIGHTS", "SelfPlaySettings", "load_self_play_settings"]
-
 WEIGHTS = ("linear", "uniform")
 """Weight of iteration t in regrets and in the average strategy: t (linear CFR), or 1 (vanilla CFR, as in the paper)."""
 

@@ -11,8 +11,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.tournament.statistics.student_t import check_level, t_interval
 from pcs_racing_agents.tournament.statistics.units import Floats, Ints, check_values, cluster_codes, pool_codes
 
-__all__ = ["Estimate", "clustered_mean"]
-
 Kind = tuple[Ints, ...]
 """One code for each race, or two where races of a kind of cluster share it in either of two roles; shape (U,) each."""
 

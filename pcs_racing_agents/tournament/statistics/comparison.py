@@ -16,8 +16,6 @@ from pcs_racing_agents.tournament.statistics.clusters import clustered_mean
 from pcs_racing_agents.tournament.statistics.student_t import ratio, t_interval
 from pcs_racing_agents.tournament.statistics.units import Floats, check_arms, check_values, cluster_codes
 
-__all__ = ["Comparison", "compare", "holm"]
-
 
 @dataclass(frozen=True)
 class Comparison:

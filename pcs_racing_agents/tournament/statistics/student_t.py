@@ -4,8 +4,6 @@ import math
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["check_level", "ratio", "t_interval"]
-
 
 def t_interval(mean: float, se: float, df: int, level: float) -> tuple[float, float, float]:
     """Return the confidence interval of an estimate, and the two-sided p-value of its being 0.

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["check_arms", "check_values", "cluster_codes", "match_units", "pool_codes", "score"]
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 

@@ -9,7 +9,8 @@ from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.responses import learn_response, load_response_settings
 from pcs_racing_agents.learning.robust import (
     learn_psro,
