@@ -288,14 +288,15 @@ def judge_match_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int
     del choices
     world = {"archive": tuned.arguments["archive"], "race": tuned.arguments["race"]}
     rows = [("opponent", "random policies", "remember", "PPO", "PPO over random policies")]
-    for opponent in ("never-switch", "random-moves", "remember"):
+    remembering = remember(make_setting(world["archive"], world["race"]))
+    for opponent in ("never-switch", "random-moves", remembering):
         arena = Arena(MatchVectorEnv, {**tuned.arguments, "opponent": opponent}, games, JUDGING)
         policies = len(arena.envs.game.archive)
-        players = at_random(policies), remember(make_setting(world["archive"], world["race"])).choose, ppo
+        players = at_random(policies), remembering.choose, ppo
         found = [arena.returns(player) for player in players]
         gain = clustered_mean(found[2] - found[0], arena.opponents)
         means = (f"{returns.mean():.3f}" for returns in found)
-        rows.append((opponent, *means, with_interval(gain.mean, gain.low, gain.high)))
+        rows.append((getattr(opponent, "name", opponent), *means, with_interval(gain.mean, gain.low, gain.high)))
     return rows
 
 

@@ -168,11 +168,13 @@ def report_page(content: ReportContent) -> str:
 def _draw(name: str, *arguments: Any, **options: Any) -> bytes:
     """Draw one of the report's pictures."""
     from pcs_racing_agents.explain import pcs_picture, situations
+    from pcs_racing_agents.pictures import curves
     from pcs_racing_agents.pictures.style import picture_bytes
     from pcs_racing_agents.study import figures
+    from pcs_racing_agents.tournament import pictures
 
-    module = {"archive_picture": pcs_picture, "situations_picture": situations}.get(name, figures)
-    return picture_bytes(getattr(module, name)(*arguments, **options))
+    home = next(module for module in (figures, curves, pictures, pcs_picture, situations) if hasattr(module, name))
+    return picture_bytes(getattr(home, name)(*arguments, **options))
 
 
 def _data(picture: bytes) -> str:

@@ -19,7 +19,6 @@ from pcs_racing.game.match_observation import decode_match, seen_races
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import walk_to
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.agents.zoo import register_agent
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from research.matches.behaviours import Behaviours, features, load_behaviours
 
@@ -123,11 +122,3 @@ def remember(
 
 def _trained(table: Behaviours) -> str:
     return ", ".join(f"{key} {value}" for key, value in table.training.items()) or "not said"
-
-
-register_agent(
-    "remember",
-    remember,
-    "chooses the policy of each race of a match as the best reply to what it saw of the opponent in the earlier ones",
-    "baseline: Bayes' rule on training races; in a game of its own it moves to the best policy on average",
-)

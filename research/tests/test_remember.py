@@ -6,8 +6,7 @@ from made_up_behaviours import made_up_behaviours
 
 from pcs_racing import InputError, PolicyArchive, UnknownNameError, make_game
 from pcs_racing.base.artifacts import MANIFEST
-from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
-from pcs_racing_agents import make
+from pcs_racing.envs.match import MatchVectorEnv
 from pcs_racing_agents.agents import make_setting
 from research.matches.behaviours import Behaviours, load_behaviours, save_behaviours
 from research.matches.remember import MatchAgent, remember
@@ -100,19 +99,20 @@ def table(setting) -> Behaviours:
     return made_up_behaviours(setting)
 
 
-def test_by_name_with_its_table(setting, oval, tmp_path):
+def test_its_table_may_be_a_folder(setting, tmp_path):
     folder = save_behaviours(table(setting), tmp_path / "behaviours")
-    agent = make("remember", archive=setting.archive, race=setting.config, table=str(folder))
+    agent = remember(setting, table=folder)
     assert agent.facts["pool"] == "3 opponents"
     assert agent.content_hash == remember(setting, table=table(setting)).content_hash
     assert agent.content_hash != remember(setting, table=table(setting), reply="nearest").content_hash
-    name = f"remember:table={folder}"
-    made = MatchEnv(track=oval, archive=setting.archive, race=setting.config, opponent=name)
-    assert [opponent.name for opponent in made.opponents] == [name]
     with pytest.raises(UnknownNameError, match="table of behaviours"):
-        make("remember")
+        remember(setting)
     with pytest.raises(InputError, match="'often'"):
-        make("remember", archive=setting.archive, race=setting.config, table=str(folder), reply="often")
+        remember(setting, table=folder, reply="often")
+
+
+def test_a_table_is_shipped_for_the_contest():
+    assert len(remember(make_setting("contest", "contest")).choice.table.opponents) == 16
 
 
 def test_a_table_of_another_archive_is_refused(setting, archive, tmp_path):
