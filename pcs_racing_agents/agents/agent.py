@@ -27,27 +27,15 @@ Strategy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 
 @dataclass(frozen=True, eq=False)
 class Agent:
-    """A strategy of the game, with a name and a seed.
+    """A strategy of the game, with a name and a seed."""
 
-    Attributes
-    ----------
-    name : str
-        Name in tables.
-    strategy : callable
-        ``strategy(observation (B, D)) -> (B, M)``: the probabilities of the moves; a row depends on its observation
-        alone. A dataclass with ``__call__`` can be sent to other processes; its fields identify it.
-    setting : Setting
-        Archive and rules that it is made for.
-    seed : int
-        Seed of the random draws of a mixed strategy, from 0 to 2**63 - 1.
-    facts : Mapping of str to str
-        For documentation and reports: what it does, its source, what it was trained on, a digest of its weights.
-    """
-
-    name: str
+    name: str  #: Name in tables.
+    #: ``strategy(observation (B, D)) -> (B, M)``: the probabilities of the moves; a row depends on its observation
+    #: alone. A dataclass with ``__call__`` can be sent to other processes; its fields identify it.
     strategy: Strategy
-    setting: Setting
-    seed: int = 0
+    setting: Setting  #: Archive and rules that it is made for.
+    seed: int = 0  #: Seed of the random draws of a mixed strategy, from 0 to 2**63 - 1.
+    #: For documentation and reports: what it does, its source, what it was trained on, a digest of its weights.
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -69,13 +57,7 @@ class Agent:
         self.setting.check_fits(game, self.name)
 
     def probabilities(self, observation: ArrayLike) -> NDArray[np.float64]:
-        """Return the probabilities of the moves, shape (B, M), for observations of shape (B, D).
-
-        Raises
-        ------
-        InputError
-            If an observation has the wrong size or is not finite.
-        """
+        """Return the probabilities of the moves, shape (B, M), for observations of shape (B, D)."""
         rows = np.asarray(observation, np.float32)
         size = len(self.setting.elements)
         if rows.ndim != 2 or rows.shape[1] != size:
@@ -121,19 +103,9 @@ class Agent:
 
 @dataclass(frozen=True, eq=False)
 class Driver(PolicySet):
-    """A competitor that makes no moves: policies from outside the archive, each a variant of it.
+    """A competitor that makes no moves: one or more policies of one planner, each a variant of it."""
 
-    Attributes
-    ----------
-    name : str
-        Name in tables.
-    policies : tuple of Policy
-        At least one; all of one planner.
-    facts : Mapping of str to str
-        For documentation and reports.
-    """
-
-    facts: Mapping[str, str] = field(default_factory=dict)
+    facts: Mapping[str, str] = field(default_factory=dict)  #: For documentation and reports.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "policies", tuple(self.policies))
@@ -199,11 +171,6 @@ def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
     candidate : Agent, Driver, Policy, object with ``predict`` or with ``decide``
     name : str, optional
         Name in place of its own.
-
-    Raises
-    ------
-    InputError
-        If it can't race.
     """
     if isinstance(candidate, Policy):
         return Driver(name or candidate.name, (candidate,))
@@ -228,14 +195,7 @@ def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
 
 
 def competitor_hash(competitor: Competitor) -> str:
-    """SHA-256 of all that a competitor's moves depend on; it identifies the competitor in folders of results.
-
-    Raises
-    ------
-    InputError
-        If it can't be identified: a plain function, or an object that is neither a dataclass, nor a model of
-        Stable-Baselines3, nor has a ``content_hash``.
-    """
+    """SHA-256 of all that a competitor's moves depend on; it identifies the competitor in folders of results."""
     model = competitor.model if isinstance(competitor, Named) else competitor
     state = getattr(getattr(model, "policy", None), "state_dict", None)
     if callable(state):

@@ -49,13 +49,7 @@ DECISIONS: dict[str, Callable[[NDArray[Any]], Floats]] = {
 
 
 def get_decision(name: str) -> Callable[[NDArray[Any]], Floats]:
-    """Return a decision rule.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name.
-    """
+    """Return a decision rule."""
     if name not in DECISIONS:
         raise UnknownNameError(f"decision {name!r} is unknown; there are {', '.join(DECISIONS)}")
     return DECISIONS[name]

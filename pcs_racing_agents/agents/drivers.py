@@ -13,13 +13,7 @@ from pcs_racing_agents.agents.zoo import Entry
 
 
 def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0) -> Driver:
-    """Drive every policy that the archive's synthesis evaluated: the paper's random agent.
-
-    Raises
-    ------
-    InputError
-        If the archive does not hold them.
-    """
+    """Drive every policy that the archive's synthesis evaluated: the paper's random agent."""
     archive = setting.archive
     explored = len(archive.explored_parameters)
     if explored == 0:
@@ -34,17 +28,10 @@ def other_archive(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
     seed
         Not used.
     archive : str or Path, optional
         Name or folder of the other archive; by default "default" or, where the game has that one, "contest".
-
-    Raises
-    ------
-    InputError
-        If it is the archive of the game, whose policies are no others.
     """
     other = load_archive(archive or ("contest" if setting.archive.name == "default" else "default"))
     if other.content_hash == setting.archive.content_hash:
@@ -60,7 +47,6 @@ def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str |
     ----------
     setting, seed
         Not used: a planner of its own needs no archive.
-    name : str
     planner : str, optional
         Name of the planner; by default that of the driver.
     """
@@ -78,16 +64,8 @@ def trained_driver(
     ----------
     setting, seed
         Not used: it drives without an archive, and by any rules.
-    name : str
     network : str or Path, optional
         Another network: the name of a shipped one or its folder.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name and no such folder.
-    InputError
-        If the folder holds no sound driver.
     """
     planner = get_planner(NAME) if network is None else load_driver(network)
     _, manifest = read_driver(NAME if network is None else network)

@@ -11,22 +11,12 @@ TRAINING, TEST = "training", "test"
 
 @dataclass(frozen=True)
 class OpponentFamily:
-    """Opponents that drive alike.
-
-    Attributes
-    ----------
-    name : str
-    use : {"training", "test"}
-    members : tuple of str
-        Names in the zoo.
-    what : str
-        What they have in common.
-    """
+    """Opponents that drive alike."""
 
     name: str
-    use: str
-    members: tuple[str, ...]
-    what: str
+    use: str  #: "training" or "test"
+    members: tuple[str, ...]  #: Names in the zoo.
+    what: str  #: What they have in common.
 
 
 FAMILIES = (

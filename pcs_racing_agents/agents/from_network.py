@@ -26,21 +26,11 @@ _DETAILS = ("setting_", "test_", "validation_", "training_")
 
 @dataclass(frozen=True, eq=False)
 class NetworkStrategy:
-    """A strategy that applies a decision rule to the values of a network.
+    """A strategy that applies a decision rule to the values of a network."""
 
-    Attributes
-    ----------
-    network : RegretNetwork
-        If it has no value for "stay", the last move, that move is never made.
-    decision : str
-        One of :data:`pcs_racing_agents.agents.decisions.DECISIONS`.
-    count : int
-        Number of moves M that there are.
-    """
-
-    network: RegretNetwork
-    decision: str
-    count: int
+    network: RegretNetwork  #: If it has no value for "stay", the last move, that move is never made.
+    decision: str  #: One of :data:`pcs_racing_agents.agents.decisions.DECISIONS`.
+    count: int  #: Number of moves M that there are.
 
     def __post_init__(self) -> None:
         get_decision(self.decision)
@@ -55,21 +45,12 @@ class NetworkStrategy:
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveStrategy:
-    """A strategy that follows a blind agent, unless a network predicts a gain above a margin.
+    """A strategy that follows a blind agent, unless a network predicts a gain above a margin."""
 
-    Attributes
-    ----------
-    network : RegretNetwork
-        Values of the moves, in the units of its target.
-    blind : Agent
-        The agent to follow; it does not use its observations.
-    margin : float
-        Least difference between the values of the best move and of the blind agent's, 0 or above. A move that the
-        network does not value ("stay", where it has not learned it) counts 0, as in a network of advantages.
-    """
-
-    network: RegretNetwork
-    blind: Agent
+    network: RegretNetwork  #: Values of the moves, in the units of its target.
+    blind: Agent  #: The agent to follow; it does not use its observations.
+    #: Least difference between the values of the best move and of the blind agent's, 0 or above. A move that the
+    #: network does not value ("stay", where it has not learned it) counts 0, as in a network of advantages.
     margin: float
 
     def __call__(self, observation: ObservationBatch) -> Floats:
@@ -92,18 +73,10 @@ def fitting_network(source: NetworkSource, setting: Setting, kind: str, agent: s
     source : RegretNetwork, str or path, optional
         The network, the name of a shipped one or its folder; by default the shipped one called
         ``ARCHIVE-RACE-KIND``.
-    setting : Setting
     kind : str
         What it was trained to approximate.
     agent : str
         Name of the agent, for error messages.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such network.
-    InputError
-        If it takes other observations or belongs to another archive.
     """
     if source is None:
         source = f"{setting.archive.name}-{setting.race}-{kind}"
@@ -146,9 +119,6 @@ def from_network(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
-    seed : int
     kind : str
         What the network was trained to approximate; names the shipped one (``ARCHIVE-RACE-KIND``).
     decision : {"argmax", "regret-matching", "sample", "softmax"}
@@ -175,9 +145,6 @@ def adaptive(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
-    seed : int
     kind : str
         What the network was trained to approximate; names the shipped one.
     network : RegretNetwork, str or path, optional

@@ -22,14 +22,8 @@ def network_from_sb3(
         (``policy_kwargs={"activation_fn": torch.nn.ReLU}``), whose actions are the moves of the game.
     identity : GameIdentity
         The game that it was trained on (:func:`pcs_racing.game.identity.game_identity`).
-    name : str
     training : dict of str to text or number, optional
         How it was trained, for reports.
-
-    Raises
-    ------
-    InputError
-        If the model has another structure.
     """
     policy = getattr(model, "policy", None)
     try:

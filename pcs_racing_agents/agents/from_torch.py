@@ -21,13 +21,6 @@ class TorchPolicy:
     name : str
         Name in tables.
 
-    Raises
-    ------
-    ModuleNotFoundError
-        If torch is not installed.
-    InputError
-        If there is no such module, or one of its weights is not finite.
-
     Notes
     -----
     Torch may round a matrix product differently in another batch size, so that a move may depend on the batch where two
@@ -54,13 +47,7 @@ class TorchPolicy:
     def predict(
         self, observation: NDArray[np.float32], state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.int64], None]:
-        """Return the move with the largest output for each observation, whatever ``deterministic`` says.
-
-        Raises
-        ------
-        InputError
-            If the module does not return a finite number for each of several moves.
-        """
+        """Return the move with the largest output for each observation, whatever ``deterministic`` says."""
         import torch
 
         seen = np.asarray(observation, np.float32)

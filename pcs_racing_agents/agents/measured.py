@@ -19,45 +19,27 @@ NUMBERS = ("races", "score", "rating", "rating_low", "rating_high", "own_crash",
 
 
 class Measured(NamedTuple):
-    """Measured strength and cost of an agent.
+    """Measured strength and cost of an agent."""
 
-    Attributes
-    ----------
-    archive, race, agent : str
-        The game, and the agent's name.
-    sha256 : str
-        The agent's hash.
-    tracks : str
-        Circuits, separated by ``", "``.
-    races : float
-        Number of its races.
-    score : float
-        Races won, a tie counting half, mean over the opponents.
-    rating, rating_low, rating_high : float
-        Bradley-Terry rating among all measured agents, and its 95 % interval; NaN if it can't be estimated.
-    own_crash : float
-        Share of its races that ended in a crash by its fault.
-    one_us, many_us : float
-        Microseconds of a decision for a single observation, and for each of 1,000 at once; of a driver, which decides
-        by planning ten times a second, those of a plan with 0.1 s of simulation. NaN where it was not measured.
-    against : dict of str to float
-        Score against each of the opponents, by name.
-    """
-
-    archive: str
+    archive: str  #: ``archive``, ``race``, ``agent``: The game, and the agent's name.
     race: str
     agent: str
-    sha256: str
-    tracks: str
-    races: float
-    score: float
+    sha256: str  #: The agent's hash.
+    tracks: str  #: Circuits, separated by ``", "``.
+    races: float  #: Number of its races.
+    score: float  #: Races won, a tie counting half, mean over the opponents.
+    #: ``rating``, ``rating_low``, ``rating_high``: Bradley-Terry rating among all measured agents, and its 95 %
+    #: interval; NaN if it can't be estimated.
     rating: float
     rating_low: float
     rating_high: float
-    own_crash: float
+    own_crash: float  #: Share of its races that ended in a crash by its fault.
+    #: ``one_us``, ``many_us``: Microseconds of a decision for a single observation, and for each of 1,000 at once; of a
+    #: driver, which decides by planning ten times a second, those of a plan with 0.1 s of simulation. NaN where it was
+    #: not measured.
     one_us: float
     many_us: float
-    against: dict[str, float]
+    against: dict[str, float]  #: Score against each of the opponents, by name.
 
 
 def measured(archive: str, race: str, agent: str, sha256: str) -> Measured | None:
@@ -68,13 +50,7 @@ def measured(archive: str, race: str, agent: str, sha256: str) -> Measured | Non
 
 @lru_cache(maxsize=1)
 def measurements() -> dict[tuple[str, str, str], Measured]:
-    """Return all measurements, by archive, race and agent.
-
-    Raises
-    ------
-    InputError
-        If the file of the package is damaged.
-    """
+    """Return all measurements, by archive, race and agent."""
     path = measured_file()
     if not path.is_file():
         return {}

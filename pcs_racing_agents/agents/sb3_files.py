@@ -29,21 +29,12 @@ LAYER = re.compile(r"mlp_extractor\.policy_net\.(\d+)\.weight")
 
 @dataclass(frozen=True, eq=False)
 class Sb3Policy:
-    """The actor of a trained policy: fully connected layers from an observation to the logits of the moves.
-
-    Attributes
-    ----------
-    name : str
-    weights : tuple of ndarray, shape (outputs, inputs)
-    biases : tuple of ndarray, shape (outputs,)
-    activation : str
-        ``"Tanh"`` or ``"ReLU"``.
-    """
+    """The actor of a trained policy: fully connected layers from an observation to the logits of the moves."""
 
     name: str
-    weights: tuple[Floats, ...]
-    biases: tuple[Floats, ...]
-    activation: str
+    weights: tuple[Floats, ...]  #: shape (outputs, inputs)
+    biases: tuple[Floats, ...]  #: shape (outputs,)
+    activation: str  #: ``"Tanh"`` or ``"ReLU"``.
 
     @property
     def content_hash(self) -> str:
@@ -66,15 +57,7 @@ class Sb3Policy:
 
 
 def load_sb3_policy(path: Path) -> Sb3Policy:
-    """Read a policy that ``model.save(path)`` wrote, of PPO, A2C or MaskablePPO with an ``MlpPolicy``.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it holds another kind of policy.
-    ModuleNotFoundError
-        If torch is not installed.
-    """
+    """Read a policy that ``model.save(path)`` wrote, of PPO, A2C or MaskablePPO with an ``MlpPolicy``."""
     require("torch", extra="learning")
     import torch
 

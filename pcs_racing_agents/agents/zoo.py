@@ -35,30 +35,15 @@ _ALWAYS = "pcs_racing_agents.agents.blind:always"
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """An agent or a driver of the zoo.
+    """An agent or a driver of the zoo."""
 
-    Attributes
-    ----------
-    build : callable
-        ``build(setting, name=..., seed=..., **options)`` makes it.
-    summary : str
-        What it does, in a sentence.
-    source : str
-        Where the idea comes from.
-    needs : str
-        What must be trained before it can race: "", "fit", "network" or "networks".
-    defaults : Mapping
-        Options that differ from those of other entries with the same function.
-    moves : bool
-        Whether it makes moves; drivers do not.
-    """
-
-    build: Callable[..., Any]
-    summary: str
-    source: str = ""
-    needs: str = ""
+    build: Callable[..., Any]  #: ``build(setting, name=..., seed=..., **options)`` makes it.
+    summary: str  #: What it does, in a sentence.
+    source: str = ""  #: Where the idea comes from.
+    needs: str = ""  #: What must be trained before it can race: "", "fit", "network" or "networks".
+    #: Options that differ from those of other entries with the same function.
     defaults: Mapping[str, Any] = field(default_factory=dict)
-    moves: bool = True
+    moves: bool = True  #: Whether it makes moves; drivers do not.
 
 
 SHIPPED = {
@@ -100,16 +85,10 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
 
     Parameters
     ----------
-    name : str
     build : callable
         ``build(setting, name=..., seed=..., **options)`` returns an agent, a driver, or any object with ``predict``.
     summary, source : str
         For reports; by default the first line of the function's docstring.
-
-    Raises
-    ------
-    InputError
-        If the name is no plain text or is taken by another one.
     """
     if not isinstance(name, str) or not name or any(sign in name for sign in ":=, \t\n") or name.startswith(ALWAYS):
         raise InputError(
@@ -206,13 +185,7 @@ def build(name: str, setting: Setting, *, seed: int = 0, **options: Any) -> Any:
 
 
 def build_member(member: str | Agent, setting: Setting, seed: int) -> Agent:
-    """Return an agent that is a member of another one; it is given as an agent or by name.
-
-    Raises
-    ------
-    InputError
-        If it makes no moves.
-    """
+    """Return an agent that is a member of another one; it is given as an agent or by name."""
     agent = member if isinstance(member, Agent) else build(member, setting, seed=seed)
     if not isinstance(agent, Agent):
         raise InputError(f"{member!r} makes no moves; only agents can be part of another one")
@@ -223,11 +196,6 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
     """Make an agent from text: a name, or a name with options as in ``"cfr-argmax:network=out/net"``.
 
     A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``.
-
-    Raises
-    ------
-    InputError
-        As :func:`make`, or if the text is of another form.
     """
     name, separator, rest = str(text).strip().partition(":")
     if not separator or name not in entries() or name in planner_names():

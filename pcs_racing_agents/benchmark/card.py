@@ -20,44 +20,22 @@ LARGEST = 1_000_000
 
 @dataclass(frozen=True)
 class Card:
-    """The result of an agent in the benchmark.
+    """The result of an agent in the benchmark."""
 
-    Attributes
-    ----------
-    protocol : str
-        Name of the protocol, with its version.
-    protocol_sha256 : str
-        Hash of the protocol and of everything that its results depend on.
-    agent, agent_sha256 : str
-    scores : tuple of CardScore
-        Over everything, by kind of opponent, and cell by cell.
-    gains : dict of str to dict
-        Adaptivity gain on ``"seen"``, ``"unseen"`` and ``"all"`` circuits: ``over``, ``gain``, ``low``, ``high``.
-    rating : float, optional
-    cost_us : float, optional
-        Microseconds of a decision.
-    best_reply : dict, optional
-        Loss to a learned best reply: ``loss``, ``low``, ``high``, the learner's ``starts`` and ``rounds``, ``races``.
-    """
-
-    protocol: str
-    protocol_sha256: str
+    protocol: str  #: Name of the protocol, with its version.
+    protocol_sha256: str  #: Hash of the protocol and of everything that its results depend on.
     agent: str
     agent_sha256: str
-    scores: tuple[CardScore, ...]
+    scores: tuple[CardScore, ...]  #: Over everything, by kind of opponent, and cell by cell.
+    #: Adaptivity gain on ``"seen"``, ``"unseen"`` and ``"all"`` circuits: ``over``, ``gain``, ``low``, ``high``.
     gains: dict[str, dict[str, Any]]
     rating: float | None = None
-    cost_us: float | None = None
+    cost_us: float | None = None  #: Microseconds of a decision.
+    #: Loss to a learned best reply: ``loss``, ``low``, ``high``, the learner's ``starts`` and ``rounds``, ``races``.
     best_reply: dict[str, Any] | None = None
 
     def score(self, part: str = "all", circuits: str = "all") -> CardScore:
-        """Return the score of a part of the races.
-
-        Raises
-        ------
-        InputError
-            If the card has no such part.
-        """
+        """Return the score of a part of the races."""
         for score in self.scores:
             if (score.part, score.circuits) == (part, circuits):
                 return score
@@ -69,7 +47,6 @@ def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = (
 
     Parameters
     ----------
-    card : Card
     folder : Path
         An existing folder.
     races : sequence of (str, Replay)
@@ -89,13 +66,7 @@ def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = (
 
 
 def read_card(path: Path) -> Card:
-    """Read a card from its folder or its ``card.json``.
-
-    Raises
-    ------
-    InputError
-        If there is none, or the file is damaged.
-    """
+    """Read a card from its folder or its ``card.json``."""
     file = path / "card.json" if path.is_dir() else path
     try:
         values = json.loads(read_limited(file, LARGEST, "a card"))

@@ -33,11 +33,6 @@ def load_entrant(
         File that is handed to the function.
     name : str, optional
         Name on the card, in place of its own.
-
-    Raises
-    ------
-    InputError
-        If there is no such agent, function or file, or it can't race.
     """
     module, separator, function = text.partition(":")
     if drive:

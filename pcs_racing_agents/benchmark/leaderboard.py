@@ -17,12 +17,6 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
     ----------
     paths : iterable of Path
         Folders of cards, or folders that hold such folders.
-
-    Raises
-    ------
-    InputError
-        If there is none, one can't be read, two are of the same agent, or one is of another protocol or of the same one
-        with other hashes.
     """
     files = [card for path in paths for card in _cards_in(path)]
     cards = [read_card(path) for path in files]

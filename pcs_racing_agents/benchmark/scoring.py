@@ -25,14 +25,7 @@ Floats = NDArray[np.float64]
 
 
 class CellRaces(NamedTuple):
-    """The races of an agent against one opponent on one circuit.
-
-    Attributes
-    ----------
-    cell : Cell
-    pairing : Pairing
-    races : RaceTable
-    """
+    """The races of an agent against one opponent on one circuit."""
 
     cell: Cell
     pairing: Pairing
@@ -40,28 +33,18 @@ class CellRaces(NamedTuple):
 
 
 class CardScore(NamedTuple):
-    """The score over a part of the races.
+    """The score over a part of the races."""
 
-    Attributes
-    ----------
-    part : str
-        ``"all"``, a kind of opponent, or an opponent.
-    circuits : str
-        ``"seen"``, ``"unseen"``, ``"all"``, or a circuit.
-    races : int
-    score, low, high : float
-        Mean score (1 win, 0.5 tie, 0 else), and its 95 % interval, robust to clusters of start policies and of
-        opponents' variants; it holds for these circuits.
-    own_crash, other_crash : float
-        Shares of races that ended in a crash by the agent's own fault, and in another crash.
-    """
-
-    part: str
-    circuits: str
+    part: str  #: ``"all"``, a kind of opponent, or an opponent.
+    circuits: str  #: ``"seen"``, ``"unseen"``, ``"all"``, or a circuit.
     races: int
+    #: ``score``, ``low``, ``high``: Mean score (1 win, 0.5 tie, 0 else), and its 95 % interval, robust to clusters of
+    #: start policies and of opponents' variants; it holds for these circuits.
     score: float
     low: float
     high: float
+    #: ``own_crash``, ``other_crash``: Shares of races that ended in a crash by the agent's own fault, and in another
+    #: crash.
     own_crash: float
     other_crash: float
 
@@ -80,21 +63,13 @@ def play_protocol(
 
     Parameters
     ----------
-    protocol : Protocol
     agents : sequence of Competitor
         With different names.
-    job, executor, progress
-        As for :func:`pcs_racing_agents.tournament.runner.play_pairings`.
 
     Returns
     -------
     dict of str to list of CellRaces
         By name: the agents first, then the blind strategies.
-
-    Raises
-    ------
-    InputError
-        If two agents have the same name.
     """
     arms = {competitor_name(agent): as_competitor(agent) for agent in agents}
     if len(arms) < len(agents):
@@ -173,7 +148,6 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
     ----------
     results : mapping
         As :func:`play_protocol` returns.
-    agent : str
     seen : bool, optional
         Only circuits that may be trained on, or only the others; by default all.
     """

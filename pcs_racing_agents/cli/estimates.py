@@ -103,7 +103,6 @@ def tree_seconds(config: GameConfig, moves: int, trees: int, seeds: int) -> floa
 
     Parameters
     ----------
-    config : GameConfig
     moves : int
         Number of moves of each player.
     trees, seeds : int
@@ -143,8 +142,6 @@ def response_seconds(settings: ResponseSettings, config: GameConfig, moves: int,
 
     Parameters
     ----------
-    settings : ResponseSettings
-    config : GameConfig
     moves : int
         Number of moves of each player.
     games : int

@@ -78,13 +78,7 @@ def can_draw(picture: str) -> bool:
 
 
 def output_file(path: Path, *endings: str) -> Path:
-    """Check that a file can be written, before any long work, and return its path.
-
-    Raises
-    ------
-    InputError
-        If its suffix is not one of ``endings``, if its folder does not exist, or if it is a folder.
-    """
+    """Check that a file can be written, before any long work, and return its path."""
     if path.suffix not in endings:
         raise InputError(f"can't write {path}: its name must end in {' or '.join(endings)}")
     if not path.parent.is_dir():
@@ -95,13 +89,7 @@ def output_file(path: Path, *endings: str) -> Path:
 
 
 def output_folder(path: Path) -> Path:
-    """Make a folder if it does not exist, and return its path.
-
-    Raises
-    ------
-    InputError
-        If the folder can't be made.
-    """
+    """Make a folder if it does not exist, and return its path."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

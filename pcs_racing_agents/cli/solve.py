@@ -19,22 +19,11 @@ as the exact solution leads to it; decisions at which all moves are worth the sa
 
 
 class _SolvedTree(NamedTuple):
-    """The results of all methods on one tree.
+    """The results of all methods on one tree."""
 
-    Attributes
-    ----------
-    number : int
-        Number of the tree in its folder.
-    policies : tuple of int
-        Policies of both cars at the start.
-    seeds : int
-        Number of noise realisations of the tree.
-    rows : list of MethodRow
-    """
-
-    number: int
-    policies: tuple[int, int]
-    seeds: int
+    number: int  #: Number of the tree in its folder.
+    policies: tuple[int, int]  #: Policies of both cars at the start.
+    seeds: int  #: Number of noise realisations of the tree.
     rows: list[MethodRow]
 
 

@@ -29,8 +29,6 @@ def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, 
 
     Parameters
     ----------
-    axes : matplotlib Axes
-    archive : PolicyArchive
     colour_bar : bool
         Whether to add a colour bar for the policies' crash rate, if it is known.
     faint : bool
@@ -86,18 +84,10 @@ def archive_picture(
 
     Parameters
     ----------
-    archive : PolicyArchive
     epsilon : float or tuple of float
         Length of a move in normalised units.
     policy : int, optional
         The policy; by default the one in the middle.
-
-    Raises
-    ------
-    InputError
-        If there is no such policy.
-    ModuleNotFoundError
-        If matplotlib is not installed.
     """
     start = archive.select("middle") if policy is None else policy
     if not 0 <= start < len(archive):

@@ -34,7 +34,6 @@ def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
 
     Parameters
     ----------
-    path : Path
     arrays : dict of ndarray
         No objects. Equal arrays make equal files.
     task : str
@@ -52,14 +51,8 @@ def read_chunk(path: Path, task: str | None = None) -> Arrays:
 
     Parameters
     ----------
-    path : Path
     task : str, optional
         Digest of the task that it must answer.
-
-    Raises
-    ------
-    InputError
-        If it is missing, damaged, or answers another task; the message begins with the path.
     """
     try:
         content = read_limited(path, _MAX_BYTES, "a chunk")

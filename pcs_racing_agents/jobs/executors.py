@@ -62,14 +62,6 @@ def make_executor(
     ------
     Executor or None
         None for "serial".
-
-    Raises
-    ------
-    InputError
-        If there is no such kind, no scheduler answers, it has no workers, or a worker runs on other
-        versions than this process.
-    ModuleNotFoundError
-        If dask is asked for and not installed.
     """
     if kind not in EXECUTORS:
         raise InputError(f"executor is {kind!r}; it must be one of {', '.join(EXECUTORS)}")

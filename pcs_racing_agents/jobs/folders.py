@@ -36,13 +36,6 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
     ------
     Mapping
         The settings as plain values.
-
-    Raises
-    ------
-    InputError
-        If the folder holds something else; nothing is touched then.
-    JobError
-        If another process works in it, or it can't be written to.
     """
     manifest = {
         "format": FORMAT,
@@ -71,13 +64,7 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
 
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[None]:
-    """Create and lock a folder without a manifest: for short work that is never resumed.
-
-    Raises
-    ------
-    JobError
-        If another process works in it, or it can't be written to.
-    """
+    """Create and lock a folder without a manifest: for short work that is never resumed."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = _take_lock(folder)
@@ -98,15 +85,7 @@ def clear_half_written(folder: Path) -> None:
 
 
 def read_job(file: Path) -> Any:
-    """Return the content of a job's manifest, unchecked.
-
-    Raises
-    ------
-    InputError
-        If it is too large or no YAML; the message does not always name the file.
-    OSError
-        If it can't be read.
-    """
+    """Return the content of a job's manifest, unchecked."""
     return plain_yaml(read_limited(file, _MAX_BYTES, "a manifest of a job"))
 
 

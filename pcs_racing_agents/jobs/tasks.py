@@ -15,18 +15,10 @@ R = TypeVar("R")
 
 
 class Task(NamedTuple, Generic[K]):
-    """One call of a function.
+    """One call of a function."""
 
-    Attributes
-    ----------
-    key
-        What its result is known by.
-    function : callable
-        ``function(argument)``; a large one that is the same object for several tasks travels only once.
-    argument
-    """
-
-    key: K
+    key: K  #: What its result is known by.
+    #: ``function(argument)``; a large one that is the same object for several tasks travels only once.
     function: Callable[[Any], Any]
     argument: Any
 
@@ -56,12 +48,6 @@ def run_tasks(
     ------
     key
         Of a task.
-    result
-
-    Raises
-    ------
-    JobError
-        If the executor is broken: a worker died, or the cluster is gone.
     """
     first, following = iter(tasks), deque[Task[K]]()
 

@@ -24,7 +24,6 @@ def ego_values(trees: EgoTrees, continuation: Continuation = "best") -> list[tup
 
     Parameters
     ----------
-    trees : EgoTrees
     continuation : "best" or callable
         Car 0's further moves: the best in hindsight, or with the probabilities ``continuation(observations (n, D)) ->
         (n, A)``.
@@ -33,11 +32,6 @@ def ego_values(trees: EgoTrees, continuation: Continuation = "best") -> list[tup
     -------
     list of (ndarray (R, A**k, A), ndarray (R, A**k))
         For each step ``k`` the value of each move, and the return of the continuation from there.
-
-    Raises
-    ------
-    InputError
-        If the continuation returns something else than probabilities.
     """
     if isinstance(continuation, str) and continuation != "best":
         raise InputError(f'continuation is {continuation!r}; it must be "best" or a function of observations')
@@ -67,11 +61,6 @@ def ego_rows(trees: EgoTrees, continuation: Continuation = "best") -> Rows:
 
     Situations that histories of the same policies share are one row; its weight is the probability to get there with
     moves at random. Races that are over give none.
-
-    Raises
-    ------
-    InputError
-        If no race goes on after the first step, or the continuation returns no probabilities.
     """
     blocks = []
     for level, (q, _) in enumerate(ego_values(trees, continuation)):

@@ -44,7 +44,6 @@ def train_on_ego(
 
     Parameters
     ----------
-    trees : EgoTrees
     identity : GameIdentity
         The game that they belong to.
     settings : TrainSettings
@@ -55,11 +54,6 @@ def train_on_ego(
         What else the network should know of its training, texts and numbers by name.
     learning : callable, optional
         Called as ``progress(epoch, epochs, label)``.
-
-    Raises
-    ------
-    InputError
-        If the target is another one, or the roots come from fewer than three starting pairs.
     """
     check_ego_target(settings)
     settings = settings_for_trees(settings)
@@ -91,13 +85,7 @@ def train_on_ego(
 
 
 def check_ego_target(settings: TrainSettings) -> None:
-    """Check that the target is one that ego trees give.
-
-    Raises
-    ------
-    InputError
-        If it is another one.
-    """
+    """Check that the target is one that ego trees give."""
     if settings.target != TARGET:
         raise InputError(f"target is {settings.target!r}; ego trees have one player and give {TARGET!r} alone")
 

@@ -23,23 +23,14 @@ from pcs_racing_agents.networks.tree_rows import PlayedTree, tree_rows
 
 
 class TrainedOnTrees(NamedTuple):
-    """A network trained on game trees or ego trees.
+    """A network trained on game trees or ego trees."""
 
-    Attributes
-    ----------
-    network : RegretNetwork
-        Its scores on the held-out trees are among what it knows of its training.
-    result : TrainingResult
-    rows : list of RowScore
-        Choices on the rows of the held-out trees, or of the validation pairs where no tree is held out.
-    scores : dict of str to ndarray
-        Of the network and other strategies on each held-out tree; empty if none are held out. On game trees
-        :class:`TreeScore`, shape (trees, 4); on ego trees the utility, shape (trees,).
-    """
-
-    network: RegretNetwork
+    network: RegretNetwork  #: Its scores on the held-out trees are among what it knows of its training.
     result: TrainingResult
+    #: Choices on the rows of the held-out trees, or of the validation pairs where no tree is held out.
     rows: list[RowScore]
+    #: Of the network and other strategies on each held-out tree; empty if none are held out. On game trees
+    #: :class:`TreeScore`, shape (trees, 4); on ego trees the utility, shape (trees,).
     scores: dict[str, NDArray[np.float64]]
 
 
@@ -66,7 +57,6 @@ def train_on_trees(
         Starting policies of each tree.
     identity : GameIdentity
         The game that they belong to.
-    settings : TrainSettings
     name : str
         Of the network.
     about : dict, optional
@@ -76,13 +66,6 @@ def train_on_trees(
         no influence on the result.
     solving, learning : callable, optional
         Called as ``progress(done, total, label)`` after every tree and every epoch (in this process).
-
-    Raises
-    ------
-    JobError
-        If the executor is broken.
-    InputError
-        If the trees come from too few starting pairs: 2, or 3 with some held out.
     """
     settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
@@ -116,13 +99,7 @@ def train_on_trees(
 
 
 def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, noun: str) -> NDArray[np.bool_]:
-    """Return which trees are held out for evaluation, shape (trees,), by the numbers of their starting pairs.
-
-    Raises
-    ------
-    InputError
-        If they come from fewer starting pairs than ``least``.
-    """
+    """Return which trees are held out for evaluation, shape (trees,), by the numbers of their starting pairs."""
     different = len(np.unique(numbers))
     if different < least:
         raise InputError(
@@ -137,17 +114,10 @@ def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, no
 
 @dataclass(frozen=True)
 class _TreeSolver:
-    """The function that solves a tree and returns its rows; it can be pickled.
-
-    Attributes
-    ----------
-    settings : TrainSettings
-    stay : int, optional
-        Index of the move "stay", which the trees do not know.
-    """
+    """The function that solves a tree and returns its rows; it can be pickled."""
 
     settings: TrainSettings
-    stay: int | None
+    stay: int | None  #: Index of the move "stay", which the trees do not know.
 
     def __call__(self, race_tree: PlayedTree) -> Rows | None:
         """Return the rows; None if the race is over before the first move."""

@@ -56,16 +56,7 @@ def list_networks() -> list[str]:
 
 
 def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwork:
-    """Return a network from the name of a shipped one, from its folder, or as it is.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name and no such folder.
-    InputError
-        If a file of the folder is missing, damaged, too large, from another version, or its contents do not fit each
-        other.
-    """
+    """Return a network from the name of a shipped one, from its folder, or as it is."""
     if isinstance(source, RegretNetwork):
         return source
     folder = NETWORK_FORMAT.find(source)

@@ -30,29 +30,13 @@ LARGEST = 64
 
 @dataclass(frozen=True, eq=False)
 class NetworkSet:
-    """Networks of one game, one of which is drawn for each game that is played.
-
-    Attributes
-    ----------
-    name : str
-    networks : tuple of RegretNetwork
-    weights : ndarray, shape (C,)
-        Probability of each; they sum to 1.
-    decision : str
-        How moves follow from a network's values (:data:`pcs_racing_agents.agents.decisions.DECISIONS`).
-    training : Mapping
-        How the set was made: texts and numbers by name.
-
-    Raises
-    ------
-    InputError
-        If there is no network, the weights are no probabilities of them, or the networks belong to different games.
-    """
+    """Networks of one game, one of which is drawn for each game that is played."""
 
     name: str
     networks: tuple[RegretNetwork, ...]
-    weights: NDArray[np.float64]
-    decision: str
+    weights: NDArray[np.float64]  #: shape (C,): Probability of each; they sum to 1.
+    decision: str  #: How moves follow from a network's values (:data:`pcs_racing_agents.agents.decisions.DECISIONS`).
+    #: How the set was made: texts and numbers by name.
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -100,15 +84,7 @@ def list_network_sets() -> list[str]:
 
 
 def load_network_set(source: str | os.PathLike[str] | NetworkSet) -> NetworkSet:
-    """Return a set from the name of a shipped one, from its folder, or as it is.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name and no such folder.
-    InputError
-        If a file of the folder is missing or damaged, or the contents do not fit each other.
-    """
+    """Return a set from the name of a shipped one, from its folder, or as it is."""
     if isinstance(source, NetworkSet):
         return source
     if not isinstance(source, str | os.PathLike):

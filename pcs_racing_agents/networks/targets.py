@@ -24,20 +24,11 @@ Solution = CFRResult | ExactResult
 
 
 class Target(NamedTuple):
-    """A kind of target.
-
-    Attributes
-    ----------
-    meaning : str
-    clipped : bool
-        Whether values below 0 are learned and shown as 0.
-    solver : str
-        What it is made from: "cfr" or "exact".
-    """
+    """A kind of target."""
 
     meaning: str
-    clipped: bool
-    solver: str
+    clipped: bool  #: Whether values below 0 are learned and shown as 0.
+    solver: str  #: What it is made from: "cfr" or "exact".
 
 
 TARGETS = {
@@ -64,13 +55,7 @@ ROW_WEIGHTS = {
 
 
 def get_target(name: str) -> Target:
-    """Return a kind of target by name.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name.
-    """
+    """Return a kind of target by name."""
     if name not in TARGETS:
         raise UnknownNameError(f"unknown target {name!r}; trees give {', '.join(TARGETS)}")
     return TARGETS[name]
@@ -90,8 +75,6 @@ def solve_for(tree: GameTree, target: str, *, iterations: int = 1000, variant: s
 
     Parameters
     ----------
-    tree : GameTree
-    target : str
     iterations, variant
         Of CFR, if the target is made of regrets.
     """
@@ -107,10 +90,8 @@ def node_targets(
 
     Parameters
     ----------
-    tree : GameTree
     solution : CFRResult or ExactResult
         What :func:`solve_for` returned for the tree and target.
-    target : str
     opponent : str
         For "static-q": one of :data:`OPPONENTS`.
     stay : int, optional
@@ -121,11 +102,6 @@ def node_targets(
     list of (ndarray, ndarray)
         For each level those of car 0, shape (rows, A), and car 1, shape (rows, B), each from its own point of view and
         never clipped; NaN in rows about which the solution says nothing (CFR that never came there).
-
-    Raises
-    ------
-    InputError
-        If the solution is of another kind, or the opponent needs a move "stay" and there is none.
     """
     kind = get_target(target)
     wanted = CFRResult if kind.solver == "cfr" else ExactResult
@@ -148,15 +124,7 @@ def node_targets(
 
 
 def _static_profile(tree: GameTree, opponent: str, stay: int | None) -> list[tuple[Floats, Floats]]:
-    """Return the profile of two static opponents.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such opponent.
-    InputError
-        If it never switches but "stay" is no move.
-    """
+    """Return the profile of two static opponents."""
     if opponent not in OPPONENTS:
         raise UnknownNameError(f"unknown static opponent {opponent!r}; there are {', '.join(OPPONENTS)}")
     if opponent == "never-switch" and stay is None:

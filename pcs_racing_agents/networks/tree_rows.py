@@ -58,7 +58,6 @@ def tree_rows(
 
     Parameters
     ----------
-    race_tree : PlayedTree
     solution : CFRResult or ExactResult
         What :func:`pcs_racing_agents.networks.targets.solve_for` returns for ``race_tree.game_tree()``.
     target : str
@@ -76,13 +75,6 @@ def tree_rows(
     -------
     Rows
         All of one starting pair, :func:`pcs_racing_agents.networks.rows.pair_number`.
-
-    Raises
-    ------
-    InputError
-        If solution, target and tree do not fit each other, or no node is left.
-    UnknownNameError
-        If there are no such weights.
     """
     tree = race_tree.game_tree()
     targets = node_targets(tree, solution, target, opponent=opponent, stay=stay)

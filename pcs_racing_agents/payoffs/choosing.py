@@ -77,11 +77,6 @@ def choose_pool(
     -------
     ndarray of int, shape (count,)
         Ascending.
-
-    Raises
-    ------
-    InputError
-        If a group holds too few policies.
     """
     check_whole("count", count, 3)
     matrices, sets = np.asarray(payoffs, np.float64), [np.asarray(group, np.int64) for group in groups]

@@ -17,67 +17,35 @@ BLOCK = 256
 
 
 class Layout(NamedTuple):
-    """A tree as arrays for the kernels; the first axis of an array is the player, where it says (2, m).
+    """A tree as arrays for the kernels; the first axis of an array is the player, where it says (2, m)."""
 
-    Attributes
-    ----------
-    moves, rows : ndarray, shape (2, m)
-        Moves and infosets of each level.
-    nodes : ndarray, shape (m,)
-        Nodes of each level.
-    node_at : ndarray, shape (m + 1,)
-        Where a level begins in an array with a number per node.
-    sigma_at, regret_at : ndarray, shape (2, m)
-        Where a level begins in arrays with a number per node and move, or per infoset and move.
-    label_at, row_at : ndarray, shape (2, m)
-        Where a level begins in ``labels`` and in ``first`` (and in all arrays with a number per infoset).
-    labels : ndarray
-        Row of every node.
-    first : ndarray
-        One node of every row.
-    single : ndarray of bool, shape (2, m)
-        Whether rows are nodes.
-    chance : ndarray, shape (nodes of all levels,)
-        Probability of the root above each node.
-    """
-
-    moves: Integers
+    moves: Integers  #: shape (2, m): ``moves``, ``rows``: Moves and infosets of each level.
     rows: Integers
-    nodes: Integers
-    node_at: Integers
+    nodes: Integers  #: shape (m,): Nodes of each level.
+    node_at: Integers  #: shape (m + 1,): Where a level begins in an array with a number per node.
+    #: shape (2, m): ``sigma_at``, ``regret_at``: Where a level begins in arrays with a number per node and move, or per
+    #: infoset and move.
     sigma_at: Integers
     regret_at: Integers
+    #: shape (2, m): ``label_at``, ``row_at``: Where a level begins in ``labels`` and in ``first`` (and in all arrays
+    #: with a number per infoset).
     label_at: Integers
     row_at: Integers
-    labels: Integers
-    first: Integers
-    single: "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"
-    chance: Floats
+    labels: Integers  #: Row of every node.
+    first: Integers  #: One node of every row.
+    single: "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"  #: shape (2, m): Whether rows are nodes.
+    chance: Floats  #: shape (nodes of all levels,): Probability of the root above each node.
 
 
 class State(NamedTuple):
-    """The arrays that the iterations change.
+    """The arrays that the iterations change."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (nodes of all levels and leaves,)
-        What a node pays to car 0 under the current strategies.
-    sigma : ndarray
-        Current strategies per node and move.
-    reach : ndarray, shape (2, nodes of all levels)
-        Probability with which each player's own moves lead to a node.
-    regrets, sums : ndarray
-        Cumulative regrets and summed strategies, per infoset and move.
-    opponent_reach : ndarray
-        Summed probability with which chance and the other player lead to an infoset.
-    """
-
-    values: Floats
-    sigma: Floats
-    reach: Floats
-    regrets: Floats
+    values: Floats  #: shape (nodes of all levels and leaves,): What a node pays to car 0 under the current strategies.
+    sigma: Floats  #: Current strategies per node and move.
+    reach: Floats  #: shape (2, nodes of all levels): Probability with which each player's own moves lead to a node.
+    regrets: Floats  #: ``regrets``, ``sums``: Cumulative regrets and summed strategies, per infoset and move.
     sums: Floats
-    opponent_reach: Floats
+    opponent_reach: Floats  #: Summed probability with which chance and the other player lead to an infoset.
 
 
 def node_order(tree: GameTree, level: int) -> Integers:

@@ -21,27 +21,16 @@ INDIFFERENT = 1e-9
 
 
 class MethodRow(NamedTuple):
-    """The scores of one method on one tree.
-
-    Attributes
-    ----------
-    method : str
-    value : float
-        What its profile pays to car 0.
-    exploitability : float
-        Half of what both players could gain by best responses.
-    agreement, on_path : float
-        See :func:`agreement`; the second weights histories with how often the exact solution leads to them.
-    seconds : float
-        What it took.
-    """
+    """The scores of one method on one tree."""
 
     method: str
-    value: float
-    exploitability: float
+    value: float  #: What its profile pays to car 0.
+    exploitability: float  #: Half of what both players could gain by best responses.
+    #: ``agreement``, ``on_path``: See :func:`agreement`; the second weights histories with how often the exact solution
+    #: leads to them.
     agreement: float
     on_path: float
-    seconds: float
+    seconds: float  #: What it took.
 
 
 def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str] = METHODS) -> list[MethodRow]:
@@ -55,13 +44,6 @@ def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str
         Iterations of CFR.
     methods : sequence of str
         Out of :data:`METHODS`.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such method.
-    InputError
-        If the players do not see all past moves, or the number of iterations is out of its range.
     """
     for method in methods:
         if method not in METHODS:
@@ -86,10 +68,8 @@ def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: 
 
     Parameters
     ----------
-    tree : GameTree
     exact : ExactResult
         Its solution.
-    profile : Profile
     on_path : bool
         Whether joint histories count as often as the exact solution leads to them; by default all count equally.
     """

@@ -32,22 +32,14 @@ GOOD_GAP = 1e-12
 
 
 class MatrixSolution(NamedTuple):
-    """Equilibria of B matrix games.
+    """Equilibria of B matrix games."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (B,)
-        What the row player gets.
-    rows, columns : ndarray, shapes (B, A) and (B, C)
-        Strategies of the row player, who maximises, and of the column player, who minimises.
-    gaps : ndarray, shape (B,)
-        What the two players could gain by best replies, added up: rounding errors.
-    """
-
-    values: Floats
+    values: Floats  #: shape (B,): What the row player gets.
+    #: shapes (B, A) and (B, C): ``rows``, ``columns``: Strategies of the row player, who maximises, and of the column
+    #: player, who minimises.
     rows: Floats
     columns: Floats
-    gaps: Floats
+    gaps: Floats  #: shape (B,): What the two players could gain by best replies, added up: rounding errors.
 
 
 def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
@@ -59,11 +51,6 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     ----------
     payoffs : array, shape (B, A, C) or (A, C)
         What the row player gets, who has A moves against C; the column player gets minus that.
-
-    Raises
-    ------
-    InputError
-        If a payoff is not finite, or the payoffs have another number of axes or an empty one.
     """
     # Writeable, although nothing is written: numba compiles read-only arrays, as a tree's are, as a type of their own.
     games = np.require(payoffs, np.float64, ["C", "W"])

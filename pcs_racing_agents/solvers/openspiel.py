@@ -30,13 +30,7 @@ _trees: dict[str, tuple[GameTree, Tensors | None]] = {}
 
 
 def efg_game(tree: GameTree) -> Any:
-    """Return a tree as a game of OpenSpiel's C++ (``pyspiel.load_efg_game``): car 0 moves first, unseen by car 1.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        Without OpenSpiel.
-    """
+    """Return a tree as a game of OpenSpiel's C++ (``pyspiel.load_efg_game``): car 0 moves first, unseen by car 1."""
     return _pyspiel().load_efg_game(efg_text(tree))
 
 
@@ -54,13 +48,7 @@ def efg_policy(tree: GameTree, profile: Profile) -> dict[str, list[tuple[int, fl
 
 
 def efg_profile(tree: GameTree, policy: Mapping[str, Sequence[tuple[int, float]]]) -> Profile:
-    """Return a tabular policy of :func:`efg_game` (``policy.policy_table()``, say) as a profile.
-
-    Raises
-    ------
-    InputError
-        If an information state is missing.
-    """
+    """Return a tabular policy of :func:`efg_game` (``policy.policy_table()``, say) as a profile."""
     game = tree.averaged
     keys = _efg_keys(game)
     profile = []
@@ -107,13 +95,6 @@ def python_game(tree: GameTree, observations: Tensors | None = None) -> Any:
         What the two cars see at each of their infosets, shapes (rows, D), for the tensors. By default a tensor is made
         of the step, the player and, for each past step, the own move and what was seen: the other's move, or the
         number of the infoset in binary where past moves are not all seen.
-
-    Raises
-    ------
-    InputError
-        If observations do not fit the tree.
-    ModuleNotFoundError
-        Without OpenSpiel.
     """
     digest = hashlib.sha256(repr(tree.moves).encode())
     arrays: list[NDArray[Any]] = [tree.payoffs, tree.chance, *(rows for pair in tree.infosets for rows in pair)]
@@ -126,13 +107,7 @@ def python_game(tree: GameTree, observations: Tensors | None = None) -> Any:
 
 
 def register_tree(name: str, tree: GameTree, observations: Tensors | None = None) -> None:
-    """Let ``pyspiel.load_game(GAME_NAME, {"tree": name})`` find a tree.
-
-    Raises
-    ------
-    InputError
-        If observations do not fit the tree.
-    """
+    """Let ``pyspiel.load_game(GAME_NAME, {"tree": name})`` find a tree."""
     game = tree.averaged
     if observations is not None:
         shapes = [[np.shape(array) for array in pair] for pair in observations]

@@ -191,13 +191,5 @@ class StudyConfig(Settings):
 
 
 def load_study_config(source: str | Path | StudyConfig | None = None, **changes: Any) -> StudyConfig:
-    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value impossible.
-    UnknownNameError
-        If a name is unknown.
-    """
+    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed."""
     return load_config("study", StudyConfig(), source, **changes)

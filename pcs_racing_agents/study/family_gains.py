@@ -19,32 +19,18 @@ COLUMNS = ("family", "use", "opponents", "tracks", "races", "gain", "low", "high
 
 
 class FamilyGain(NamedTuple):
-    """The gain of one agent over another against a family.
-
-    Attributes
-    ----------
-    family : OpponentFamily
-    opponents, tracks : tuple of str
-        Those of the table.
-    gain : Estimate
-        Mean difference of score over all races; every race counts the same.
-    """
+    """The gain of one agent over another against a family."""
 
     family: OpponentFamily
-    opponents: tuple[str, ...]
+    opponents: tuple[str, ...]  #: ``opponents``, ``tracks``: Those of the table.
     tracks: tuple[str, ...]
-    gain: Estimate
+    gain: Estimate  #: Mean difference of score over all races; every race counts the same.
 
 
 def family_gains(races: RaceTable, best: str, blind: str) -> list[FamilyGain]:
     """Return the gain of an agent over a blind one, a line for each family, in the order of the families.
 
     Races that share the ego's start policy, the opponent's variant or the start line form clusters.
-
-    Raises
-    ------
-    InputError
-        If the two did not drive the same races.
     """
     pairs = {(track, opponent, ego): numbers for (track, ego, opponent, _), numbers in races.pairs.items()}
     cells = list(dict.fromkeys((track, opponent) for track, opponent, ego in pairs if ego == best))

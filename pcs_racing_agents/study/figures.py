@@ -65,13 +65,7 @@ def differences_picture(table: StudyTable) -> Any:
 
 @picture
 def adaptivity_picture(table: StudyTable) -> Any:
-    """Draw the adaptivity gain of each row: the best agent minus the best one without observations.
-
-    Raises
-    ------
-    InputError
-        If the table has no such differences.
-    """
+    """Draw the adaptivity gain of each row: the best agent minus the best one without observations."""
     rows = [(row, row.gain) for row in table.rows if row.gain is not None]
     if not rows:
         raise InputError("the table has no adaptivity gains; name the best and the blind arm")
@@ -105,13 +99,7 @@ def adaptivity_picture(table: StudyTable) -> Any:
 
 @picture
 def exploitability_picture(points: Sequence[ScoreAndLoss]) -> Any:
-    """Draw the agents' scores over their losses to best replies.
-
-    Raises
-    ------
-    InputError
-        If there is no agent.
-    """
+    """Draw the agents' scores over their losses to best replies."""
     if not points:
         raise InputError("there is no agent whose score and loss to a best reply are known")
     figure = new_figure(7.2, 4.4)

@@ -104,26 +104,13 @@ def train_networks(study: Study) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Training:
-    """A function that trains a network on a study's trees, here or in another process.
+    """A function that trains a network on a study's trees, here or in another process."""
 
-    Attributes
-    ----------
-    trees : sequence of sequence of RaceTree
-        Of each circuit.
-    pairs : ndarray, shape (trees, 2)
-        Their starting policies.
-    identity : GameIdentity
-    about : dict
-        Facts about the training for the networks' manifests.
-    progress : callable, optional
-        Makes a progress function for epochs.
-    """
-
-    trees: Sequence[Sequence[RaceTree]]
-    pairs: NDArray[np.int64]
+    trees: Sequence[Sequence[RaceTree]]  #: Of each circuit.
+    pairs: NDArray[np.int64]  #: shape (trees, 2): Their starting policies.
     identity: GameIdentity
-    about: dict[str, str | int | float | bool]
-    progress: Callable[[str], Progress | None] | None
+    about: dict[str, str | int | float | bool]  #: Facts about the training for the networks' manifests.
+    progress: Callable[[str], Progress | None] | None  #: Makes a progress function for epochs.
 
     def __call__(self, settings: TrainSettings) -> "TrainedOnTrees":
         from pcs_racing_agents.networks.from_trees import train_on_trees

@@ -18,14 +18,7 @@ RATING_SEED = 5_000_000
 
 
 class StudyRaces(NamedTuple):
-    """Races of an agent against one kind of opponent on a circuit, for one of the study's tables.
-
-    Attributes
-    ----------
-    table : str
-    pairing : Pairing
-    races : RaceTable
-    """
+    """Races of an agent against one kind of opponent on a circuit, for one of the study's tables."""
 
     table: str
     pairing: Pairing

@@ -41,7 +41,6 @@ def write_report(study: Study, seconds: Mapping[str, float]) -> None:
 
     Parameters
     ----------
-    study : Study
     seconds : mapping of str to float
         Time of each stage.
     """

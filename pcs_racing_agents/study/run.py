@@ -33,7 +33,6 @@ def run_study(
 
     Parameters
     ----------
-    config : StudyConfig
     folder : str or Path
         New, empty, or of the same study.
     only : sequence of str, optional
@@ -42,15 +41,6 @@ def run_study(
         Runs the jobs (:func:`pcs_racing_agents.jobs.executors.make_executor`). It does not change the results.
     quiet : bool
         Show no progress.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such stage.
-    InputError
-        If the folder holds something else, or a stage needs another one that is not done.
-    ModuleNotFoundError
-        If one of the stages needs a library that is missing; nothing is started then.
     """
     remaining = stages_to_run(config, folder, only)
     study = Study(config, Path(folder), executor, quiet)
@@ -67,15 +57,6 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
     ----------
     config, folder, only
         As for :func:`run_study`.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such stage, or no such circuit.
-    MapError
-        If the map of a circuit can't be used.
-    ModuleNotFoundError
-        If a library is missing that one of them needs; the message says how to install it.
     """
     names = [stage.name for stage in STAGES]
     for name in only or ():

@@ -20,8 +20,6 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
 
     Parameters
     ----------
-    study : Study
-    study_races : sequence of StudyRaces
     races : int
         Maximum number of each pairing; drawn by the study's seed, the same ones for all agents.
     """

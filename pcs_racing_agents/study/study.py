@@ -35,22 +35,12 @@ SET_AGENTS = ("robust", "psro", "self-play")
 
 @dataclass(frozen=True)
 class Study:
-    """A study with its configuration and folder.
-
-    Attributes
-    ----------
-    config : StudyConfig
-    folder : Path
-    executor : Executor, optional
-        Runs the jobs.
-    quiet : bool
-        Show no progress.
-    """
+    """A study with its configuration and folder."""
 
     config: StudyConfig
     folder: Path
-    executor: Executor | None = None
-    quiet: bool = False
+    executor: Executor | None = None  #: Runs the jobs.
+    quiet: bool = False  #: Show no progress.
 
     @cached_property
     def archive(self) -> PolicyArchive:

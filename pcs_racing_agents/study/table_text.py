@@ -128,11 +128,6 @@ def write_table(table: StudyTable, path: str | os.PathLike[str]) -> Path:
     """Write one line for each comparison as CSV; the same table gives the same bytes.
 
     The kind of a comparison is ``difference`` (from the base) or ``adaptivity gain``.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist.
     """
     lines: list[Sequence[object]] = [CSV_COLUMNS]
     for row in table.rows:

@@ -46,8 +46,6 @@ def write_archive(
 
     Parameters
     ----------
-    folder : Path
-    config : ArchiveConfig
     explored : tuple
         Parameters of everything raced in the search, and what came of it.
     scale : Scale
@@ -56,7 +54,6 @@ def write_archive(
         Of the archive's policies.
     raced : dict of ndarray
         The races that measured them.
-    history : sequence of ArchiveProgress
     notes : Mapping
         What else the manifest is to say.
     """

@@ -55,23 +55,12 @@ def make_archive(
 
     Parameters
     ----------
-    config : ArchiveConfig
     folder : str or Path
         A new or empty folder, or one in which the same synthesis was begun.
     executor : Executor, optional
         Where policies race (:func:`pcs_racing_agents.jobs.executors.make_executor`). It has no influence on the result.
     callback : callable, optional
         Called with the :class:`~pcs_racing_agents.synthesis.archive_search.ArchiveProgress` as the work goes on.
-
-    Returns
-    -------
-    PolicyArchive
-
-    Raises
-    ------
-    InputError
-        If the folder holds another run or something else, a name stands for nothing, a track has no place for the
-        start, or no archive remains (too few policies below the crash limit).
     """
     folder = Path(folder)
     family = get_planner(config.planner)
@@ -110,13 +99,7 @@ def make_archive(
 
 
 def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenarios]:
-    """The races of a synthesis: of its search, its choice and its measurement; no two stages share any.
-
-    Raises
-    ------
-    InputError
-        If a track has no place for the start.
-    """
+    """The races of a synthesis: of its search, its choice and its measurement; no two stages share any."""
     search, choice, final, *_ = _roots(config)
 
     def drawn(root: np.random.SeedSequence, opponents: int, starts: int, duration: float) -> Scenarios:

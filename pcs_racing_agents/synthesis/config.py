@@ -256,13 +256,5 @@ def list_archive_configs() -> list[str]:
 
 
 def load_archive_config(source: str | Path | ArchiveConfig | None = None, **changes: Any) -> ArchiveConfig:
-    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value is out of its range.
-    InputError
-        If a name stands for nothing.
-    """
+    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed."""
     return load_config(KIND, ArchiveConfig(), source, **changes)

@@ -48,11 +48,6 @@ def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tupl
         Those that vary, in the order of the first axis.
     notes : Mapping
         What the choice expects of the pool.
-
-    Raises
-    ------
-    InputError
-        If there are too few candidates.
     """
     config = races.config
     theta, explored = races.explored()
@@ -112,7 +107,6 @@ def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: in
     score : ndarray, shape (K,)
     count : int
         Intervals take turns, until so many are chosen or none is left.
-    intervals : int
 
     Returns
     -------

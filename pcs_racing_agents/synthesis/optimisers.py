@@ -290,15 +290,7 @@ METHODS = tuple(_METHODS)
 
 
 def make_optimiser(method: str, setting: OptimiserOptions) -> Optimiser:
-    """Return one of the optimisers by name.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name.
-    ModuleNotFoundError
-        If the library that it needs is not installed; the message says how to install it.
-    """
+    """Return one of the optimisers by name."""
     if method not in _METHODS:
         raise UnknownNameError(f"method is {method!r}; it must be one of {', '.join(METHODS)}")
     return _METHODS[method](setting)

@@ -17,24 +17,12 @@ Floats = NDArray[np.float64]
 
 
 class Equilibrium(NamedTuple):
-    """An equilibrium of a two-player zero-sum game.
+    """An equilibrium of a two-player zero-sum game."""
 
-    Attributes
-    ----------
-    value : float
-        Payoff of the row player.
-    row : ndarray, shape (R,)
-        Probabilities of the row player.
-    column : ndarray, shape (C,)
-        Probabilities of the column player.
-    exploitability : float
-        Sum of both players' gains from a best response: 0 up to rounding.
-    """
-
-    value: float
-    row: Floats
-    column: Floats
-    exploitability: float
+    value: float  #: Payoff of the row player.
+    row: Floats  #: shape (R,): Probabilities of the row player.
+    column: Floats  #: shape (C,): Probabilities of the column player.
+    exploitability: float  #: Sum of both players' gains from a best response: 0 up to rounding.
 
 
 def excess(scores: ArrayLike) -> Floats:
@@ -44,11 +32,6 @@ def excess(scores: ArrayLike) -> Floats:
     ----------
     scores : array_like, shape (N, N)
         Score of the row's agent against the column's. The diagonal is not used.
-
-    Raises
-    ------
-    InputError
-        If the matrix is not square or another entry is not finite (two agents that never met).
     """
     matrix = _matrix(scores, square=True)
     return 0.5 * (matrix - matrix.T)
@@ -64,15 +47,6 @@ def zero_sum_equilibrium(payoffs: ArrayLike) -> Equilibrium:
     ----------
     payoffs : array_like, shape (R, C)
         Payoff of the row player, who maximises it; the column player minimises it.
-
-    Returns
-    -------
-    Equilibrium
-
-    Raises
-    ------
-    InputError
-        If the matrix is empty or an entry is not finite.
     """
     solution = solve_matrix_games(_matrix(payoffs))
     return Equilibrium(float(solution.values[0]), solution.rows[0], solution.columns[0], float(solution.gaps[0]))
@@ -98,13 +72,6 @@ def alpha_rank(scores: ArrayLike, *, epsilon: float = 0.001, tolerance: float = 
     -------
     ndarray, shape (N,)
         Shares, which sum up to 1.
-
-    Raises
-    ------
-    InputError
-        If the matrix is impossible or a number is out of its range.
-    ModuleNotFoundError
-        If OpenSpiel or networkx, which this part of it needs, is not installed.
     """
     gain = 2.0 * excess(scores)
     if len(gain) < 2:

@@ -34,31 +34,16 @@ LINE_SETS = 8  # start lines on a circuit, as a multiple of those of one pair of
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """N races of two competitors on one circuit.
+    """N races of two competitors on one circuit."""
 
-    Attributes
-    ----------
-    game : RaceGame
-        Circuit, archive and rules.
-    ego, opponent : Competitor
-        In car 0 and car 1.
-    variants : ndarray, shape (N, 2), int64
-        The policy of the archive that each starts with; for a driver which of its policies.
-    starts : Starts
-        N of them.
-    noise : ndarray, shape (N,), uint64
-        Keys of the races' noise.
-    seed : int
-        Seed of the draws of all of this.
-    """
-
-    game: RaceGame
-    ego: Competitor
+    game: RaceGame  #: Circuit, archive and rules.
+    ego: Competitor  #: ``ego``, ``opponent``: In car 0 and car 1.
     opponent: Competitor
+    #: shape (N, 2): The policy of the archive that each starts with; for a driver which of its policies.
     variants: NDArray[np.int64]
-    starts: Starts
-    noise: NDArray[np.uint64]
-    seed: int
+    starts: Starts  #: N of them.
+    noise: NDArray[np.uint64]  #: shape (N,): Keys of the races' noise.
+    seed: int  #: Seed of the draws of all of this.
 
     def __len__(self) -> int:
         return len(self.noise)
@@ -76,13 +61,7 @@ class Pairing:
         )
 
     def race_arguments(self, race: int) -> dict[str, Any]:
-        """Return the variants, start and seed of a race: keyword arguments of functions that simulate a single game.
-
-        Raises
-        ------
-        InputError
-            If there is no such race.
-        """
+        """Return the variants, start and seed of a race: keyword arguments of functions that simulate a single game."""
         if not 0 <= race < len(self):
             raise InputError(f"there is no race {race} in this pairing; there are races 0 to {len(self) - 1}")
         return {"policies": self.variants[race], "start": self.starts.take([race]), "seed": int(self.noise[race])}
@@ -152,12 +131,6 @@ def cross_pairing(
         Start lines of each pair of variants, 1 to 1000; drawn from eight times as many.
     seed : int
         Must be equal for pairings that are compared.
-
-    Raises
-    ------
-    InputError
-        If a competitor does not fit the game, a number is impossible, a variant does not exist, or the track has no
-        place to start.
     """
     cars = (as_competitor(ego), as_competitor(opponent))
     arena = game_between(game, *cars)

@@ -21,11 +21,6 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
         N agents.
     payoffs : array_like, shape (N, N)
         Score of the row's agent against the column's; NaN where they did not meet.
-
-    Raises
-    ------
-    InputError
-        If names and payoffs do not fit each other.
     """
     matrix = np.asarray(payoffs, np.float64)
     if matrix.shape != (len(names), len(names)) or len(names) == 0:

@@ -23,31 +23,16 @@ ELO = 400.0 / np.log(10.0)
 
 @dataclass(frozen=True, eq=False)
 class Ratings:
-    """Estimated strengths of N agents.
+    """Estimated strengths of N agents."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Sorted. N agents.
-    strength : ndarray, shape (N,)
-        Natural log-odds, mean 0: a difference of 1 means winning 2.7 times as often as losing.
-    low, high : ndarray, shape (N,)
-        Bootstrap interval of the strength; NaN without a generator.
-    tie : float
-        Weight of ties: between equal agents the share of ties is ``tie / (2 + tie)``.
-    races : ndarray of int, shape (N,)
-        Races that counted.
-    left_out : ndarray of int, shape (N,)
-        Races that paid neither agent.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: Sorted. N agents.
+    #: shape (N,): Natural log-odds, mean 0: a difference of 1 means winning 2.7 times as often as losing.
     strength: Floats
-    low: Floats
+    low: Floats  #: shape (N,): ``low``, ``high``: Bootstrap interval of the strength; NaN without a generator.
     high: Floats
-    tie: float
-    races: NDArray[np.intp]
-    left_out: NDArray[np.intp]
+    tie: float  #: Weight of ties: between equal agents the share of ties is ``tie / (2 + tie)``.
+    races: NDArray[np.intp]  #: shape (N,): Races that counted.
+    left_out: NDArray[np.intp]  #: shape (N,): Races that paid neither agent.
 
     @property
     def elo(self) -> Floats:
@@ -60,13 +45,7 @@ class Ratings:
         return ELO * np.asarray(strength, np.float64)
 
     def probabilities(self, first: str, second: str) -> tuple[float, float, float]:
-        """Return the probabilities that the first of two agents wins, ties and loses.
-
-        Raises
-        ------
-        InputError
-            If an agent was not rated.
-        """
+        """Return the probabilities that the first of two agents wins, ties and loses."""
         for name in (first, second):
             if name not in self.names:
                 raise InputError(f"{name!r} was not rated; these were: {', '.join(self.names)}")
@@ -113,15 +92,6 @@ def rate(
     prior_sd : float
         Standard deviation of the prior on the log-odds scale. 3 is weak: after 73 wins in 100 races between two agents
         it moves their strengths from 0.497 to 0.496.
-
-    Returns
-    -------
-    Ratings
-
-    Raises
-    ------
-    InputError
-        If lengths differ, an agent races itself, a result is impossible, or agents or groups of them never met.
     """
     check_level(level)
     if not 0.0 < prior_sd < np.inf:

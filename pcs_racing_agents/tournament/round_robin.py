@@ -23,31 +23,20 @@ FEWEST_LINES = 5
 
 @dataclass(frozen=True, eq=False)
 class RoundRobin:
-    """Results of a round robin of N agents.
+    """Results of a round robin of N agents."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        N agents.
-    scores : ndarray, shape (N, N)
-        Score of the row's agent against the column's: races won, a tie counting half; NaN where they did not meet.
-    noise : float
-        Noise of a difference of two agents' scores against each other: 1.96 standard errors over start lines (root mean
-        square over the pairs); NaN if there are too few lines.
-    ratings : Ratings, optional
-        None if they can't be estimated.
-    equilibrium : ndarray, shape (N,), optional
-        Probabilities of the agents in an equilibrium of the meta-game; if all pairs met.
-    alpha_rank : ndarray, shape (N,), optional
-        Stationary distribution of alpha-rank; differences within the noise count as none. With OpenSpiel, if all
-        pairs met on several lines.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: N agents.
+    #: shape (N, N): Score of the row's agent against the column's: races won, a tie counting half; NaN where they did
+    #: not meet.
     scores: Floats
+    #: Noise of a difference of two agents' scores against each other: 1.96 standard errors over start lines (root mean
+    #: square over the pairs); NaN if there are too few lines.
     noise: float
-    ratings: Ratings | None
+    ratings: Ratings | None  #: None if they can't be estimated.
+    #: shape (N,): Probabilities of the agents in an equilibrium of the meta-game; if all pairs met.
     equilibrium: Floats | None
+    #: shape (N,): Stationary distribution of alpha-rank; differences within the noise count as none. With OpenSpiel, if
+    #: all pairs met on several lines.
     alpha_rank: Floats | None
 
     def rating(self, name: str) -> tuple[float, float, float]:
@@ -70,11 +59,6 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
         All pairs shared the start lines. A crash without a winner is no tie.
     seed : int
         Seed of the bootstrap of the ratings.
-
-    Raises
-    ------
-    InputError
-        If another agent raced.
     """
     first, second = drivers(names, races).T
     won = np.array([1.0, -1.0, 0.0])[races.winner]
@@ -100,13 +84,7 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
 
 
 def drivers(names: Sequence[str], races: RaceTable) -> NDArray[np.intp]:
-    """Return the agent in each car of each race as an index in ``names``, shape (N, 2).
-
-    Raises
-    ------
-    InputError
-        If another agent raced.
-    """
+    """Return the agent in each car of each race as an index in ``names``, shape (N, 2)."""
     words = races.agents.words
     unknown = sorted({words[code] for code in np.unique(races.agents.codes).tolist()} - set(names))
     if unknown:

@@ -28,38 +28,20 @@ BLOCK = 400  # races of one task: about a second of work
 
 
 class RaceBlock(NamedTuple):
-    """The races of one task.
+    """The races of one task."""
 
-    Attributes
-    ----------
-    content_hash : str
-        Hash of everything that their result depends on.
-    group : int
-        Number of the group of pairings.
-    first, last : int
-        The races of each pairing from ``first`` to before ``last``.
-    """
-
-    content_hash: str
-    group: int
-    first: int
+    content_hash: str  #: Hash of everything that their result depends on.
+    group: int  #: Number of the group of pairings.
+    first: int  #: ``first``, ``last``: The races of each pairing from ``first`` to before ``last``.
     last: int
 
 
 @dataclass(frozen=True, eq=False)
 class RaceWorker:
-    """A function that simulates blocks of races; it is sent to other processes once, with games and competitors.
+    """A function that simulates blocks of races; it is sent to other processes once, with games and competitors."""
 
-    Attributes
-    ----------
-    groups : sequence of sequence of Pairing
-        The pairings of a group differ in nothing but their egos.
-    observations : bool
-        Whether to return observations.
-    """
-
-    groups: Sequence[Sequence[Pairing]]
-    observations: bool
+    groups: Sequence[Sequence[Pairing]]  #: The pairings of a group differ in nothing but their egos.
+    observations: bool  #: Whether to return observations.
 
     def __call__(self, block: RaceBlock) -> dict[str, NDArray[Any]]:
         """Race a block of a group, and return the columns of its table."""
@@ -93,7 +75,6 @@ def play_pairings(
 
     Parameters
     ----------
-    pairings : sequence of Pairing
     name : str
         Name of this part of the job's work.
     observations : bool
@@ -101,8 +82,6 @@ def play_pairings(
     job : Job, optional
         Stores results; races with stored results are not simulated again. Results are then read from its chunks, so
         that memory does not grow with the number of races.
-    executor : Executor, optional
-        Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, name)``, counting races.
     """

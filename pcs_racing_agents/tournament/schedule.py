@@ -18,22 +18,13 @@ MOST_RACES = 2000
 
 
 class RaceSchedule(NamedTuple):
-    """Races of one pair on one track; the same for all pairs (common random numbers).
+    """Races of one pair on one track; the same for all pairs (common random numbers)."""
 
-    Attributes
-    ----------
-    starts : Starts
-        N of them; races 2j and 2j + 1 start on the same line, from either side.
-    draws : ndarray, shape (N, 2), uint64
-        Random numbers that select the variants of ego and opponent. Races 2j and 2j + 1 swap them with the sides, so
-        that the advantage of a side is equal for both competitors.
-    seeds : ndarray, shape (N,), uint64
-        Keys of the noise.
-    """
-
-    starts: Starts
+    starts: Starts  #: N of them; races 2j and 2j + 1 start on the same line, from either side.
+    #: shape (N, 2): Random numbers that select the variants of ego and opponent. Races 2j and 2j + 1 swap them with the
+    #: sides, so that the advantage of a side is equal for both competitors.
     draws: NDArray[np.uint64]
-    seeds: NDArray[np.uint64]
+    seeds: NDArray[np.uint64]  #: shape (N,): Keys of the noise.
 
     def variants(self, ego: int, opponent: int) -> NDArray[np.int64]:
         """Return the variants in each race, shape (N, 2), from the numbers of variants of ego and opponent."""
@@ -45,17 +36,10 @@ def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Ra
 
     Parameters
     ----------
-    track : Track
     config : RaceConfig
         Its ``start_lines`` is not used: every two races draw a line of their own.
     races : int
         Even, from 2 to 2000.
-    seed : int
-
-    Raises
-    ------
-    InputError
-        If a number is impossible, or the track has no place to start.
     """
     if not is_whole(races) or races % 2 or not 2 <= races <= MOST_RACES:
         raise InputError(

@@ -18,40 +18,28 @@ META = ("equilibrium", "alpha-rank")
 
 
 class Standing(NamedTuple):
-    """How one competitor did, as shares of its races; the five shares from ``win`` on sum up to 1.
-
-    Attributes
-    ----------
-    name : str
-    races : int
-    score : float
-        Share of races that the rules count as won, plus half of the ties. After a crash nobody wins under the crash
-        rule ``nobody``; under ``fault-loses`` the car that is not to blame does.
-    rating, rating_low, rating_high : float
-        Bradley-Terry strength on the scale of chess ratings, mean 0, and its 95 % interval; NaN where the races do not
-        tell.
-    win, tie, loss : float
-        Races without a crash.
-    own_crash, other_crash : float
-        Races that ended in a crash by its own fault (or of both), or by the other's fault alone.
-    overtakes : float
-        Mean number of its overtakes in a race.
-    equilibrium, alpha_rank : float
-        Its probabilities in :class:`pcs_racing_agents.tournament.round_robin.RoundRobin`; NaN if unknown.
-    """
+    """How one competitor did, as shares of its races; the five shares from ``win`` on sum up to 1."""
 
     name: str
     races: int
+    #: Share of races that the rules count as won, plus half of the ties. After a crash nobody wins under the crash rule
+    #: ``nobody``; under ``fault-loses`` the car that is not to blame does.
     score: float
+    #: ``rating``, ``rating_low``, ``rating_high``: Bradley-Terry strength on the scale of chess ratings, mean 0, and
+    #: its 95 % interval; NaN where the races do not tell.
     rating: float
-    win: float
+    win: float  #: ``win``, ``tie``, ``loss``: Races without a crash.
     tie: float
     loss: float
+    #: ``own_crash``, ``other_crash``: Races that ended in a crash by its own fault (or of both), or by the other's
+    #: fault alone.
     own_crash: float
     other_crash: float
-    overtakes: float
+    overtakes: float  #: Mean number of its overtakes in a race.
     rating_low: float = np.nan
     rating_high: float = np.nan
+    #: ``equilibrium``, ``alpha_rank``: Its probabilities in
+    #: :class:`pcs_racing_agents.tournament.round_robin.RoundRobin`; NaN if unknown.
     equilibrium: float = np.nan
     alpha_rank: float = np.nan
 
@@ -150,15 +138,7 @@ def tournament_text(tournament: Tournament) -> str:
 
 
 def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
-    """Draw the payoff matrix; the suffix of the path is the format.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist.
-    ModuleNotFoundError
-        If matplotlib is not installed.
-    """
+    """Draw the payoff matrix; the suffix of the path is the format."""
     from pcs_racing_agents.pictures.style import save_picture
     from pcs_racing_agents.tournament.pictures import payoffs_picture
 

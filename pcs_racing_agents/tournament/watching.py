@@ -17,20 +17,11 @@ from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_g
 
 
 class Recording(NamedTuple):
-    """A recorded game.
-
-    Attributes
-    ----------
-    replay : Replay
-    played : PlayedGames
-        Results of the one game.
-    game : RaceGame
-        The game as it was played, with the planners of both cars.
-    """
+    """A recorded game."""
 
     replay: Replay
-    played: PlayedGames
-    game: RaceGame
+    played: PlayedGames  #: Results of the one game.
+    game: RaceGame  #: The game as it was played, with the planners of both cars.
 
 
 def record_game(
@@ -56,11 +47,6 @@ def record_game(
         Key of its noise.
     candidates : bool
         Whether to keep the candidate paths of each planner.
-
-    Raises
-    ------
-    InputError
-        As :func:`play_games`.
     """
     variants = np.asarray(policies)
     if variants.shape != (2,):

@@ -26,16 +26,10 @@ CHUNK = 64
 
 
 class RaceEnds(NamedTuple):
-    """The ends of races: those parts of a :class:`RaceState` that decide the payoff.
+    """The ends of races: those parts of a :class:`RaceState` that decide the payoff."""
 
-    Attributes
-    ----------
-    progress : ndarray, shape (B, 2)
-    crash, fault : ndarray, shape (B, 2), int8
-    """
-
-    progress: Floats
-    crash: NDArray[np.int8]
+    progress: Floats  #: shape (B, 2)
+    crash: NDArray[np.int8]  #: shape (B, 2)
     fault: NDArray[np.int8]
 
     @classmethod
@@ -77,7 +71,6 @@ def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: 
 
     Parameters
     ----------
-    game : RaceGame
     parents : RaceState
         Left as it is.
     rows : array of int, shape (B,)

@@ -53,7 +53,6 @@ def build_ego_trees(
 
     Parameters
     ----------
-    game : RaceGame
     folder : str or Path
         New, empty, or left by the same call.
     roots, opponent, seed
@@ -63,13 +62,6 @@ def build_ego_trees(
         does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, label)`` after every 32 roots.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range, or the folder holds something else.
-    UnknownNameError
-        If there is no such opponent.
     """
     check_ego(game, roots, opponent, seed)
     settings = {**game_settings(game), "roots": int(roots), "opponent": opponent, "seed": int(seed)}
@@ -83,13 +75,7 @@ def build_ego_trees(
 
 
 def load_ego_trees(folder: str | Path) -> EgoTrees:
-    """Read all ego trees of a folder.
-
-    Raises
-    ------
-    InputError
-        If the folder holds none, or a file is missing or damaged.
-    """
+    """Read all ego trees of a folder."""
     roots = read_settings(folder, KIND).get("roots")
     if type(roots) is not int or not 1 <= roots <= MOST_ROOTS:
         raise InputError(

@@ -32,7 +32,6 @@ def finish(
 
     Parameters
     ----------
-    game : RaceGame
     parents : RaceState
         Races that go on; left as they are.
     rows : array of int, shape (B,)

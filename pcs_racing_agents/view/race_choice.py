@@ -24,18 +24,10 @@ OUTCOMES = (
 
 
 class SelectedRace(NamedTuple):
-    """A selected race.
+    """A selected race."""
 
-    Attributes
-    ----------
-    race : int
-        Line of the results, from 0.
-    why : str
-        Agent and outcome, such as ``"cfr-argmax: a win by switching"``.
-    """
-
-    race: int
-    why: str
+    race: int  #: Line of the results, from 0.
+    why: str  #: Agent and outcome, such as ``"cfr-argmax: a win by switching"``.
 
 
 def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
@@ -43,7 +35,6 @@ def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
 
     Parameters
     ----------
-    races : RaceTable
     car : int
         0 or 1.
     """
@@ -60,7 +51,6 @@ def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
 
     Parameters
     ----------
-    races : RaceTable
     count : int
         Maximum number.
 

@@ -25,20 +25,11 @@ _RACE = re.compile(r"/race/([0-9]{1,7})")
 
 
 class Answer(NamedTuple):
-    """The answer to a request.
+    """The answer to a request."""
 
-    Attributes
-    ----------
-    status : int
-        HTTP status.
-    body : bytes
-    kind : str
-        Media type of the body.
-    """
-
-    status: int
+    status: int  #: HTTP status.
     body: bytes
-    kind: str = "application/json"
+    kind: str = "application/json"  #: Media type of the body.
 
 
 def error_answer(status: int, text: str) -> Answer:
@@ -51,7 +42,6 @@ class RaceService:
 
     Parameters
     ----------
-    driver : RaceRepeater
     races : int
         Number of races.
     """
@@ -93,11 +83,6 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
         ``answer(path) -> Answer`` for every other address of at most 100 characters.
     port : int
         0 takes a free one.
-
-    Raises
-    ------
-    InputError
-        If the port is impossible or taken.
     """
     check_whole("port", port, 0, 65535)  # 0 takes any free one
     content = page.encode()

@@ -52,7 +52,6 @@ def apply_characteristics(
 
     Parameters
     ----------
-    archive : PolicyArchive
     learned : LearnedCharacteristics or None
         The new archive brings them with it.
     tracks : sequence of Track or str
@@ -63,18 +62,8 @@ def apply_characteristics(
         Names of characteristics, learned or not; by default all of ``learned``.
     name : str, optional
         Of the new archive; by default the archive's with the set's.
-    settings : ApplySettings, optional
     seed : int
         Root of start lines and noise.
-    job, executor, progress
-        As for :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`.
-
-    Raises
-    ------
-    InputError
-        If there are no axes, an axis has no extent, or the duration is no multiple of the segments.
-    UnknownNameError
-        If an axis is unknown.
     """
     settings = settings or ApplySettings()
     if learned is not None:

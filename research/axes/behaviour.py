@@ -48,7 +48,6 @@ def measure_behaviour(
     ----------
     policies, opponents : sequence of Policy
         All of one planner.
-    tracks : sequence of Track or str
     config : RaceConfig
         Its duration is a multiple of ``segment_seconds``.
     inputs : sequence of str
@@ -59,8 +58,6 @@ def measure_behaviour(
         Length of a segment, s.
     seed : int
         Root of start lines and noise.
-    job, executor, progress
-        As for :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`.
     name : str
         Of the group of tasks in the job.
 
@@ -68,11 +65,6 @@ def measure_behaviour(
     -------
     ndarray, shape (T, N, M, I)
         Inputs of every policy in each of M segments on every circuit; NaN in segments that a race did not reach.
-
-    Raises
-    ------
-    InputError
-        If the policies belong to several planners, or the duration is no multiple of the segments.
     """
     planner = common_planner([*policies, *opponents])
     scenarios = draw_scenarios(
@@ -115,11 +107,6 @@ def measure_payoffs(
     -------
     ndarray, shape (T, N, O)
         Score minus one half; a tie and a crash that pays nobody count one half.
-
-    Raises
-    ------
-    InputError
-        If the policies belong to several planners.
     """
     planner = common_planner([*policies, *opponents])
     scenarios = draw_scenarios(
@@ -168,13 +155,7 @@ def race_learned(task: LearnedTask, race: Race = race_policies, threads: int | N
 
 
 def common_planner(policies: Sequence[Policy]) -> Planner:
-    """Return the planner that all policies belong to.
-
-    Raises
-    ------
-    InputError
-        If there are several.
-    """
+    """Return the planner that all policies belong to."""
     planners = {policy.planner.name: policy.planner for policy in policies}
     if len(planners) != 1:
         raise InputError(f"the policies belong to planners {', '.join(planners)}; they must belong to one")

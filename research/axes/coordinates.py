@@ -20,20 +20,13 @@ class PayoffCoordinates:
 
     The payoff of policy i against policy j is about ``rating_i - rating_j + x_i y_j - y_i x_j``, with ``(x, y)`` the
     place in the plane.
-
-    Attributes
-    ----------
-    rating : ndarray, shape (N,)
-        Mean payoff over the pool, races won.
-    plane : ndarray, shape (N, 2)
-        Places in the leading cyclic plane, turned so that the first coordinate grows with a given behaviour and the
-        second is uncorrelated with it.
-    strength, noise : float
-        Singular value of the plane, and what noise alone reaches in 95 of 100 draws.
     """
 
-    rating: Floats
+    rating: Floats  #: shape (N,): Mean payoff over the pool, races won.
+    #: shape (N, 2): Places in the leading cyclic plane, turned so that the first coordinate grows with a given
+    #: behaviour and the second is uncorrelated with it.
     plane: Floats
+    #: ``strength``, ``noise``: Singular value of the plane, and what noise alone reaches in 95 of 100 draws.
     strength: float
     noise: float
 
@@ -58,11 +51,6 @@ class PayoffCoordinates:
         Returns
         -------
         ndarray, shape (K, 3)
-
-        Raises
-        ------
-        InputError
-            If the shape or a number is impossible.
         """
         won = check_array("payoffs", payoffs, (None, len(self.rating)), least=-0.5, most=0.5)
         design = np.column_stack([np.ones(len(self.rating)), self.plane[:, 1], -self.plane[:, 0]])
@@ -78,11 +66,6 @@ def payoff_coordinates(payoffs: ArrayLike, behaviour: ArrayLike) -> PayoffCoordi
         As for :func:`pcs_racing_agents.payoffs.headroom.cyclic_planes`.
     behaviour : array_like, shape (N,)
         What the first coordinate of the plane is to grow with; a plane has no direction of its own.
-
-    Raises
-    ------
-    InputError
-        If the payoffs are impossible, or all ratings or places are the same.
     """
     rating, leading = ratings(payoffs), cyclic_planes(payoffs)[0]
     trend = check_array("behaviour", behaviour, (len(rating),))

@@ -74,26 +74,14 @@ class LearnSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Learning:
-    """Learned characteristics and what they were learned from.
-
-    Attributes
-    ----------
-    characteristics : LearnedCharacteristics
-    coordinates : PayoffCoordinates
-        Of the pool.
-    behaviour : ndarray, shape (T, N, M, I)
-        Inputs in every segment.
-    scores : dict of int to Accuracy
-        R2 of the three coordinates of policies on circuits that were left out, by number of segments.
-    estimates : ndarray, shape (N, 3)
-        Coordinates of every policy as estimated when it was left out.
-    """
+    """Learned characteristics and what they were learned from."""
 
     characteristics: LearnedCharacteristics
-    coordinates: PayoffCoordinates
-    behaviour: Floats
+    coordinates: PayoffCoordinates  #: Of the pool.
+    behaviour: Floats  #: shape (T, N, M, I): Inputs in every segment.
+    #: R2 of the three coordinates of policies on circuits that were left out, by number of segments.
     scores: dict[int, Accuracy]
-    estimates: Floats
+    estimates: Floats  #: shape (N, 3): Coordinates of every policy as estimated when it was left out.
 
 
 def learn_characteristics(
@@ -110,18 +98,6 @@ def learn_characteristics(
     ----------
     pool : PolicyPool
         Policies of one planner that differ in speed, the circuits, and the races.
-    settings : LearnSettings, optional
-    job : Job, optional
-        Stores results, so that a stopped run can be resumed.
-    executor : Executor, optional
-        Simulates the races; by default this process, on all cores. It does not change the result.
-    progress : callable, optional
-        Called as ``progress(done, total, label)``.
-
-    Raises
-    ------
-    InputError
-        If the policies belong to several planners, or there are fewer of them than folds.
     """
     settings = settings or LearnSettings()
     common_planner(pool.policies)
@@ -154,14 +130,8 @@ def fit_characteristics(
         See :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`.
     behaviour : ndarray, shape (T, N, M, I)
         See :func:`research.axes.behaviour.measure_behaviour`.
-    settings : LearnSettings, optional
     seed : int
         Of folds and rows.
-
-    Raises
-    ------
-    InputError
-        If the shapes do not fit each other, or the policies do not differ.
     """
     settings = settings or LearnSettings()
     if behaviour.shape[:2] != (payoffs.shape[0], payoffs.shape[-1]) or behaviour.shape[-1] != len(settings.inputs):

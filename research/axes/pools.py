@@ -44,27 +44,17 @@ def draw_pool(
 
     Parameters
     ----------
-    planner : Planner
-    tracks : sequence of Track or str
-    config : RaceConfig
     size : int
         Policies to keep, from 3; six times as many are drawn.
     seed : int
         Root of the policies, start lines and noise.
     segment_seconds : float
         Length of the segments in which speed is measured, s.
-    job, executor, progress
-        As for :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`.
 
     Returns
     -------
     tuple of Policy
         From slow to fast.
-
-    Raises
-    ------
-    InputError
-        If a number is impossible, or the duration is no multiple of the segments.
     """
     check_whole("size", size, 3, 1000)
     drawn, rivals = (
@@ -84,11 +74,6 @@ def best_of_intervals(axis: Floats, score: Floats, size: int) -> NDArray[np.int6
     """Return the best scored policy of each of ``size`` equal intervals of an axis, in the order of the axis.
 
     Where an interval is empty, the best scored of all that are left is taken instead.
-
-    Raises
-    ------
-    InputError
-        If there are fewer policies than intervals.
     """
     if len(axis) < size:
         raise InputError(f"there are {len(axis)} policies; {size} are to be chosen")

@@ -20,17 +20,10 @@ PENALTIES = tuple(float(10.0**k) for k in range(-4, 2))
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """A linear function of terms.
+    """A linear function of terms."""
 
-    Attributes
-    ----------
-    intercept : ndarray, shape (C,)
-    weights : ndarray, shape (K, C)
-        Of K terms for C targets.
-    """
-
-    intercept: Floats
-    weights: Floats
+    intercept: Floats  #: shape (C,)
+    weights: Floats  #: shape (K, C): Of K terms for C targets.
 
     def predict(self, terms: Floats) -> Floats:
         """Return the targets, shape (..., C), of terms (..., K)."""

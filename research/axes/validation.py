@@ -25,18 +25,10 @@ DRAWS = 16
 
 
 class Accuracy(NamedTuple):
-    """How accurate estimates are: the share of the variance of coordinates that they explain.
+    """How accurate estimates are: the share of the variance of coordinates that they explain."""
 
-    Attributes
-    ----------
-    r2 : ndarray, shape (C,)
-        1 - squared error / variance; below 0 if the mean would be a better estimate.
-    error : ndarray, shape (C,)
-        Standard error over policies (jackknife).
-    """
-
-    r2: Floats
-    error: Floats
+    r2: Floats  #: shape (C,): 1 - squared error / variance; below 0 if the mean would be a better estimate.
+    error: Floats  #: shape (C,): Standard error over policies (jackknife).
 
 
 def draw_rows(values: Floats, segments: int, seed: int) -> Floats:
@@ -48,16 +40,10 @@ def draw_rows(values: Floats, segments: int, seed: int) -> Floats:
         Of every segment; NaN where there was none.
     segments : int
         How many segments a mean is over.
-    seed : int
 
     Returns
     -------
     ndarray, shape (T, N, DRAWS, K)
-
-    Raises
-    ------
-    InputError
-        If a policy has too few segments.
     """
     tracks, policies, _, terms = values.shape
     rows = np.empty((tracks, policies, DRAWS, terms))
@@ -142,7 +128,6 @@ def cross_validate(
         Of products of inputs.
     segments : int
         Rows of the regression are means over so many.
-    folds : int
     seed : int
         Of folds and rows.
     judged : sequence of int

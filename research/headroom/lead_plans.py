@@ -27,28 +27,15 @@ Plan = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class LeadPlanValue:
-    """The value of reacting to who is in front, in races won.
+    """The value of reacting to who is in front, in races won."""
 
-    Attributes
-    ----------
-    value : float
-        Mean payoff of the best lead plan minus that of the best fixed policy, cross-fitted.
-    opponents_error : float
-        Standard error of ``value`` over opponents.
-    headroom : float
-        Mean over opponents of the payoff of the best lead plan against this opponent minus that of the best lead plan
-        for all, cross-fitted: what is left for those who know the opponent.
-    headroom_error : float
-        Standard error of ``headroom`` over opponents.
-    best : tuple of int
-        Policy ahead and policy behind of the best lead plan over all folds.
-    """
-
-    value: float
-    opponents_error: float
+    value: float  #: Mean payoff of the best lead plan minus that of the best fixed policy, cross-fitted.
+    opponents_error: float  #: Standard error of ``value`` over opponents.
+    #: Mean over opponents of the payoff of the best lead plan against this opponent minus that of the best lead plan
+    #: for all, cross-fitted: what is left for those who know the opponent.
     headroom: float
-    headroom_error: float
-    best: Plan
+    headroom_error: float  #: Standard error of ``headroom`` over opponents.
+    best: Plan  #: Policy ahead and policy behind of the best lead plan over all folds.
 
 
 def make_lead_plans(policies: int, members: Sequence[int]) -> list[Plan]:
@@ -58,13 +45,7 @@ def make_lead_plans(policies: int, members: Sequence[int]) -> list[Plan]:
 
 
 def plan_members(policies: int, count: int) -> list[int]:
-    """Return the numbers of the policies that lead plans are made of, evenly spaced in a pool.
-
-    Raises
-    ------
-    InputError
-        If ``count`` is neither 0 nor from 2 to the number of policies.
-    """
+    """Return the numbers of the policies that lead plans are made of, evenly spaced in a pool."""
     if check_whole("lead-plans", count, 0, policies) == 1:
         raise InputError("lead-plans is 1; a plan of its own needs 2 policies, and 0 means no plans")
     return [int(k) for k in np.linspace(0, policies - 1, count).round()] if count else []
@@ -97,11 +78,6 @@ def lead_plan_payoffs(
     -------
     ndarray, shape (T, F, L, N)
         Score of the plan against the opponent minus one half, both slots together.
-
-    Raises
-    ------
-    InputError
-        If a plan names no policy of the pool, or the policies are of several planners.
     """
     ticks = 10 * check_whole("step_seconds times 10", round(step_seconds * 10.0), 1)
     for plan in plans:
@@ -125,11 +101,6 @@ def lead_plan_value(payoffs: ArrayLike, plans: Sequence[Plan]) -> LeadPlanValue:
         Of F >= 2 folds, for N >= 2 opponents.
     plans : sequence of (int, int)
         Those with the same policy ahead and behind are the fixed policies.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit, or there is no fixed policy among the plans.
     """
     folds = np.asarray(payoffs, np.float64)
     if folds.ndim != 3 or folds.shape[0] < 2 or folds.shape[1] != len(plans) or folds.shape[2] < 2:

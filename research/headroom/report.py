@@ -41,30 +41,15 @@ opponents"""
 
 
 class TrackGame(NamedTuple):
-    """The game of choosing a policy on one circuit.
+    """The game of choosing a policy on one circuit."""
 
-    Attributes
-    ----------
-    track : str
-        Name of the circuit.
-    payoffs : ndarray, shape (F, N, N)
-        Mean over both slots of the grid.
-    headroom : Headroom
-    slots : SlotHeadroom
-    transitive_share : float
-    planes : list of CyclicPlane
-        The strongest first.
-    equilibrium : ndarray, shape (N,)
-        Probabilities of the policies in an equilibrium of the mean payoffs.
-    """
-
-    track: str
-    payoffs: Floats
+    track: str  #: Name of the circuit.
+    payoffs: Floats  #: shape (F, N, N): Mean over both slots of the grid.
     headroom: Headroom
     slots: SlotHeadroom
     transitive_share: float
-    planes: list[CyclicPlane]
-    equilibrium: Floats
+    planes: list[CyclicPlane]  #: The strongest first.
+    equilibrium: Floats  #: shape (N,): Probabilities of the policies in an equilibrium of the mean payoffs.
 
 
 def track_game(track: str, slots: Floats) -> TrackGame:
@@ -72,7 +57,6 @@ def track_game(track: str, slots: Floats) -> TrackGame:
 
     Parameters
     ----------
-    track : str
     slots : ndarray, shape (F, 2, N, N)
         See :func:`pcs_racing_agents.payoffs.policy_pool.slot_payoffs`.
     """

@@ -11,27 +11,15 @@ from pcs_racing_agents.payoffs.headroom import checked_payoffs, cross_fitted
 
 @dataclass(frozen=True, eq=False)
 class SlotHeadroom:
-    """The value of knowing the opponent's policy for a driver that knows its place on the grid, in races won.
+    """The value of knowing the opponent's policy for a driver that knows its place on the grid, in races won."""
 
-    Attributes
-    ----------
-    value : float
-        Mean over slots and opponents of the best response's payoff minus that of the best fixed policy of the slot,
-        cross-fitted.
-    low : float
-        The same, minus the best fixed policies of the evaluation races themselves: a lower bound.
-    opponents_error : float
-        Standard error over opponents.
-    slots : tuple of two float
-        ``value`` on the left or in front, and on the right or behind.
-    slot_alone : float
-        Value of knowing the slot and not the opponent, cross-fitted: a policy for each slot over one for both.
-    """
-
+    #: Mean over slots and opponents of the best response's payoff minus that of the best fixed policy of the slot,
+    #: cross-fitted.
     value: float
-    low: float
-    opponents_error: float
-    slots: tuple[float, float]
+    low: float  #: The same, minus the best fixed policies of the evaluation races themselves: a lower bound.
+    opponents_error: float  #: Standard error over opponents.
+    slots: tuple[float, float]  #: ``value`` on the left or in front, and on the right or behind.
+    #: Value of knowing the slot and not the opponent, cross-fitted: a policy for each slot over one for both.
     slot_alone: float
 
 
@@ -45,11 +33,6 @@ def slot_headroom(payoffs: ArrayLike) -> SlotHeadroom:
     payoffs : array_like, shape (F, 2, N, N)
         Payoff in each of F >= 2 folds and each slot of the row's policy
         (:func:`pcs_racing_agents.payoffs.policy_pool.slot_payoffs`); the mean over slots is antisymmetric.
-
-    Raises
-    ------
-    InputError
-        As :func:`pcs_racing_agents.payoffs.headroom.headroom`.
     """
     slots = np.asarray(payoffs, np.float64)
     if slots.ndim != 4 or slots.shape[1] != 2:

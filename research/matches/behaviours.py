@@ -47,34 +47,14 @@ def features(memory: RaceMemory) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Behaviours:
-    """Opponents of a pool as each policy of an archive sees them, and the scores against them.
+    """Opponents of a pool as each policy of an archive sees them, and the scores against them."""
 
-    Attributes
-    ----------
-    game : GameIdentity
-        The game that it is for; names of moves and elements are left out.
-    opponents : tuple of str
-        Names of the N opponents.
-    scores : ndarray, shape (K, N)
-        Mean score of each policy of the archive in races against each opponent, 0 to 1.
-    seen : ndarray, shape (K, N, F)
-        Mean :func:`features` of each opponent in races against each policy.
-    covariance : ndarray, shape (F, F)
-        Of the features from race to race, for the same two policies.
-    training : Mapping
-        How it was measured: texts and numbers by name.
-
-    Raises
-    ------
-    InputError
-        If the arrays do not fit each other, or hold something else than finite numbers.
-    """
-
-    game: GameIdentity
-    opponents: tuple[str, ...]
-    scores: Floats
-    seen: Floats
-    covariance: Floats
+    game: GameIdentity  #: The game that it is for; names of moves and elements are left out.
+    opponents: tuple[str, ...]  #: Names of the N opponents.
+    scores: Floats  #: shape (K, N): Mean score of each policy of the archive in races against each opponent, 0 to 1.
+    seen: Floats  #: shape (K, N, F): Mean :func:`features` of each opponent in races against each policy.
+    covariance: Floats  #: shape (F, F): Of the features from race to race, for the same two policies.
+    #: How it was measured: texts and numbers by name.
     training: Mapping[str, str | int | float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -108,13 +88,7 @@ class Behaviours:
         return int(self.scores.mean(axis=1).argmax())
 
     def check_fits(self, setting: Setting, user: str) -> None:
-        """Check that this was measured with the archive and the race rules of a setting.
-
-        Raises
-        ------
-        InputError
-            If it was not; ``user`` names what uses it.
-        """
+        """Check that this was measured with the archive and the race rules of a setting."""
         check_same_game(self.game, setting.identity, user)
 
     def distances(self, own: NDArray[np.int64], observed: Floats, known: NDArray[np.bool_]) -> Floats:
@@ -146,15 +120,7 @@ def save_behaviours(table: Behaviours, folder: str | Path) -> Path:
 
 
 def load_behaviours(source: str | os.PathLike[str] | Behaviours) -> Behaviours:
-    """Return a table from its folder, or as it is.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such folder.
-    InputError
-        If a file of it is missing, damaged, too large or from another version.
-    """
+    """Return a table from its folder, or as it is."""
     if isinstance(source, Behaviours):
         return source
     folder = BEHAVIOURS_FORMAT.find(source)

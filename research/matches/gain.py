@@ -44,34 +44,15 @@ nearest behaviour; known: gain if the opponent is known before the first race"""
 
 @dataclass(frozen=True, eq=False)
 class MatchTest:
-    """Matches against each policy of an archive, played by all players with the same lines, sides and noise.
+    """Matches against each policy of an archive, played by all players with the same lines, sides and noise."""
 
-    Attributes
-    ----------
-    setting : Setting
-        Archive and rules.
-    table : Behaviours
-        What was learned; its opponents are the policies of the archive.
-    tracks : tuple of Track or str
-    races : int
-        Races of a match.
-    matches : int
-        Matches against each policy on each circuit, even: the first race starts from both sides in turn.
-    seed : int
-        Root of start lines and noise.
-
-    Raises
-    ------
-    InputError
-        If there is no circuit, a number is impossible, or the table belongs to another archive.
-    """
-
-    setting: Setting
-    table: Behaviours
+    setting: Setting  #: Archive and rules.
+    table: Behaviours  #: What was learned; its opponents are the policies of the archive.
     tracks: tuple[Track | str, ...]
-    races: int = 3
+    races: int = 3  #: Races of a match.
+    #: Matches against each policy on each circuit, even: the first race starts from both sides in turn.
     matches: int = 32
-    seed: int = 0
+    seed: int = 0  #: Root of start lines and noise.
 
     def __post_init__(self) -> None:
         self.check(self.tracks, self.races, self.matches, self.seed)
@@ -84,13 +65,7 @@ class MatchTest:
 
     @staticmethod
     def check(tracks: Sequence[Track | str], races: int, matches: int, seed: int) -> None:
-        """Check what can be checked before anything is learned.
-
-        Raises
-        ------
-        InputError
-            If there is no circuit or a number is impossible.
-        """
+        """Check what can be checked before anything is learned."""
         if not tracks:
             raise InputError("there are no tracks; name at least one")
         check_whole("matches", matches, 2, 10_000)
@@ -101,20 +76,11 @@ class MatchTest:
 
 
 class TrackGain(NamedTuple):
-    """Results of all players on one circuit, against N opponents in M matches of R races each.
-
-    Attributes
-    ----------
-    track : str
-    learned : bool
-        Whether the table was learned on this circuit.
-    scores : ndarray, shape (A, N, M, R)
-        Score of each of :data:`ARMS`.
-    """
+    """Results of all players on one circuit, against N opponents in M matches of R races each."""
 
     track: str
-    learned: bool
-    scores: Floats
+    learned: bool  #: Whether the table was learned on this circuit.
+    scores: Floats  #: shape (A, N, M, R): Score of each of :data:`ARMS`.
 
     def gain(self, arm: str) -> Estimate:
         """Gain of a player over the best fixed policy per race, clustered by opponent."""
@@ -142,11 +108,6 @@ def match_gains(
 
     Parameters
     ----------
-    test : MatchTest
-    job : Job, optional
-        Stores results, so that a stopped run can be resumed.
-    executor : Executor, optional
-        Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, label)``, counting opponents.
 

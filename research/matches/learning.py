@@ -29,29 +29,13 @@ RACES_AT_ONCE = 512
 
 @dataclass(frozen=True, eq=False)
 class LearningRaces:
-    """The races from which the behaviours of an archive's policies are learned.
+    """The races from which the behaviours of an archive's policies are learned."""
 
-    Attributes
-    ----------
-    setting : Setting
-        Archive and rules.
-    tracks : tuple of Track or str
-        Circuits, or their names or folders, which workers on other machines load themselves.
-    races : int
-        Races of each two policies on each circuit, even: on each start line both sides take turns.
-    seed : int
-        Root of start lines and noise.
-
-    Raises
-    ------
-    InputError
-        If there is no circuit, or a number is impossible.
-    """
-
-    setting: Setting
+    setting: Setting  #: Archive and rules.
+    #: Circuits, or their names or folders, which workers on other machines load themselves.
     tracks: tuple[Track | str, ...]
-    races: int = 64
-    seed: int = 0
+    races: int = 64  #: Races of each two policies on each circuit, even: on each start line both sides take turns.
+    seed: int = 0  #: Root of start lines and noise.
 
     def __post_init__(self) -> None:
         if not self.tracks:
@@ -78,11 +62,6 @@ def learn_behaviours(
 
     Parameters
     ----------
-    learning : LearningRaces
-    job : Job, optional
-        Stores results, so that a stopped run can be resumed.
-    executor : Executor, optional
-        Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, label)``, counting blocks of pairs.
     """

@@ -13,21 +13,11 @@ Floats = NDArray[np.float64]
 
 
 class PlayedMatches(NamedTuple):
-    """Results of a batch of B matches of R races; the ego drove car 0.
+    """Results of a batch of B matches of R races; the ego drove car 0."""
 
-    Attributes
-    ----------
-    scores : ndarray, shape (B, 2, R)
-        Score of each car in each race: 1 for a win, 1/2 for a tie.
-    policy : ndarray, shape (B, 2, R), int64
-        Policy of the archive that each race was started with.
-    observations : ndarray, shape (B, 2, D), float32
-        What both players know of the match at its end.
-    """
-
-    scores: Floats
-    policy: NDArray[np.int64]
-    observations: NDArray[np.float32]
+    scores: Floats  #: shape (B, 2, R): Score of each car in each race: 1 for a win, 1/2 for a tie.
+    policy: NDArray[np.int64]  #: shape (B, 2, R): Policy of the archive that each race was started with.
+    observations: NDArray[np.float32]  #: shape (B, 2, D): What both players know of the match at its end.
 
 
 class FixedChoice(NamedTuple):
@@ -41,15 +31,9 @@ class FixedChoice(NamedTuple):
 
 
 class KnownOpponentChoice(NamedTuple):
-    """A chooser that is told the opponent of each match of a batch, and takes the best reply to it.
+    """A chooser that is told the opponent of each match of a batch, and takes the best reply to it."""
 
-    Attributes
-    ----------
-    replies : ndarray of int, shape (B,)
-        Best reply to the opponent of each match.
-    """
-
-    replies: NDArray[np.int64]
+    replies: NDArray[np.int64]  #: shape (B,): Best reply to the opponent of each match.
 
     def choose(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return the best replies; all matches must be asked about."""
@@ -70,7 +54,6 @@ def play_matches(
 
     Parameters
     ----------
-    match : MatchGame
     ego, opponent : Competitor or None
         Who drives car 0 and car 1 with policies of the archive: a chooser chooses them before each race; others start
         each race with the same policy, and make their moves; None keeps the policy.

@@ -29,20 +29,11 @@ REPLIES = ("likely", "nearest")
 
 @dataclass(frozen=True, eq=False)
 class RememberedReply:
-    """The choice of a policy from what was seen in the earlier races of a match.
-
-    Attributes
-    ----------
-    table : Behaviours
-    setting : Setting
-        Its archive tells which policy was driven.
-    reply : {"likely", "nearest"}
-        To all opponents by their likelihood, or to the nearest one.
-    """
+    """The choice of a policy from what was seen in the earlier races of a match."""
 
     table: Behaviours
-    setting: Setting
-    reply: str = "likely"
+    setting: Setting  #: Its archive tells which policy was driven.
+    reply: str = "likely"  #: "likely" or "nearest": To all opponents by their likelihood, or to the nearest one.
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return the policies for observations of B matches, shape (B,)."""
@@ -65,15 +56,9 @@ class RememberedReply:
 
 @dataclass(frozen=True, eq=False)
 class MatchAgent(Agent):
-    """An agent that also chooses the policy of each race of a match; its moves are for games of their own.
+    """An agent that also chooses the policy of each race of a match; its moves are for games of their own."""
 
-    Attributes
-    ----------
-    choice : RememberedReply or None
-        A function from what was observed of matches to policies.
-    """
-
-    choice: RememberedReply | None = None
+    choice: RememberedReply | None = None  #: A function from what was observed of matches to policies.
 
     def choose(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return the policies for the next races, shape (B,); see :class:`pcs_racing.game.competitor.Chooser`."""
@@ -94,8 +79,6 @@ def remember(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
     seed : int
         Not used.
     table : Behaviours or path

@@ -25,22 +25,11 @@ from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
 
 class CurvePoint(NamedTuple):
-    """A robust response on the curve.
+    """A robust response on the curve."""
 
-    Attributes
-    ----------
-    pool_share : float
-        p: the share of its training games against the pool.
-    gain : Estimate
-        Its score against the pool minus that of the baseline in the same races.
-    loss : Estimate
-        What it loses to a learned best reply (:func:`pcs_racing_agents.learning.responses.best_reply`).
-    networks : NetworkSet
-    """
-
-    pool_share: float
-    gain: Estimate
-    loss: Estimate
+    pool_share: float  #: p: the share of its training games against the pool.
+    gain: Estimate  #: Its score against the pool minus that of the baseline in the same races.
+    loss: Estimate  #: What it loses to a learned best reply (:func:`pcs_racing_agents.learning.responses.best_reply`).
     networks: NetworkSet
 
 
@@ -74,13 +63,6 @@ def robust_curve(
         Different, each from 0 to 1.
     races : int
         About how many against each opponent of the pool, and against each best reply.
-    executor : Executor, optional
-    progress : callable, optional
-
-    Raises
-    ------
-    InputError
-        If a share is impossible or there twice, or as for the functions above.
     """
     shares = check_shares(pool_shares)
 
@@ -133,13 +115,7 @@ def robust_curve(
 
 
 def check_shares(shares: Sequence[float]) -> list[float]:
-    """Check shares of the pool: numbers from 0 to 1, each once.
-
-    Raises
-    ------
-    InputError
-        If one is impossible or there twice, or there is none.
-    """
+    """Check shares of the pool: numbers from 0 to 1, each once."""
     checked = [check_number("a share of the pool", share, 0.0, 1.0) for share in shares]
     if not checked or len(set(checked)) < len(checked):
         raise InputError(f"the shares of the pool are {list(shares)}; give at least one, each once")
@@ -153,11 +129,6 @@ def gain_over(races: Sequence[RaceTable], baseline: Sequence[RaceTable]) -> Esti
     ----------
     races, baseline : sequence of RaceTable
         One for each opponent, race by race in the same order.
-
-    Raises
-    ------
-    InputError
-        If they are not the same races.
     """
     for own, other in zip(races, baseline, strict=True):
         for column in ("variants", "start_s", "side"):

@@ -29,19 +29,11 @@ FIGURES = ("approx_kl", "clip_fraction", "entropy_loss", "explained_variance", "
 
 
 class Learner(NamedTuple):
-    """A PPO model with its learning-rate schedule and weight limit.
-
-    Attributes
-    ----------
-    model : PPO
-    rate : LinearRate
-    limit : float
-        Largest weight that the policy may have.
-    """
+    """A PPO model with its learning-rate schedule and weight limit."""
 
     model: "PPO"
     rate: "LinearRate"
-    limit: float
+    limit: float  #: Largest weight that the policy may have.
 
 
 class LinearRate:
@@ -58,13 +50,7 @@ class LinearRate:
 
 
 def check_packages() -> None:
-    """Check that Stable-Baselines3 is installed.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If it is not; the message says how to install it.
-    """
+    """Check that Stable-Baselines3 is installed."""
     try:
         import stable_baselines3  # noqa: F401
     except ImportError:
@@ -96,10 +82,8 @@ def make_learner(
 
     Parameters
     ----------
-    settings : PPOSettings
     groups : sequence of BatchVectorEnv
         Training environments.
-    seed : int
     activation : {"relu", "tanh"}
         Activation between the layers.
     limit : float
@@ -155,13 +139,7 @@ def make_learner(
 
 
 def learn_once(learner: Learner) -> dict[str, float]:
-    """Collect the steps of one update, and make it; return :data:`FIGURES` and the mean reward of a step.
-
-    Raises
-    ------
-    InputError
-        If a weight has become infinite or NaN.
-    """
+    """Collect the steps of one update, and make it; return :data:`FIGURES` and the mean reward of a step."""
     import torch
 
     model = learner.model

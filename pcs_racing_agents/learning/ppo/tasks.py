@@ -16,21 +16,11 @@ from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore
 
 
 class LearningTask(Protocol):
-    """A learning task: :class:`pcs_racing_agents.learning.ppo.duels.DuelTask` or ``DriveTask``.
+    """A learning task: :class:`pcs_racing_agents.learning.ppo.duels.DuelTask` or ``DriveTask``."""
 
-    Attributes
-    ----------
-    activation : {"relu", "tanh"}
-        Between the layers of the policy.
-    limit : float
-        Largest weight that the policy may have.
-    unit : str
-        Name of a step, for reports.
-    """
-
-    activation: str
-    limit: float
-    unit: str
+    activation: str  #: "relu" or "tanh": Between the layers of the policy.
+    limit: float  #: Largest weight that the policy may have.
+    unit: str  #: Name of a step, for reports.
 
     @property
     def threads(self) -> int:
@@ -59,7 +49,6 @@ def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
 
     Parameters
     ----------
-    seed : int
     groups : int
         How many are needed.
     purpose : int

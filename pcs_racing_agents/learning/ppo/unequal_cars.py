@@ -29,11 +29,6 @@ class UnequalCars(VecEnvWrapper):
         Least share of its speed that the slower car of a race has, in (0, 1].
     seed : int
         Of what is drawn.
-
-    Raises
-    ------
-    InputError
-        If ``slowest`` is not in its range.
     """
 
     def __init__(self, venv: VecEnv, slowest: float = 0.5, seed: int = 0) -> None:

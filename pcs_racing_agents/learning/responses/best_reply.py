@@ -37,21 +37,12 @@ RACE_SEED = 9_000_000
 
 
 class BestReply(NamedTuple):
-    """A learned best reply to an agent, and how it raced.
+    """A learned best reply to an agent, and how it raced."""
 
-    Attributes
-    ----------
-    network : RegretNetwork
-        The reply: values of its moves.
-    races : RaceTable
-        Of the reply (the ego) against the agent (the opponent).
-    loss : Estimate
-        The agent's loss in races won: half of the reply's wins minus its own, from -0.5 to 0.5. Where every race has
-        a winner, it is the share of the races that the reply won, minus one half.
-    """
-
-    network: RegretNetwork
-    races: RaceTable
+    network: RegretNetwork  #: The reply: values of its moves.
+    races: RaceTable  #: Of the reply (the ego) against the agent (the opponent).
+    #: The agent's loss in races won: half of the reply's wins minus its own, from -0.5 to 0.5. Where every race has a
+    #: winner, it is the share of the races that the reply won, minus one half.
     loss: Estimate
 
 
@@ -86,13 +77,6 @@ def best_reply(
         About how many on all circuits together; at least 40 on each.
     part : str
         Beginning of the names of this work in the job.
-    executor : Executor, optional
-    progress : callable, optional
-
-    Raises
-    ------
-    InputError
-        If the games differ in archive, moves or rules, or there are too few races.
     """
     check_whole("races", races, FEWEST * len(games))
     reply = learn_best_reply(games, agent, setting, settings, job, part=part, executor=executor, progress=progress)
@@ -140,13 +124,7 @@ def race_on_circuits(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> RaceTable:
-    """Race two competitors on several circuits: about so many races in all, in the crossed design of the tables.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 40 races for each circuit.
-    """
+    """Race two competitors on several circuits: about so many races in all, in the crossed design of the tables."""
     each = check_whole("races", races, FEWEST * len(games)) / len(games)
     count = max(2, round(math.sqrt(each / (2 * LINES))))
     rng = np.random.default_rng(np.random.SeedSequence(seed + RACE_SEED, spawn_key=(0,)))
@@ -167,11 +145,6 @@ def excess_estimate(races: RaceTable) -> Estimate:
     """Return half of the ego's wins minus the opponent's, as a share of the races, with a clustered interval.
 
     Races that share a start policy, a driver's policy or the start line form clusters.
-
-    Raises
-    ------
-    InputError
-        If there is no race, or all have the same ego variant.
     """
     if len(races) == 0:
         raise InputError("there are no races; an estimate needs some")

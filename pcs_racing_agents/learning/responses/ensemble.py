@@ -12,13 +12,7 @@ from pcs_racing_agents.networks import RegretNetwork
 
 
 def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwork:
-    """Return a network whose output is the mean of the outputs of several networks.
-
-    Raises
-    ------
-    InputError
-        If there is none, or they differ in the game, the target, the number of layers or the scaling of the inputs.
-    """
+    """Return a network whose output is the mean of the outputs of several networks."""
     if len(networks) == 0:
         raise InputError("there is no network to merge; give at least one")
     first = networks[0]

@@ -19,16 +19,9 @@ from pcs_racing_agents.networks.settings import TrainSettings
 
 
 class _NetworkTask(NamedTuple):
-    """One network to train, by what it depends on.
+    """One network to train, by what it depends on."""
 
-    Attributes
-    ----------
-    rows : str
-        Digest of the rows that it learns from.
-    settings : TrainSettings
-    """
-
-    rows: str
+    rows: str  #: Digest of the rows that it learns from.
     settings: TrainSettings
 
 
@@ -49,9 +42,6 @@ def train_kept(
         Keeps the networks.
     part : str
         Name of this part of the job's work.
-    rows : Rows
-    identity : GameIdentity
-    settings : sequence of TrainSettings
     name : str
         Of the networks.
     executor : Executor, optional

@@ -69,26 +69,15 @@ def load_response_settings(source: str | Path | ResponseSettings | None = None, 
 
 
 class BranchTask(NamedTuple):
-    """The games of one task.
+    """The games of one task."""
 
-    Attributes
-    ----------
-    game, opponent : int
-        Index of the circuit's game, and of the opponent in its pool.
-    step, round : int
-    first, last : int
-        Numbers of the games.
-    root : int
-        Seed of all games of this circuit, opponent, step and round.
-    """
-
-    game: int
+    game: int  #: ``game``, ``opponent``: Index of the circuit's game, and of the opponent in its pool.
     opponent: int
     step: int
     round: int
-    first: int
+    first: int  #: ``first``, ``last``: Numbers of the games.
     last: int
-    root: int
+    root: int  #: Seed of all games of this circuit, opponent, step and round.
 
 
 def learn_response(
@@ -114,9 +103,6 @@ def learn_response(
         Opponents.
     setting : Setting
         Archive and rules, as agents know them.
-    settings : ResponseSettings
-    job : Job
-        Stores branches and networks, so that a stopped run can be resumed.
     shares : sequence of float, optional
         How often each opponent is met, in any unit. By default each is met ``settings.starts`` times; with shares,
         all together are.
@@ -124,18 +110,11 @@ def learn_response(
         Of the network.
     part : str
         Beginning of the names of this work in the job, where the job learns several networks.
-    executor : Executor, optional
-    progress : callable, optional
 
     Returns
     -------
     RegretNetwork
         Its values are advantages over the mean of all moves, in shares of races won (or in units of utility).
-
-    Raises
-    ------
-    InputError
-        If the games differ in archive, moves or rules, or shares do not fit the pool.
     """
     if len(games) == 0 or len(pool) == 0:
         raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")

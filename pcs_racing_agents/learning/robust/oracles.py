@@ -43,23 +43,13 @@ def learn_psro(
         As for :func:`pcs_racing_agents.learning.responses.learn_response`.
     pool : sequence of Competitor
         Opponents of the first response.
-    settings : PSROSettings
-    job : Job
-        Stores branches, networks and races, so that a stopped run can be resumed.
     name : str
         Of the set of networks.
-    executor : Executor, optional
-    progress : callable, optional
 
     Returns
     -------
     NetworkSet
         The responses that the equilibrium plays, with their probabilities.
-
-    Raises
-    ------
-    InputError
-        If there is no game or no opponent, or the games differ in archive, moves or rules.
     """
     networks: list[RegretNetwork] = []
     members: list[Agent] = []

@@ -48,25 +48,15 @@ def learn_robust(
         Opponents, all met equally often.
     setting : Setting
         Archive and rules, as agents know them.
-    settings : RobustSettings
-    job : Job
-        Stores branches and networks, so that a stopped run can be resumed.
     name : str
         Of the set of networks.
     part : str
         Beginning of the names of this work in the job.
-    executor : Executor, optional
-    progress : callable, optional
 
     Returns
     -------
     NetworkSet
         A network for each round after the first response, with its weight; with ``pool_share`` 1 the response alone.
-
-    Raises
-    ------
-    InputError
-        If there is no game or no opponent, or the games differ in archive, moves or rules.
     """
 
     def respond(

@@ -56,7 +56,6 @@ class Arena(Protocol):
             Advantages by which both players do regret matching; None for uniformly random moves.
         exploration : float
             Probability of a random move in place of one by regret matching.
-        step : int
         keys : ndarray, shape (B,)
             Of the games: everything that is drawn depends on them alone.
 
@@ -69,23 +68,14 @@ class Arena(Protocol):
 
 
 class _TraversalTask(NamedTuple):
-    """The games of one task.
-
-    Attributes
-    ----------
-    arena, step, iteration : int
-    first, last : int
-        Numbers of the games.
-    root : int
-        Seed of all games of this arena, step and iteration.
-    """
+    """The games of one task."""
 
     arena: int
     step: int
     iteration: int
-    first: int
+    first: int  #: ``first``, ``last``: Numbers of the games.
     last: int
-    root: int
+    root: int  #: Seed of all games of this arena, step and iteration.
 
 
 def learn_self_play(
@@ -104,24 +94,16 @@ def learn_self_play(
     arenas : sequence of Arena
         One for each circuit (:class:`pcs_racing_agents.learning.self_play.RaceArena`), all of one game; they share
         one network.
-    settings : SelfPlaySettings
     job : Job
         Stores rows and networks, so that a stopped run can be resumed.
     name : str
         Of the set of networks.
-    executor : Executor, optional
-    progress : callable, optional
 
     Returns
     -------
     NetworkSet
         A network of advantages for each iteration, to be played by regret matching, with the weights of the average
         strategy. The last one was fitted to the rows of all iterations: it predicts the mean counterfactual regrets.
-
-    Raises
-    ------
-    InputError
-        If there is no arena, or the arenas are different games.
     """
     if len(arenas) == 0:
         raise InputError("there is no arena to learn in; give at least one")

@@ -18,33 +18,16 @@ KINDS = ("ego", "opponent", "start")
 
 
 class Estimate(NamedTuple):
-    """A mean over races that are not independent.
-
-    Attributes
-    ----------
-    mean : float
-    low, high : float
-        Confidence interval.
-    se : float
-        Cluster-robust standard error.
-    df : int
-        Degrees of freedom of its t distribution: the smallest number of clusters minus 1.
-    p : float
-        Two-sided p-value of the mean being 0.
-    units : int
-        Number of races.
-    clusters : tuple of int
-        Number of clusters of each kind.
-    """
+    """A mean over races that are not independent."""
 
     mean: float
-    low: float
+    low: float  #: ``low``, ``high``: Confidence interval.
     high: float
-    se: float
-    df: int
-    p: float
-    units: int
-    clusters: tuple[int, ...]
+    se: float  #: Cluster-robust standard error.
+    df: int  #: Degrees of freedom of its t distribution: the smallest number of clusters minus 1.
+    p: float  #: Two-sided p-value of the mean being 0.
+    units: int  #: Number of races.
+    clusters: tuple[int, ...]  #: Number of clusters of each kind.
 
 
 def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = False, level: float = 0.95) -> Estimate:
@@ -68,15 +51,6 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
         larger one of the two with and without this.
     level : float
         Level of the interval, between 0 and 1.
-
-    Returns
-    -------
-    Estimate
-
-    Raises
-    ------
-    InputError
-        If a value is not finite, shapes differ, or a kind has fewer than two clusters.
     """
     check_level(level)
     x = check_values("values", values)

@@ -17,11 +17,6 @@ def score(won: ArrayLike, tied: ArrayLike) -> Floats:
     Parameters
     ----------
     won, tied : array_like of bool, shape (U,)
-
-    Raises
-    ------
-    InputError
-        If the shapes differ or a race is both won and tied.
     """
     wins, ties = np.asarray(won, dtype=bool), np.asarray(tied, dtype=bool)
     if wins.shape != ties.shape:
@@ -43,11 +38,6 @@ def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Int
     Returns
     -------
     ndarray of int, shape (U,)
-
-    Raises
-    ------
-    InputError
-        If a unit appears twice in an arm or in one arm only.
     """
     indices: list[dict[Hashable, int]] = []
     for arm, units in (("a", units_a), ("b", units_b)):
