@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.trained import NAME, load_driver, read_driver
@@ -19,25 +18,6 @@ def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 
     if explored == 0:
         raise InputError(f"archive {archive.name!r} holds no explored policies, so there is no {name!r} to race")
     return Driver(name, tuple(archive.explored_policy(i) for i in range(explored)))
-
-
-def other_archive(
-    setting: Setting, *, name: str = "other-archive", seed: int = 0, archive: str | Path | None = None
-) -> Driver:
-    """Drive the policies of another archive, each kept for the whole race.
-
-    Parameters
-    ----------
-    seed
-        Not used.
-    archive : str or Path, optional
-        Name or folder of the other archive; by default "default" or, where the game has that one, "contest".
-    """
-    other = load_archive(archive or ("contest" if setting.archive.name == "default" else "default"))
-    if other.content_hash == setting.archive.content_hash:
-        raise InputError(f"agent {name!r}: archive {other.name!r} is that of the game; name another one")
-    facts = {"archive": f"{other.name}, sha256 {other.content_hash[:16]}"}
-    return Driver(name, tuple(other.policy(i) for i in range(len(other))), facts)
 
 
 def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:
@@ -86,12 +66,6 @@ RANDOM_POLICY = Entry(
     random_policy,
     "keeps one of all policies that synthesis evaluated, in the archive or not",
     "the paper's random agent",
-    moves=False,
-)
-OTHER_ARCHIVE = Entry(
-    other_archive,
-    "keeps one of the policies of another archive, which was searched for other races",
-    "baseline: an opponent of the same planner that no agent learned against",
     moves=False,
 )
 LANE_SWITCHER = Entry(

@@ -26,7 +26,7 @@ FAMILIES = (
     OpponentFamily(
         "other lattice",
         TEST,
-        ("other-archive", "random-policy"),
+        ("random-policy",),
         "policies of the lattice planner that are not in the archive",
     ),
     OpponentFamily("lane switcher", TEST, ("lane-switcher",), "race line or overtaking lane"),

@@ -180,24 +180,6 @@ CFR_REGRET_MATCHING = _entry(
     "draws a move with a probability proportional to its positive predicted counterfactual regret",
     "the paper's remark on regret matching (Zinkevich et al. 2007)",
 )
-NORMALISED_REGRET = _entry(
-    "normalised",
-    "argmax",
-    "makes the move with the highest predicted regret, normalised to the same size at every decision",
-    "cumulative regret, divided by its largest magnitude at the node",
-)
-ADVANTAGE = _entry(
-    "advantage",
-    "argmax",
-    "makes the move with the highest predicted advantage against the exact equilibrium",
-    "backward induction over matrix games",
-)
-STATIC_Q = _entry(
-    "static-q",
-    "argmax",
-    "plays a best response to an opponent that does not observe the race",
-    "best response to a static opponent",
-)
 NASH = _entry(
     "nash", "sample", "draws its moves from an approximate equilibrium strategy", "backward induction, sampled"
 )

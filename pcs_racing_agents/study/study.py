@@ -21,9 +21,6 @@ from pcs_racing_agents.study.config import BEST_BLIND, StudyConfig
 NETWORK_AGENTS = {
     "cfr-argmax": "regret",
     "cfr-regret-matching": "regret",
-    "normalised-regret": "normalised",
-    "advantage": "advantage",
-    "static-q": "static-q",
     "nash": "nash",
     "ppo": "ppo",
 }
