@@ -4,6 +4,7 @@ All objectives are maximised. A search is replayable: the same seed and the same
 that was stopped resumes when it receives the same results again.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from pcs_racing.base.checks import check_array, check_choice, check_number, chec
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.synthesis.indicators import contributions, hypervolume
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS, OptimiserOptions
-from pcs_racing_agents.synthesis.optimisers import make_optimiser
+from pcs_racing_agents.synthesis.optimisers import Optimiser, make_optimiser
 from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
 
 Floats = NDArray[np.float64]
@@ -81,8 +82,9 @@ class Search:
         Loss of CMA-ES: the uncrowded hypervolume improvement, or the paper's words taken literally.
     mean : {"generation", "archive"}
         Where the mean of CMA-ES moves: to its generation's elite, or to the mean of the archive's Pareto set.
-    method : {"mo-cma-es", "nsga2", "comocma", "cma-mae", "random"}
-        The first is the paper's. The options for CMA-ES do nothing in ``nsga2`` and ``random``.
+    method : {"mo-cma-es", "nsga2", "random"} or callable
+        The first is the paper's. The options for CMA-ES do nothing in the others. A function makes an optimiser of your
+        own (:class:`pcs_racing_agents.synthesis.optimisers.Optimiser`) of the options.
     reference : float or array_like, shape (G,)
         Reference point of the hypervolume in normalised objectives; by default a tenth of the range below the nadir.
     ideal, nadir : array_like, shape (G,), optional
@@ -103,7 +105,7 @@ class Search:
         loss: str = "uhvi",
         mean: str = "generation",
         seed: int = 0,
-        method: str = "mo-cma-es",
+        method: str | Callable[[OptimiserOptions], Optimiser] = "mo-cma-es",
         reference: ArrayLike = -0.1,
         ideal: ArrayLike | None = None,
         nadir: ArrayLike | None = None,
