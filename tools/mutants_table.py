@@ -133,8 +133,7 @@ MODULES = {
         backward_induction: backward_induction
         game_tree: game_tree cfr
         matrix_games: matrix_games
-        openspiel: openspiel_game efg
-        openspiel_game: openspiel_game
+        openspiel: efg
         rational_games: matrix_games
         sequence_form: sequence_form evaluation
         """,
