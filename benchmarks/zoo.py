@@ -29,10 +29,9 @@ from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.races import concatenate_races
-from pcs_racing_agents.tournament.pairings import schedule_pairing
+from pcs_racing_agents.tournament.pairings import draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.round_robin import round_robin
 from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.schedule import draw_schedule
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 import zoo_page

@@ -169,7 +169,6 @@ MODULES = {
         table: ; tournament_table
         statistics/clusters: statistics
         statistics/comparison: statistics
-        statistics/student_t: statistics
         statistics/units: statistics
         """,
     ),

@@ -1,6 +1,11 @@
-"""Agents that decide by a network's values of the moves: the paper's agent and its relatives."""
+"""Agents that decide by a network's values of the moves: the paper's agent and its relatives.
 
+Decision rules make probabilities of the values; both have shape (B, M).
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +14,6 @@ from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.decisions import get_decision
 from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build_member
@@ -18,6 +22,52 @@ from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network
 
 Floats = NDArray[np.float64]
+
+
+def argmax(values: NDArray[Any]) -> Floats:
+    """Return probability 1 for the move of the highest value, the first of equal ones.
+
+    With unclipped regrets this is the paper's rule (the argmax of the clipped regret) wherever a regret is positive.
+    Where none is, the paper allows any move; this rule takes the one of the highest (least negative) regret.
+    """
+    probabilities = np.zeros(values.shape)
+    np.put_along_axis(probabilities, np.argmax(values, axis=-1)[..., None], 1.0, axis=-1)
+    return probabilities
+
+
+def regret_matching(values: NDArray[Any]) -> Floats:
+    """Return probabilities in proportion to positive regret (Hart and Mas-Colell 2000); argmax where none is positive.
+
+    Outputs that are probabilities already stay as they are.
+    """
+    positive = np.maximum(np.asarray(values, np.float64), 0.0)
+    total = positive.sum(axis=-1, keepdims=True)
+    return np.where(total > 0.0, positive / np.where(total > 0.0, total, 1.0), argmax(values))
+
+
+def softmax(values: NDArray[Any]) -> Floats:
+    """Return probabilities in proportion to the exponential of the values, which are logits."""
+    exponentials = np.asarray(values, np.float64)
+    exponentials = np.exp(exponentials - exponentials.max(axis=-1, keepdims=True))
+    return exponentials / exponentials.sum(axis=-1, keepdims=True)
+
+
+DECISIONS: dict[str, Callable[[NDArray[Any]], Floats]] = {
+    "argmax": argmax,
+    "regret-matching": regret_matching,
+    "sample": regret_matching,
+    "softmax": softmax,
+}
+"""Decision rules by name."""
+
+
+def get_decision(name: str) -> Callable[[NDArray[Any]], Floats]:
+    """Return a decision rule."""
+    if name not in DECISIONS:
+        raise UnknownNameError(f"decision {name!r} is unknown; there are {', '.join(DECISIONS)}")
+    return DECISIONS[name]
+
+
 NetworkSource = str | RegretNetwork | None
 """A network, its name or folder, or None for the shipped one."""
 
@@ -29,7 +79,7 @@ class NetworkStrategy:
     """A strategy that applies a decision rule to the values of a network."""
 
     network: RegretNetwork  #: If it has no value for "stay", the last move, that move is never made.
-    decision: str  #: One of :data:`pcs_racing_agents.agents.decisions.DECISIONS`.
+    decision: str  #: One of :data:`pcs_racing_agents.agents.from_network.DECISIONS`.
     count: int  #: Number of moves M that there are.
 
     def __post_init__(self) -> None:

@@ -16,7 +16,7 @@ from pcs_racing.game.observation import LEAD_SCALE
 from pcs_racing.game.reward import reward
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
-from pcs_racing_agents.agents.drawing import draw, hash_rows
+from pcs_racing_agents.agents.agent import draw, hash_rows
 from pcs_racing_agents.agents.from_network import NetworkSource, fitting_network
 from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, root_games, search_game
 from pcs_racing_agents.agents.setting import Setting

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import competitor_name
+from pcs_racing.race.replay import Replay
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.agents.measured import measurements
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
@@ -20,6 +21,7 @@ from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
+from pcs_racing_agents.tournament.watching import record_game
 
 Floats = NDArray[np.float64]
 
@@ -204,3 +206,30 @@ def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> 
         predict(observation, None, np.ones(1, np.bool_), True)
         times.append(time.perf_counter() - begun)
     return 1e6 * float(np.median(times))
+
+
+def telling_races(own: Sequence[CellRaces], others: Sequence[CellRaces], count: int) -> list[tuple[str, Replay]]:
+    """Return recordings, with titles, of the races in which an agent and another one came off most differently.
+
+    Parameters
+    ----------
+    own, others : sequence of CellRaces
+        The same cells in the same order, raced by the agent and by the other one.
+    count : int
+        Number of races; one of each cell is considered.
+    """
+    telling: list[tuple[float, CellRaces, int]] = []
+    for cell, other in zip(own, others, strict=True):
+        # In turn, a race that the agent wins and the other one loses, and the other way round.
+        difference = (cell.races.score - other.races.score) * (1.0 if len(telling) % 2 == 0 else -1.0)
+        race = int(np.argmax(difference))
+        telling.append((float(difference[race]), cell, race))
+    telling.sort(key=lambda entry: -entry[0])
+    races = []
+    for _, cell, race in telling[:count]:
+        pairing = cell.pairing
+        recording = record_game(
+            pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race), candidates=False
+        )
+        races.append((f"{cell.cell.circuit}, race {race}: {recording.replay.outcome}", recording.replay))
+    return races

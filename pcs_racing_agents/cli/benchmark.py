@@ -129,8 +129,7 @@ def _write(
     """Print the card of one agent and write it."""
     from pcs_racing.game.competitor import competitor_name
     from pcs_racing_agents.benchmark.card import COLUMNS, Card, fact_lines, summary_rows, write_card
-    from pcs_racing_agents.benchmark.scoring import decision_cost, gain, rating, summarise
-    from pcs_racing_agents.benchmark.watching import telling_races
+    from pcs_racing_agents.benchmark.scoring import decision_cost, gain, rating, summarise, telling_races
     from pcs_racing_agents.results.text_table import aligned
 
     name, config = competitor_name(agent), protocol.config
@@ -185,7 +184,7 @@ def _best_reply(
 
 def run_board(arguments: argparse.Namespace) -> None:
     """Rank cards."""
-    from pcs_racing_agents.benchmark.leaderboard import BOARD_COLUMNS, board_page, board_rows, read_cards
+    from pcs_racing_agents.benchmark.card import BOARD_COLUMNS, board_page, board_rows, read_cards
     from pcs_racing_agents.results.text_table import aligned, markdown
 
     cards = read_cards(arguments.cards)

@@ -35,7 +35,9 @@ class NetworkSet:
     name: str
     networks: tuple[RegretNetwork, ...]
     weights: NDArray[np.float64]  #: shape (C,): Probability of each; they sum to 1.
-    decision: str  #: How moves follow from a network's values (:data:`pcs_racing_agents.agents.decisions.DECISIONS`).
+    decision: (
+        str  #: How moves follow from a network's values (:data:`pcs_racing_agents.agents.from_network.DECISIONS`).
+    )
     #: How the set was made: texts and numbers by name.
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 

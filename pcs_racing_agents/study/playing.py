@@ -8,9 +8,8 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Competitor, competitor_hash
 from pcs_racing_agents.jobs.jobs import Job, open_job
-from pcs_racing_agents.learning.responses.best_reply import BestReply, best_reply
+from pcs_racing_agents.learning.responses.best_reply import BestReply, best_reply, write_replies
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.learning.responses.reply_report import write_replies
 from pcs_racing_agents.learning.robust.oracles import learn_psro
 from pcs_racing_agents.learning.robust.restricted import learn_robust
 from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings

@@ -1,11 +1,14 @@
 """Running a study: its stages in order, each in its own folder; finished stages are skipped.
 
 A finished stage leaves a file ``done.yaml``; a stopped stage resumes its job. The results are functions of the study's
-configuration alone.
+configuration alone. The time of a stage includes earlier runs of it that were stopped or killed.
 """
 
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
@@ -15,10 +18,61 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.jobs.folders import claim_folder
-from pcs_racing_agents.study.clock import seconds_counted
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.stages import DONE, STAGES, Stage
 from pcs_racing_agents.study.study import Study
+
+BEAT = 20.0  # s: longest time that is lost when the process is killed
+
+
+@contextmanager
+def seconds_counted(file: Path) -> Iterator[Callable[[], float]]:
+    """Measure the time of a stage, starting at the seconds in a file of a stopped run.
+
+    Parameters
+    ----------
+    file : Path
+        Updated regularly; removed when the work is done.
+
+    Yields
+    ------
+    callable
+        Returns the seconds so far.
+    """
+    before, began, done = _read(file), time.monotonic(), threading.Event()
+
+    def spent() -> float:
+        return before + time.monotonic() - began
+
+    def write() -> None:
+        text = f"{spent():.1f}\n".encode()
+        write_atomically(file, lambda out: out.write(text))
+
+    def write_regularly() -> None:
+        while not done.wait(BEAT):
+            write()
+
+    thread = threading.Thread(target=write_regularly, daemon=True)
+    thread.start()
+    try:
+        yield spent
+    except BaseException:
+        done.set()
+        thread.join()
+        write()
+        raise
+    done.set()
+    thread.join()
+    file.unlink(missing_ok=True)
+
+
+def _read(file: Path) -> float:
+    """Return the seconds in a file; 0 if there are none or they are impossible."""
+    try:
+        seconds = float(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return 0.0
+    return seconds if 0.0 <= seconds < 1e9 else 0.0
 
 
 def run_study(

@@ -26,9 +26,8 @@ from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.tournament.games import PlayedGames
-from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
+from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.schedule import draw_schedule
 
 Choices = tuple[int, ...]
 

@@ -23,9 +23,8 @@ from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races
 from pcs_racing_agents.tournament.games import game_between
-from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
+from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.schedule import RaceSchedule, draw_schedule
 from pcs_racing_agents.tournament.watching import Recording, record_game
 
 Entrant = str | Policy | Competitor

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.statistics.student_t import check_level
+from pcs_racing_agents.tournament.statistics.clusters import check_level
 
 Floats = NDArray[np.float64]
 

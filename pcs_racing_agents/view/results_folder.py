@@ -27,8 +27,7 @@ from pcs_racing_agents.results.race_files import read_results
 from pcs_racing_agents.results.races import RaceRow, RaceTable
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, schedule_pairing
-from pcs_racing_agents.tournament.schedule import draw_schedule
+from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, draw_schedule, schedule_pairing
 
 MANIFEST = "job.yaml"
 

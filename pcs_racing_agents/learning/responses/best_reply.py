@@ -6,8 +6,9 @@ opponent would: a loss is always stated together with the learner's budget.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,9 @@ from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
 from pcs_racing_agents.networks import RegretNetwork
+from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.races import RaceTable, concatenate_races
+from pcs_racing_agents.results.text_table import aligned, interval_text
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
@@ -176,3 +179,59 @@ def _without_policies(
     mean = np.bincount(cells, excess, len(count)) / np.maximum(count, 1)
     balanced = count[cells] == count[mirrored]
     return excess - np.where(balanced, 0.5 * (mean[cells] - mean[mirrored]), 0.0)
+
+
+ALL = "all"
+REPLY_HEAD = ("agent", "circuit", "loss", "95 % interval", "races", "reply won", "agent won", "agent's own crashes")
+REPLY_NOTE = """loss: half of the reply's wins minus the agent's, as a share of the races; 0.1 means that the reply
+won 60 of 100 races. It is a lower bound: a learner with a larger budget may find a better reply. The interval is robust
+to clusters of start policies and start lines."""
+COLUMNS = ("agent", "track", "loss", "low", "high", "se", "df", "races", "reply_won", "agent_won", "agent_own_crash")
+
+
+def reply_text(replies: Mapping[str, BestReply], settings: ResponseSettings) -> str:
+    """Return the table of the losses of several agents, with the learner's budget."""
+    budget = (
+        f"learner: {settings.starts} games branched at every step and on each circuit, {settings.rounds} rounds, "
+        f"{settings.members} networks"
+    )
+    return "\n".join([*aligned([REPLY_HEAD, *reply_rows(replies)]), "", REPLY_NOTE, budget])
+
+
+def reply_rows(replies: Mapping[str, BestReply]) -> list[tuple[str, ...]]:
+    """Return the lines of the table: each agent on each circuit, and on all if there are several."""
+    rows: list[tuple[str, ...]] = []
+    for agent, reply in replies.items():
+        for track, races, loss in _by_track(reply):
+            won, lost = np.mean(races.winner == 0), np.mean(races.winner == 1)
+            rows.append(
+                (
+                    agent,
+                    track,
+                    f"{loss.mean:+.3f}",
+                    interval_text(loss.low, loss.high),
+                    str(loss.units),
+                    f"{won:.3f}",
+                    f"{lost:.3f}",
+                    f"{np.mean(races.fault[:, 1] > 0):.1%}",
+                )
+            )
+    return rows
+
+
+def write_replies(replies: Mapping[str, BestReply], path: Path) -> Path:
+    """Write a line for each agent and circuit as CSV, and one for all circuits if there are several."""
+    lines: list[tuple[object, ...]] = [COLUMNS]
+    for agent, reply in replies.items():
+        for track, races, loss in _by_track(reply):
+            shares = np.mean(races.winner == 0), np.mean(races.winner == 1), np.mean(races.fault[:, 1] > 0)
+            numbers = [f"{value:.6g}" for value in (loss.mean, loss.low, loss.high, loss.se)]
+            lines.append((agent, track, *numbers, loss.df, loss.units, *(f"{share:.6g}" for share in shares)))
+    return write_csv(lines, path)
+
+
+def _by_track(reply: BestReply) -> list[tuple[str, RaceTable, Estimate]]:
+    words, codes = reply.races.track
+    parts = [(word, reply.races.take(codes == code)) for code, word in enumerate(words)]
+    rows = [(word, races, excess_estimate(races)) for word, races in parts]
+    return rows if len(rows) == 1 else [*rows, (ALL, reply.races, reply.loss)]

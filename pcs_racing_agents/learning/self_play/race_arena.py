@@ -9,7 +9,7 @@ from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import ConstantStrategy
-from pcs_racing_agents.agents.decisions import regret_matching
+from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.statistics.clusters import clustered_mean
-from pcs_racing_agents.tournament.statistics.student_t import ratio, t_interval
+from pcs_racing_agents.tournament.statistics.clusters import clustered_mean, ratio, t_interval
 from pcs_racing_agents.tournament.statistics.units import Floats, check_arms, check_values, cluster_codes
 
 
