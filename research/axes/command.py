@@ -145,7 +145,7 @@ def run_learn(arguments: argparse.Namespace) -> None:
             print(f"written: {save_learned(learning.characteristics, arguments.out / FILE)}")
             print(f"written: {write_weights(learning.characteristics, arguments.out / 'weights.csv')}")
             if can_draw("what was learned"):
-                from research.axes.pictures import learning_picture
+                from research.axes.report import learning_picture
 
                 print(f"picture: {save_picture(learning_picture(learning), arguments.out / 'characteristics.png')}")
 

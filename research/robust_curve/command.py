@@ -81,8 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.learning.robust.settings import load_robust_settings
     from pcs_racing_agents.networks import save_network_set
     from pcs_racing_agents.pictures.style import save_picture
-    from research.robust_curve.curve import check_shares, robust_curve
-    from research.robust_curve.report import curve_picture, curve_text, write_curve
+    from research.robust_curve.curve import check_shares, curve_picture, curve_text, robust_curve, write_curve
 
     settings = load_robust_settings(arguments.config, seed=arguments.seed)
     reply = load_response_settings(arguments.reply, seed=arguments.seed)

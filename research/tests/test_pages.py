@@ -45,3 +45,9 @@ def test_commands_are_those_of_the_experiments(page, line, monkeypatch):
 def test_there_are_commands_and_impossible_ones_are_found(monkeypatch):
     assert {line.split()[3] for _, line in COMMANDS} == {"axes", "headroom", "match", "robust-curve"}
     assert not parsed(["axes", "learn", "--trak", "Pipkin"], monkeypatch)
+
+
+def test_the_experiments_stay_small():
+    files = [file for file in (REPOSITORY / "research").rglob("*.py") if "tests" not in file.parts]
+    assert 20 < len(files)
+    assert sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files) <= 3000
