@@ -24,7 +24,7 @@ from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.state import take_games
 from pcs_racing_agents.agents import Agent, Driver, make_setting, names
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.measured import Measured
+from pcs_racing_agents.agents.describe import Measured
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress

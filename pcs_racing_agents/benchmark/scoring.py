@@ -12,7 +12,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import competitor_name
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
-from pcs_racing_agents.agents.measured import measurements
+from pcs_racing_agents.agents.describe import measurements
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
 from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
@@ -170,7 +170,7 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
 def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
     """Return the Bradley-Terry rating that explains an agent's score against opponents of known ratings.
 
-    None if none of the opponents was measured (:mod:`pcs_racing_agents.agents.measured`), or if it won or lost all
+    None if none of the opponents was measured (:mod:`pcs_racing_agents.agents.describe`), or if it won or lost all
     races against them.
     """
     from scipy.optimize import brentq  # takes a second

@@ -16,7 +16,7 @@ class ExactResult(NamedTuple):
     value: float  #: What the game is worth to car 0.
     #: An equilibrium, and one in every subtree (subgame perfect). Where there are several it is one of them.
     profile: Profile
-    node_values: list[Floats]  #: shape (rows,): What each joint history of levels 0 to m is worth to car 0.
+    node_values: list[Floats]  #: What each joint history of levels 0 to m is worth to car 0, shape (rows,).
     #: What each move is worth to its player against the equilibrium, shapes (rows, A_k) and (rows, B_k).
     q: list[tuple[Floats, Floats]]
     #: The same above the node's value: 0 for the moves of the equilibrium, below 0 for mistakes.

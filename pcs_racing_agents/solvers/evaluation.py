@@ -21,8 +21,8 @@ class BestResponse(NamedTuple):
     """A best response to the other player's strategy of a profile."""
 
     value: float  #: What it then gets.
-    strategy: list[Floats]  #: shape (rows, M_k): One pure best response for each level.
-    #: shape (rows, M_k): What each move is worth to it in expectation, if it goes on with best responses.
+    strategy: list[Floats]  #: One pure best response for each level, shape (rows, M_k).
+    #: What each move is worth to it in expectation, if it goes on with best responses, shape (rows, M_k).
     q: list[Floats]
 
 

@@ -116,9 +116,9 @@ def _draw(name: str, *arguments: Any, **options: Any) -> bytes:
     from pcs_racing_agents.pictures import curves
     from pcs_racing_agents.pictures.style import picture_bytes
     from pcs_racing_agents.study import figures
-    from pcs_racing_agents.tournament import pictures
+    from pcs_racing_agents.tournament import table
 
-    home = next(module for module in (figures, curves, pictures, pcs_picture, situations) if hasattr(module, name))
+    home = next(module for module in (figures, curves, table, pcs_picture, situations) if hasattr(module, name))
     return picture_bytes(getattr(home, name)(*arguments, **options))
 
 

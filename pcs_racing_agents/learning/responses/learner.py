@@ -29,8 +29,7 @@ from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.branches import branch_games
-from pcs_racing_agents.learning.responses.ensemble import merge_networks
-from pcs_racing_agents.learning.responses.kept_networks import train_kept
+from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
 from pcs_racing_agents.learning.responses.learner_settings import LearnerSettings
 from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows
 from pcs_racing_agents.networks.settings import TrainSettings

@@ -25,8 +25,7 @@ from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
-from pcs_racing_agents.learning.responses.ensemble import merge_networks
-from pcs_racing_agents.learning.responses.kept_networks import train_kept
+from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
 from pcs_racing_agents.learning.self_play.settings import SelfPlaySettings
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork, Rows, join_rows
 

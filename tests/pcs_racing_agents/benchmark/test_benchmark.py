@@ -11,7 +11,6 @@ from zoo_games import toy_archive
 
 from pcs_racing import InputError, save_archive
 from pcs_racing_agents.agents import make
-from pcs_racing_agents.agents.sb3_files import load_sb3_policy
 from pcs_racing_agents.benchmark.card import (
     BOARD_COLUMNS,
     Card,
@@ -21,7 +20,7 @@ from pcs_racing_agents.benchmark.card import (
     read_cards,
     write_card,
 )
-from pcs_racing_agents.benchmark.entrants import load_entrant
+from pcs_racing_agents.benchmark.entrants import load_entrant, load_sb3_policy
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import CardScore, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main

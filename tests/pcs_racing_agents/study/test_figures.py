@@ -10,8 +10,8 @@ from pcs_racing_agents.pictures.style import picture_bytes
 from pcs_racing_agents.study import figures
 from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import make_table
-from pcs_racing_agents.tournament.pictures import payoffs_picture, ratings_picture
 from pcs_racing_agents.tournament.ratings import rate
+from pcs_racing_agents.tournament.table import payoffs_picture, ratings_picture
 
 
 @pytest.fixture(scope="module")
