@@ -1,7 +1,10 @@
-"""Options that several commands share, and checks of the files and folders that they write."""
+"""What several commands share: options, checks of the files and folders that they write, pages in a browser."""
 
 import argparse
+import os
 import sys
+import webbrowser
+from http.server import ThreadingHTTPServer
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
@@ -95,3 +98,22 @@ def output_folder(path: Path) -> Path:
     except OSError as error:
         raise InputError(f"can't make the folder {path}: {error.strerror}") from None
     return path
+
+
+def open_page(address: str) -> None:
+    """Open a browser if there is a display; without one, Python would start a browser in this terminal."""
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        return
+    webbrowser.open(address)
+
+
+def serve(server: ThreadingHTTPServer, what: str, *, open_it: bool) -> None:
+    """Serve a page until the command is interrupted; prints what is at which address."""
+    address = f"http://127.0.0.1:{server.server_address[1]}/"
+    print(f"{what} at {address} (Ctrl-C ends it)", flush=True)
+    if open_it:
+        open_page(address)
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        print("ended", file=sys.stderr)

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.cli.browser import open_page, serve
-from pcs_racing_agents.cli.options import Commands, add_command, output_file
+from pcs_racing_agents.cli.options import Commands, add_command, open_page, output_file, serve
 
 if TYPE_CHECKING:
     from pcs_racing_agents.results.races import RaceTable

@@ -6,7 +6,7 @@ from typing import Any
 
 from pcs_racing.base.settings import choice, number, setting, whole
 from pcs_racing_agents.jobs.configuration import load_config
-from pcs_racing_agents.learning.responses.learner_settings import LearnerSettings
+from pcs_racing_agents.learning.responses.learner import LearnerSettings
 from pcs_racing_agents.networks.settings import TrainSettings
 
 WEIGHTS = ("linear", "uniform")
