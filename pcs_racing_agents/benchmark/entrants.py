@@ -39,8 +39,6 @@ def load_entrant(
         of the path of the weights, if there is one) that returns a competitor; the path of a ``.zip`` file of
         Stable-Baselines3, of which only numbers are read; with ``drive``, the folder of a driver at control level. A
         module is looked for in the working directory as well.
-    setting : Setting
-        Archive and rules of the game.
     drive : bool
         Whether the text is the name or the folder of a driver (:func:`pcs_racing.planners.trained.load_driver`).
     weights : path, optional

@@ -103,8 +103,6 @@ def tree_seconds(config: GameConfig, moves: int, trees: int, seeds: int) -> floa
 
     Parameters
     ----------
-    moves : int
-        Number of moves of each player.
     trees, seeds : int
         Number of trees, and of noise realisations in each tree.
     """
@@ -142,8 +140,6 @@ def response_seconds(settings: ResponseSettings, config: GameConfig, moves: int,
 
     Parameters
     ----------
-    moves : int
-        Number of moves of each player.
     games : int
         Number of circuits times number of opponents.
     """

@@ -101,8 +101,6 @@ def explain_game(
 
     Parameters
     ----------
-    ego, opponent : Competitor or Policy
-        Competitors in car 0 and car 1.
     policies, start, seed, candidates
         As for :func:`pcs_racing_agents.tournament.watching.record_game`.
     car : int

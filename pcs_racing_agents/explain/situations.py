@@ -63,8 +63,6 @@ def summarise(
         Indices of the moves that it made; -1 after a crash.
     archive : PolicyArchive
         Seen along the game's axes.
-    moves : sequence of str
-        Names of the moves.
     """
     observed, made = np.asarray(observations, np.float32), np.asarray(actions)
     axes = len(archive.characteristics)

@@ -260,8 +260,6 @@ def open_job(folder: str | Path, kind: str, settings: Mapping[str, Any]) -> Iter
     ----------
     folder : str or Path
         A new or empty folder, or one that this function made.
-    kind : str
-        What is being made.
     settings : Mapping
         Everything that the results depend on: texts, numbers, lists and mappings (arrays, tuples, paths and dataclasses
         become these).

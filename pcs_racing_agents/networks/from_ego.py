@@ -111,12 +111,8 @@ def train_on_ego(
 
     Parameters
     ----------
-    identity : GameIdentity
-        The game that they belong to.
     settings : TrainSettings
         Its target must be "static-q"; its weights and numbers of rows per tree play no role.
-    name : str
-        Of the network.
     about : dict, optional
         What else the network should know of its training, texts and numbers by name.
     learning : callable, optional

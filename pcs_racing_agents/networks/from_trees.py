@@ -55,10 +55,6 @@ def train_on_trees(
         before the first move has no rows and is skipped.
     pairs : array of int, shape (trees, 2)
         Starting policies of each tree.
-    identity : GameIdentity
-        The game that they belong to.
-    name : str
-        Of the network.
     about : dict, optional
         What else the network should know of its training, texts and numbers by name.
     executor : Executor, optional

@@ -69,8 +69,6 @@ def train_network(
         From any source.
     identity : GameIdentity
         The game that they come from.
-    name : str
-        Of the network.
     target : str, optional
         What the rows' targets are; by default the settings' target.
     clipped : bool

@@ -44,8 +44,6 @@ def curves_picture(
         Whether the y axes are logarithmic, or the titles of the panels whose axes are.
     mark : float, optional
         Place on the x axis of a vertical line: that of the network which was kept, for instance.
-    title : str
-        Of the whole picture.
     """
     if not panels or not all(panels.values()):
         raise InputError("there are no learning curves to draw; give at least one for each panel")

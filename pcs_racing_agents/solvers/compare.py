@@ -40,8 +40,6 @@ def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str
     ----------
     tree : GameTree
         Players see all past moves.
-    iterations : int
-        Iterations of CFR.
     methods : sequence of str
         Out of :data:`METHODS`.
     """
@@ -68,8 +66,6 @@ def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: 
 
     Parameters
     ----------
-    exact : ExactResult
-        Its solution.
     on_path : bool
         Whether joint histories count as often as the exact solution leads to them; by default all count equally.
     """

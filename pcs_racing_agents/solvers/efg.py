@@ -51,8 +51,6 @@ def efg_text(
 
     Parameters
     ----------
-    title : str
-        Name of the game.
     move_names : sequence of (sequence of str, sequence of str), optional
         Names of the moves of each car at each level; ``0``, ``1``, ... by default.
     """

@@ -80,8 +80,6 @@ def watch_race(pairing: Pairing, race: int, title: str, *, candidates: bool = Fa
     ----------
     pairing : Pairing
         Its ego makes moves.
-    race : int
-        Number of the race in it.
     candidates : bool
         Whether to keep the candidate paths of the planners: about a megabyte.
     """

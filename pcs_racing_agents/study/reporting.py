@@ -77,13 +77,7 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
 
 
 def write_report(study: Study, seconds: Mapping[str, float]) -> None:
-    """Write ``results.csv``, ``table.csv``, ``table.md``, ``table.txt`` and ``report.html``.
-
-    Parameters
-    ----------
-    seconds : mapping of str to float
-        Time of each stage.
-    """
+    """Write ``results.csv``, ``table.csv``, ``table.md``, ``table.txt`` and ``report.html``."""
     study_races = list(table_races(study))
     folder = study.folder
     write_results((row for races in study_races for row in races.races), folder / "results.csv")

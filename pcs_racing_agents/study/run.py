@@ -93,8 +93,6 @@ def run_study(
         Names of stages to run; each needs the results of some earlier ones. All by default.
     executor : Executor, optional
         Runs the jobs (:func:`pcs_racing_agents.jobs.executors.make_executor`). It does not change the results.
-    quiet : bool
-        Show no progress.
     """
     remaining = stages_to_run(config, folder, only)
     study = Study(config, Path(folder), executor, quiet)

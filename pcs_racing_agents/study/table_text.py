@@ -167,8 +167,6 @@ def verdict_text(arm: str, base: str, results: Sequence[Comparison]) -> str:
 
     Parameters
     ----------
-    arm, base : str
-        Their names.
     results : sequence of Comparison
         One difference for each row, at least one.
     """

@@ -52,8 +52,6 @@ def write_archive(
         Units of hypervolumes.
     parameters : ndarray, shape (K, P)
         Of the archive's policies.
-    raced : dict of ndarray
-        The races that measured them.
     notes : Mapping
         What else the manifest is to say.
     """

@@ -158,8 +158,6 @@ def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats,
 
     Parameters
     ----------
-    races : PolicyRaces
-        The search, done.
     scenarios : Scenarios
         In which candidates for a front race again.
     seed : int

@@ -129,8 +129,6 @@ def evaluate(
     executor : Executor, optional
         Where blocks of policies race; in this thread by default, which shares the races among the cores. It has no
         influence on the result.
-    block : int
-        Policies in a block.
     """
     parameters = check_policies("parameters", parameters, get_planner(scenarios.planner))
     tasks = [(scenarios, parameters[first : first + block]) for first in range(0, len(parameters), block)]

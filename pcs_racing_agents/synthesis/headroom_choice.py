@@ -35,8 +35,6 @@ def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tupl
 
     Parameters
     ----------
-    races : PolicyRaces
-        The search, done.
     allowed : ndarray of int
         Policies of the search that may be candidates.
     seed : int

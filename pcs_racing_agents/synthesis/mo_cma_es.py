@@ -68,8 +68,6 @@ class CubeCMAES:
     ----------
     mean : ndarray, shape (P,)
         First mean.
-    step_size : float
-        First standard deviation.
     largest : float
         The step size stays below.
     population, elite : int

@@ -160,8 +160,6 @@ def cross_pairing(
 
     Parameters
     ----------
-    game : RaceGame
-        Circuit, archive and rules.
     ego, opponent : Agent, Driver, Policy, or object with ``predict`` or ``decide``
         "never-switch" is the paper's non-GT agent, "random-policy" its random one, "lane-switcher" its unseen one. The
         draws depend on the numbers of their variants only: all agents drive the same races.

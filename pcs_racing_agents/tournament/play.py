@@ -148,8 +148,6 @@ def play_tournament(
     race : GameConfig, RaceConfig, str or path
         The rules. Those of a race alone make a game of the same duration (:func:`game_rules`); its ``start_lines`` is
         not used, since every two races draw a line of their own.
-    archive : PolicyArchive, str or path
-        Policies of the agents.
     races_per_pair : int
         Races of each pair on each track; even, from 2 to 2000.
     seed : int

@@ -75,8 +75,6 @@ def rate(
 
     Parameters
     ----------
-    first, second : sequence of str, length R
-        Names of the two agents of each race.
     result : array_like, shape (R,)
         1 the first won, -1 the second won, 0 a tie.
     unpaid : array_like of bool, shape (R,), optional
@@ -87,8 +85,6 @@ def rate(
         Generator of the bootstrap; without it there are no intervals.
     replicates : int
         Bootstrap replicates, at least 100.
-    level : float
-        Level of the intervals.
     prior_sd : float
         Standard deviation of the prior on the log-odds scale. 3 is weak: after 73 wins in 100 races between two agents
         it moves their strengths from 0.497 to 0.496.

@@ -53,12 +53,8 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
 
     Parameters
     ----------
-    names : sequence of str
-        The agents, in the order of the result.
     races : RaceTable
         All pairs shared the start lines. A crash without a winner is no tie.
-    seed : int
-        Seed of the bootstrap of the ratings.
     """
     first, second = drivers(names, races).T
     won = np.array([1.0, -1.0, 0.0])[races.winner]

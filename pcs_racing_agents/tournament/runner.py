@@ -75,8 +75,6 @@ def play_pairings(
 
     Parameters
     ----------
-    name : str
-        Name of this part of the job's work.
     observations : bool
         Whether to return observations; else ``PlayedGames.observations`` has no columns.
     job : Job, optional

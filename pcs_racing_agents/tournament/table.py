@@ -156,8 +156,6 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
 
     Parameters
     ----------
-    names : sequence of str
-        N agents.
     payoffs : array_like, shape (N, N)
         Score of the row's agent against the column's; NaN where they did not meet.
     """

@@ -37,8 +37,6 @@ def policy_paths(table: Indices, start: int, moves: int) -> PolicyPaths:
     ----------
     table : ndarray, shape (K, A)
         Where every move leads from every policy.
-    start : int
-        Policy to start from.
     moves : int
         Moves to follow.
     """

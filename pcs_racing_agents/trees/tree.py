@@ -219,15 +219,7 @@ def _check_plain(arrays: Mapping[str, NDArray[Any]], wanted: list[str], moves: i
 
 
 def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) -> RaceTree:
-    """Return the tree of arrays from :meth:`RaceTree.arrays`.
-
-    Parameters
-    ----------
-    moves : int
-        Moves of each player.
-    where : str
-        Beginning of the messages of errors.
-    """
+    """Return the tree of arrays from :meth:`RaceTree.arrays`."""
     wanted = [*_PLAIN, "payoffs", *(f"{name}_{k}" for name in _LEVELS for k in range(moves))]
     missing = [name for name in wanted if name not in arrays]
     if missing:

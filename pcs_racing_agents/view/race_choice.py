@@ -49,11 +49,6 @@ def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
 def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
     """Select races to show, by a deterministic rule.
 
-    Parameters
-    ----------
-    count : int
-        Maximum number.
-
     Returns
     -------
     list of SelectedRace

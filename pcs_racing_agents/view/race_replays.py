@@ -139,11 +139,6 @@ def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]
     """Return the Policy Characteristic Space as plain values for the page's JSON.
 
     Positions are in steps of 1/4000 of the picture, from its left and lower edge.
-
-    Parameters
-    ----------
-    moves : sequence of str
-        Names of the moves.
     """
     columns = plane(archive)
     kinds = get_characteristics(archive.characteristics)

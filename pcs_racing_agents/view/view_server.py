@@ -38,13 +38,7 @@ def error_answer(status: int, text: str) -> Answer:
 
 
 class RaceService:
-    """Repeats races one at a time and caches the last answers.
-
-    Parameters
-    ----------
-    races : int
-        Number of races.
-    """
+    """Repeats races one at a time and caches the last answers."""
 
     def __init__(self, driver: RaceRepeater, races: int) -> None:
         self.driver = driver

@@ -82,8 +82,6 @@ def make_learner(
 
     Parameters
     ----------
-    groups : sequence of BatchVectorEnv
-        Training environments.
     activation : {"relu", "tanh"}
         Activation between the layers.
     limit : float

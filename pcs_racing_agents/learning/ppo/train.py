@@ -94,8 +94,6 @@ def train_ppo(
         Archive in place of that of the settings of a duel.
     rules : GameConfig, optional
         Rules in place of the race and the size of moves in the settings of a duel.
-    **changes
-        Fields of the settings to change.
     """
     settings = load_ppo_settings(config, **changes)
     check_checkpoint_seconds(checkpoint_seconds)

@@ -67,10 +67,6 @@ def best_reply(
     ----------
     games : sequence of RaceGame
         One on each circuit, all of one archive and one set of rules. The reply is one network for all of them.
-    agent : Competitor
-        Agent or driver to reply to.
-    setting : Setting
-        Archive and rules, as agents know them.
     settings : ResponseSettings
         The learner's budget and seed.
     job : Job

@@ -99,10 +99,6 @@ def train_kept(
     ----------
     job : Job
         Keeps the networks.
-    part : str
-        Name of this part of the job's work.
-    name : str
-        Of the networks.
     executor : Executor, optional
         Where they are trained, if its tasks run in other processes.
     """

@@ -126,15 +126,9 @@ def learn_response(
     ----------
     games : sequence of RaceGame
         One on each circuit, all of one archive and one set of rules.
-    pool : sequence of Competitor
-        Opponents.
-    setting : Setting
-        Archive and rules, as agents know them.
     shares : sequence of float, optional
         How often each opponent is met, in any unit. By default each is met ``settings.starts`` times; with shares,
         all together are.
-    name : str
-        Of the network.
     part : str
         Beginning of the names of this work in the job, where the job learns several networks.
 

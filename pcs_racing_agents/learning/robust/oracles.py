@@ -43,8 +43,6 @@ def learn_psro(
         As for :func:`pcs_racing_agents.learning.responses.learn_response`.
     pool : sequence of Competitor
         Opponents of the first response.
-    name : str
-        Of the set of networks.
 
     Returns
     -------

@@ -46,10 +46,6 @@ def learn_robust(
         One on each circuit, all of one archive and one set of rules.
     pool : sequence of Competitor
         Opponents, all met equally often.
-    setting : Setting
-        Archive and rules, as agents know them.
-    name : str
-        Of the set of networks.
     part : str
         Beginning of the names of this work in the job.
 

@@ -95,8 +95,6 @@ def learn_self_play(
         one network.
     job : Job
         Stores rows and networks, so that a stopped run can be resumed.
-    name : str
-        Of the set of networks.
 
     Returns
     -------

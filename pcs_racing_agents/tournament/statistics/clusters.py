@@ -17,8 +17,6 @@ def t_interval(mean: float, se: float, df: int, level: float) -> tuple[float, fl
 
     Parameters
     ----------
-    mean, se : float
-        Estimate and its standard error.
     df : int
         Degrees of freedom, at least 1.
     level : float
