@@ -23,8 +23,8 @@ from pcs_racing_agents.tournament import (
     tournament_text,
     write_results,
 )
-from pcs_racing_agents.tournament.meta_game import excess, zero_sum_equilibrium
 from pcs_racing_agents.tournament.ratings import rate
+from pcs_racing_agents.tournament.round_robin import excess, zero_sum_equilibrium
 
 # Agents that need no training; `pcs-racing agents` lists the others, and docs/agents.md says what they need.
 AGENTS = [

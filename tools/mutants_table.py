@@ -165,11 +165,10 @@ MODULES = {
         "pcs_racing_agents/tournament",
         """
         ratings: ratings
-        meta_game: meta_game
+        round_robin: meta_game; round_robin
         table: ; tournament_table
         statistics/clusters: statistics
         statistics/comparison: statistics
-        statistics/units: statistics
         """,
     ),
 }

@@ -19,7 +19,7 @@ from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.networks.network_sets import NetworkSet, list_network_sets, load_network_set
+from pcs_racing_agents.networks.network_files import NetworkSet, list_network_sets, load_network_set
 
 Floats = NDArray[np.float64]
 NetworkSetSource = str | NetworkSet | None

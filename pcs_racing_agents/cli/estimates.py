@@ -20,7 +20,7 @@ from pcs_racing_agents.learning.robust.settings import (
     load_psro_settings,
     load_robust_settings,
 )
-from pcs_racing_agents.learning.self_play.settings import SelfPlaySettings, load_self_play_settings
+from pcs_racing_agents.learning.self_play.learner import SelfPlaySettings, load_self_play_settings
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.synthesis.config import ArchiveConfig

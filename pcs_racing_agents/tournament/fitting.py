@@ -254,7 +254,7 @@ def fit_psro(
     known : MetaStrategy, optional
         Of the first members: their payoffs are taken from it.
     """
-    from pcs_racing_agents.tournament.meta_game import zero_sum_equilibrium
+    from pcs_racing_agents.tournament.round_robin import zero_sum_equilibrium
 
     names = [member.name for member in members]
     if len(members) < 2 or len(set(names)) < len(names):

@@ -20,7 +20,7 @@ from pcs_racing_agents.payoffs.headroom import (
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
-from pcs_racing_agents.tournament.meta_game import zero_sum_equilibrium
+from pcs_racing_agents.tournament.round_robin import zero_sum_equilibrium
 from research.headroom.lead_plans import LeadPlanValue
 from research.headroom.slots import SlotHeadroom, slot_headroom
 

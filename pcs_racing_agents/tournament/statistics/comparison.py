@@ -12,8 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.statistics.clusters import clustered_mean, ratio, t_interval
-from pcs_racing_agents.tournament.statistics.units import Floats, check_arms, check_values, cluster_codes
+from pcs_racing_agents.tournament.statistics.clusters import (
+    Floats,
+    check_arms,
+    check_values,
+    cluster_codes,
+    clustered_mean,
+    ratio,
+    t_interval,
+)
 
 
 @dataclass(frozen=True)
