@@ -7,17 +7,7 @@ from typing import Any
 
 from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import (
-    Settings,
-    checked,
-    choice,
-    names,
-    number,
-    setting,
-    text,
-    whole,
-    wholes,
-)
+from pcs_racing.base.settings import Settings, checked, choice, names, number, setting, text, whole, wholes
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig, load_race_config

@@ -24,12 +24,7 @@ from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, span
 from pcs_racing_agents.results.text_table import markdown
 from research.axes.behaviour import measure_behaviour, measure_payoffs
 from research.axes.coordinates import COORDINATES
-from research.axes.learn import (
-    JUDGED,
-    LearnSettings,
-    fit_characteristics,
-    spread_over,
-)
+from research.axes.learn import JUDGED, LearnSettings, fit_characteristics, spread_over
 from research.axes.pools import draw_pool
 from research.axes.validation import judge
 

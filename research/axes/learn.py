@@ -24,18 +24,8 @@ from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from research.axes.behaviour import common_planner, measure_behaviour
-from research.axes.coordinates import (
-    COORDINATES,
-    PayoffCoordinates,
-    payoff_coordinates,
-)
-from research.axes.ridge import (
-    fit_ridge,
-    input_scales,
-    standardise,
-    term_names,
-    term_values,
-)
+from research.axes.coordinates import COORDINATES, PayoffCoordinates, payoff_coordinates
+from research.axes.ridge import fit_ridge, input_scales, standardise, term_names, term_values
 from research.axes.validation import Accuracy, cross_validate, draw_rows
 
 Floats = NDArray[np.float64]

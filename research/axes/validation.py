@@ -10,13 +10,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.learned import LearnedCharacteristics
 from pcs_racing_agents.payoffs.headroom import jackknife_error
 from research.axes.coordinates import PayoffCoordinates
-from research.axes.ridge import (
-    PENALTIES,
-    fit_ridge,
-    input_scales,
-    standardise,
-    term_values,
-)
+from research.axes.ridge import PENALTIES, fit_ridge, input_scales, standardise, term_values
 
 Floats = NDArray[np.float64]
 

@@ -69,13 +69,7 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Train and measure, print the table, and write files and the picture."""
     from pcs_racing_agents.agents.zoo import parse_agent
-    from pcs_racing_agents.cli.estimates import (
-        announce,
-        cores_of,
-        racing_seconds,
-        response_seconds,
-        robust_seconds,
-    )
+    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds, response_seconds, robust_seconds
     from pcs_racing_agents.learning.responses.best_reply import FEWEST
     from pcs_racing_agents.learning.responses.learner import load_response_settings
     from pcs_racing_agents.learning.robust.settings import load_robust_settings
