@@ -17,10 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.tournament.statistics import (
-    clustered_mean,
-    compare,
-)
+from pcs_racing_agents.tournament.statistics import clustered_mean, compare
 from pcs_racing_agents.tournament.statistics.clusters import t_interval
 
 Floats = NDArray[np.float64]

@@ -76,35 +76,19 @@ from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_page import packed_races
 
-__all__ = ["TARGETS", "Target"]
-
 MAP = Path("fuzzed")
 ROS = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25}
 
 
 @dataclass(frozen=True)
 class Target:
-    """Something that must stand any bytes.
+    """Something that must stand any bytes."""
 
-    Attributes
-    ----------
-    run : callable
-        ``run(data)`` returns if they are accepted.
-    seeds : callable
-        Returns valid inputs, which mutations begin with.
-    kind : {"text", "yaml", "json", "csv", "binary", "npz", "values"}
-        What mutations make sense.
-    words : tuple of str
-        Names and values to put in.
-    most : int
-        Inputs of a campaign at most, for slow ones.
-    """
-
-    run: Callable[[bytes], object]
-    seeds: Callable[[], list[bytes]]
-    kind: str
-    words: tuple[str, ...] = ()
-    most: int = 1_000_000
+    run: Callable[[bytes], object]  #: ``run(data)`` returns if they are accepted.
+    seeds: Callable[[], list[bytes]]  #: Returns valid inputs, which mutations begin with.
+    kind: str  #: "text" or "yaml" or "json" or "csv" or "binary" or "npz" or "values": What mutations make sense.
+    words: tuple[str, ...] = ()  #: Names and values to put in.
+    most: int = 1_000_000  #: Inputs of a campaign at most, for slow ones.
 
 
 @cache

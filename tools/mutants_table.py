@@ -7,8 +7,6 @@ plain Python (``NUMBA_DISABLE_JIT=1``) run that way, since a fault in a compiled
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["COMPILED", "MODULES", "PLAIN", "Module", "tests_of"]
-
 PLAIN, COMPILED = "plain", "compiled"
 
 
